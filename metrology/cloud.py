@@ -1,0 +1,92 @@
+"""What reconstruction yields: the two decoded views and the organised point cloud on the left camera's pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.rig import Rig
+
+Float32 = NDArray[np.float32]
+
+
+class PixelFlag(IntFlag):
+    """Why a pixel has no value, or only a doubtful one. 0 is a good pixel."""
+
+    GOOD = 0
+    SATURATED = 1  # fewer unsaturated samples than unknowns in every exposure
+    LOW_MODULATION = 2  # fringes too faint to carry a phase
+    ORDER_RESIDUAL = 4  # the wrapped phases contradict each other: mixed phase or a fringe-order slip
+    EDGE = 8  # within two blur radii of a reflectance or depth edge; has a value, keep it out of fits
+    UNMATCHED = 16  # no counterpart of equal phase on the right camera's epipolar line
+    SATURATED_SAMPLES = 32  # some samples or a neighbour saturated; has a value from the others
+    SLOPE = 64  # matched, but phase hardly changes along the epipolar line, or the depth is out of range
+
+
+# A pixel with one of these has no phase or no point.
+MISSING = (
+    PixelFlag.SATURATED
+    | PixelFlag.LOW_MODULATION
+    | PixelFlag.ORDER_RESIDUAL
+    | PixelFlag.UNMATCHED
+    | PixelFlag.SLOPE
+)
+
+
+@dataclass(frozen=True)
+class DecodedView:
+    """One camera's frames, decoded.
+
+    Attributes
+    ----------
+    coordinate : (h, w) float32
+        Projector coordinate along the fringe axis (column for axis x, row for y) in projector pixels, centres at
+        integers; NaN where there is none.
+    sigma : (h, w) float32
+        Standard deviation of `coordinate`, projector pixels.
+    modulation : (h, w) float32
+        Fringe amplitude B in grey levels at exposure 1, the smallest over the fringe counts.
+    texture : (h, w) float32
+        Mean grey level A at exposure 1 over all frames (may exceed the camera's range where exposures were fused).
+    flags : (h, w) uint16
+        PixelFlag bits.
+    """
+
+    coordinate: Float32
+    sigma: Float32
+    modulation: Float32
+    texture: Float32
+    flags: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """An organised cloud: entry [v, u] is the point that the left camera's raw pixel (u, v) sees.
+
+    Attributes
+    ----------
+    rig : Rig
+    left, right : DecodedView
+    points : (h, w, 3) float32
+        Rig frame, mm; NaN where none.
+    sigma_z : (h, w) float32
+        Standard deviation of the point's z, mm. The point moves along its left viewing ray, so its covariance is
+        sigma_z² times the outer product of (x/z, y/z, 1).
+    flags : (h, w) uint16
+        PixelFlag bits, those of the left view included.
+    """
+
+    rig: Rig
+    left: DecodedView
+    right: DecodedView
+    points: Float32
+    sigma_z: Float32
+    flags: NDArray[np.uint16]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(h, w) where there is a point."""
+        return np.isfinite(self.points[..., 2])

@@ -1,0 +1,126 @@
+"""What an inspection finds, as it is stored: one frozen dataclass per table row (docs/formats.md names the columns).
+
+Angles in degrees, lengths in mm, pixels of the raw left image. A value that could not be measured is None and `reason`
+says why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Severity = Literal["green", "blue", "red"]
+Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "no limit"]
+
+
+@dataclass(frozen=True)
+class RivetDetection:
+    """An ellipse in the left image that is taken for a rivet head's rim.
+
+    Attributes
+    ----------
+    u_px, v_px : float
+        Centre of the ellipse.
+    major_px, minor_px : float
+        Full lengths of the axes (diameters) of the ridge of the dark ring.
+    angle_deg : float
+        Direction of the major axis from +u towards +v, in [0, 180).
+    confidence : float
+        0 … 1.
+    covariance : (5, 5) ndarray
+        Of (u_px, v_px, major_px, minor_px, angle_deg).
+    u_right_px, v_right_px : float or None
+        Where the right camera sees the head's centre.
+    """
+
+    u_px: float
+    v_px: float
+    major_px: float
+    minor_px: float
+    angle_deg: float
+    confidence: float
+    covariance: NDArray[np.float64] = field(default_factory=lambda: np.full((5, 5), np.nan))
+    u_right_px: float | None = None
+    v_right_px: float | None = None
+
+
+@dataclass(frozen=True)
+class Rivet:
+    """One row of `rivets`."""
+
+    rivet_id: str
+    x_mm: float | None
+    y_mm: float | None
+    z_mm: float | None
+    u_px: float
+    v_px: float
+    u_right_px: float | None
+    v_right_px: float | None
+    diameter_mm: float | None
+    major_px: float
+    minor_px: float
+    angle_deg: float
+    confidence: float
+    height_mean_mm: float | None = None
+    height_min_mm: float | None = None
+    height_max_mm: float | None = None
+    height_u95_mm: float | None = None
+    tilt_deg: float | None = None
+    tilt_u95_deg: float | None = None
+    crown_mm: float | None = None
+    n_inner: int = 0
+    n_outer: int = 0
+    rms_inner_mm: float | None = None
+    rms_outer_mm: float | None = None
+    severity: Severity | None = None
+    decision: Decision = "no limit"
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class SeamLine:
+    """The centre line of a seam in the left image.
+
+    Attributes
+    ----------
+    seam_id : str
+    centre_px : (n, 2) ndarray
+        u, v about every pixel along the line.
+    width_px : (n,) ndarray
+        Width of the dark line across its direction; NaN where it could not be told.
+    confidence : float
+        0 … 1; low where the 3-D data show neither a groove nor a step.
+    relief : bool
+        Whether the 3-D data show a groove or a step.
+    """
+
+    seam_id: str
+    centre_px: NDArray[np.float64]
+    width_px: NDArray[np.float64]
+    confidence: float
+    relief: bool
+
+
+@dataclass(frozen=True)
+class SeamStation:
+    """One row of `seam_stations`."""
+
+    seam_id: str
+    s_mm: float
+    x_mm: float | None
+    y_mm: float | None
+    z_mm: float | None
+    u_px: float
+    v_px: float
+    step_mm: float | None = None
+    step_u95_mm: float | None = None
+    width_mm: float | None = None
+    width_u95_mm: float | None = None
+    n_left: int = 0
+    n_right: int = 0
+    severity: Severity | None = None
+    decision: Decision = "no limit"
+    reason: str | None = None

@@ -1,0 +1,140 @@
+"""The rig: two cameras and a projector as pinhole devices with lens distortion, all in the left camera's frame.
+
+Frame: the left camera's, millimetres, x right, y down, z forward; `x_dev = R x_left + t`. Pixels are raw (distorted)
+with centres at integers, as in OpenCV.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from metrology.errors import RigError
+
+Array = NDArray[np.float64]
+
+# Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
+MAX_DISTORTION_TERMS = 8
+_UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+
+
+@dataclass(frozen=True)
+class Device:
+    """A camera, or a projector seen as a camera that emits.
+
+    Attributes
+    ----------
+    width, height : int
+        Size in pixels.
+    K : (3, 3) ndarray
+        Intrinsic matrix in pixels.
+    distortion : (n,) ndarray
+        k1, k2, p1, p2, k3 … in OpenCV's order, n in {0, 4, 5, 8}.
+    R, t : (3, 3) and (3,) ndarray
+        Pose: a point x of the rig frame is at R x + t in the device's own frame, t in mm.
+    """
+
+    width: int
+    height: int
+    K: Array
+    distortion: Array
+    R: Array
+    t: Array
+
+    def __post_init__(self) -> None:
+        for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
+            value = np.ascontiguousarray(getattr(self, name), float)
+            if value.shape != shape:
+                raise RigError(f"{name}: found shape {value.shape}, expected {shape}")
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "distortion", np.ascontiguousarray(self.distortion, float).ravel())
+        if self.distortion.size not in (0, 4, 5, 8):
+            raise RigError(f"distortion: found {self.distortion.size} terms, expected 0, 4, 5 or 8")
+        if not all(np.isfinite(getattr(self, n)).all() for n in ("K", "distortion", "R", "t")):
+            raise RigError("found a value that is not finite, expected numbers throughout K, distortion, R and t")
+        if self.width <= 0 or self.height <= 0:
+            raise RigError(f"size: found {self.width}×{self.height}, expected positive numbers of pixels")
+        if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
+            raise RigError(f"K: found focal lengths {self.K[0, 0]:g}, {self.K[1, 1]:g}, expected positive ones")
+        if not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-6) or np.linalg.det(self.R) < 0:
+            raise RigError("R: found a matrix that is not a rotation, expected orthonormal rows and determinant +1")
+
+    @cached_property
+    def centre(self) -> Array:
+        """(3,) centre of projection in the rig frame, mm."""
+        return -self.R.T @ self.t
+
+    @cached_property
+    def distortion8(self) -> Array:
+        """(8,) distortion padded with zeros: k1, k2, p1, p2, k3, k4, k5, k6."""
+        padded = np.zeros(MAX_DISTORTION_TERMS)
+        padded[: self.distortion.size] = self.distortion
+        return padded
+
+    def project(self, points: ArrayLike) -> Array:
+        """Raw pixels of points.
+
+        Parameters
+        ----------
+        points : (..., 3) array
+            Rig frame, mm.
+
+        Returns
+        -------
+        (..., 2) ndarray
+            u, v in pixels.
+        """
+        points = np.asarray(points, float)
+        if points.size == 0:
+            return np.empty((*points.shape[:-1], 2))
+        pixels, _ = cv2.projectPoints(
+            points.reshape(-1, 1, 3), cv2.Rodrigues(self.R)[0], self.t, self.K, self.distortion8
+        )
+        return np.asarray(pixels, float).reshape(*points.shape[:-1], 2)
+
+    def normalized(self, pixels: ArrayLike) -> Array:
+        """Undistorted image coordinates x/z, y/z in the device's own frame, (..., 2), of raw pixels (..., 2)."""
+        pixels = np.asarray(pixels, float)
+        if pixels.size == 0:
+            return np.empty(pixels.shape)
+        flat = np.ascontiguousarray(pixels.reshape(-1, 1, 2))
+        undistorted = cv2.undistortPoints(flat, self.K, self.distortion8, criteria=_UNDISTORT_CRITERIA)
+        return np.asarray(undistorted, float).reshape(pixels.shape)
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Unit viewing directions, (..., 3) in the rig frame, of raw pixels (..., 2)."""
+        xy = self.normalized(pixels)
+        rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1) @ self.R
+        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+    def inside(self, pixels: ArrayLike) -> NDArray[np.bool_]:
+        """Whether raw pixels (..., 2) lie on the image."""
+        u, v = np.moveaxis(np.asarray(pixels, float), -1, 0)
+        return (u >= -0.5) & (u < self.width - 0.5) & (v >= -0.5) & (v < self.height - 0.5)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Two cameras and a projector with the id of the calibration they came from.
+
+    `extra` holds what else a rig file said (residuals, covariance …), untouched.
+    """
+
+    id: str
+    calibrated_at: str
+    left: Device
+    right: Device
+    projector: Device
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (np.allclose(self.left.R, np.eye(3), atol=1e-9) and np.allclose(self.left.t, 0, atol=1e-9)):
+            raise RigError("left camera: found a pose of its own, expected identity (the rig frame is the left camera's)")
+        if np.linalg.norm(self.right.centre) < 1e-6:
+            raise RigError("right camera: found no baseline to the left one, expected different centres")

@@ -1,0 +1,1 @@
+"""Every file format and the archive: scene and rig files in, Parquet and DuckDB out."""

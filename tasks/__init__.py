@@ -1,0 +1,1 @@
+"""One step each: load, call metrology, save."""
