@@ -28,11 +28,7 @@ class PixelFlag(IntFlag):
 
 # A pixel with one of these has no phase or no point.
 MISSING = (
-    PixelFlag.SATURATED
-    | PixelFlag.LOW_MODULATION
-    | PixelFlag.ORDER_RESIDUAL
-    | PixelFlag.UNMATCHED
-    | PixelFlag.SLOPE
+    PixelFlag.SATURATED | PixelFlag.LOW_MODULATION | PixelFlag.ORDER_RESIDUAL | PixelFlag.UNMATCHED | PixelFlag.SLOPE
 )
 
 

@@ -44,7 +44,8 @@ class FringeCode:
             raise SceneError(f"fringe counts: found {list(self.counts)}, expected each only once")
         if np.gcd.reduce(self.counts) != 1:
             raise SceneError(
-                f"fringe counts: found {list(self.counts)} with a common factor, expected none (the order would be ambiguous)"
+                f"fringe counts: found {list(self.counts)} with a common factor, "
+                "expected none (the fringe order would be ambiguous)"
             )
 
     @property

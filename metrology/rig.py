@@ -135,6 +135,8 @@ class Rig:
 
     def __post_init__(self) -> None:
         if not (np.allclose(self.left.R, np.eye(3), atol=1e-9) and np.allclose(self.left.t, 0, atol=1e-9)):
-            raise RigError("left camera: found a pose of its own, expected identity (the rig frame is the left camera's)")
+            raise RigError(
+                "left camera: found a pose of its own, expected identity (the rig frame is the left camera's)"
+            )
         if np.linalg.norm(self.right.centre) < 1e-6:
             raise RigError("right camera: found no baseline to the left one, expected different centres")

@@ -1,0 +1,185 @@
+"""Verdicts: how a measured value stands against its limits (paper §5.1, Fig. 9) and how sure that is (ISO 14253-1).
+
+Severity looks at the value alone, as the paper's colours do: green meets the limits, blue is outside them, red is
+beyond the serious limits. The decision also looks at the value's expanded uncertainty U95, which serves as guard band:
+
+    pass               inside the limits by more than U95
+    conditional pass   inside, but by no more than U95
+    conditional fail   outside, but by no more than U95
+    fail               outside by more than U95
+
+What was not measured is its own state and never a pass; what has no limit is judged neither way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import get_args
+
+from metrology.errors import SpecError
+from metrology.results import Decision, Rivet, SeamStation, Severity
+
+RULE = "ISO 14253-1, guard band U95"
+
+_SEVERITIES: tuple[Severity, ...] = get_args(Severity)
+# From harmless to grave; a feature takes the gravest of its quantities' verdicts.
+_DECISIONS: tuple[Decision, ...] = (
+    "no limit",
+    "pass",
+    "conditional pass",
+    "not measured",
+    "conditional fail",
+    "fail",
+)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Limits of one quantity, in its own unit; None leaves a side open.
+
+    Attributes
+    ----------
+    lower, upper : float or None
+        The value must lie between them.
+    serious_lower, serious_upper : float or None
+        Beyond these a deviation is serious (red).
+    source, revision : str
+        The document the limits come from.
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    serious_lower: float | None = None
+    serious_upper: float | None = None
+    source: str = ""
+    revision: str = ""
+
+    def __post_init__(self) -> None:
+        ladder = [x for x in (self.serious_lower, self.lower, self.upper, self.serious_upper) if x is not None]
+        if ladder != sorted(ladder):
+            raise SpecError(
+                f"limits: found serious_lower {self.serious_lower}, lower {self.lower}, upper {self.upper}, "
+                f"serious_upper {self.serious_upper}, expected them in ascending order"
+            )
+        if self.lower is None and self.upper is None:
+            raise SpecError("limits: found neither lower nor upper, expected at least one of them")
+
+    def margin(self, value: float) -> float:
+        """Distance to the nearest limit: positive inside, negative outside."""
+        sides = []
+        if self.lower is not None:
+            sides.append(value - self.lower)
+        if self.upper is not None:
+            sides.append(self.upper - value)
+        return min(sides)
+
+    def severity(self, value: float) -> Severity:
+        """The paper's colour for a value."""
+        if self.margin(value) >= 0:
+            return "green"
+        below = self.serious_lower is not None and value < self.serious_lower
+        above = self.serious_upper is not None and value > self.serious_upper
+        return "red" if below or above else "blue"
+
+    def decision(self, value: float, u95: float) -> Decision:
+        """ISO 14253-1 decision for a value with expanded uncertainty u95."""
+        margin = self.margin(value)
+        if margin >= 0:
+            return "pass" if margin > u95 else "conditional pass"
+        return "fail" if -margin > u95 else "conditional fail"
+
+    def __str__(self) -> str:
+        low = "−∞" if self.lower is None else f"{self.lower:+.3f}"
+        high = "+∞" if self.upper is None else f"{self.upper:+.3f}"
+        origin = " ".join(part for part in (self.source, self.revision) if part)
+        return f"{low} … {high}" + (f" ({origin})" if origin else "")
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A tolerance zone of a panel: the limits that hold for the features in it."""
+
+    height_mm: Limit | None = None
+    tilt_deg: Limit | None = None
+    step_mm: Limit | None = None
+    width_mm: Limit | None = None
+
+
+@dataclass(frozen=True)
+class PanelSpec:
+    """What a panel must meet. Features without a zone of their own are judged by the zone "default"."""
+
+    panel: str
+    revision: str
+    zones: Mapping[str, Zone] = field(default_factory=dict)
+
+    def zone(self, name: str = "default") -> Zone:
+        """The zone of that name; one without limits where the specification has none."""
+        return self.zones.get(name, Zone())
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    severity: Severity | None
+    decision: Decision
+    reason: str | None
+
+
+def _judge(name: str, unit: str, value: float | None, u95: float | None, limit: Limit | None) -> _Verdict:
+    if limit is None:
+        return _Verdict(None, "no limit", None)
+    if value is None or u95 is None:
+        return _Verdict(None, "not measured", f"{name} not measured")
+    severity, decision = limit.severity(value), limit.decision(value, u95)
+    if decision == "pass":
+        return _Verdict(severity, decision, None)
+    words = {
+        "conditional pass": "within U95 of a limit of",
+        "conditional fail": "outside by less than U95 of",
+        "fail": "outside",
+    }[decision]
+    return _Verdict(severity, decision, f"{name} {value:+.3f} ± {u95:.3f} {unit} {words} {limit}; {RULE}")
+
+
+def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
+    decision = max((v.decision for v in verdicts), key=_DECISIONS.index)
+    colours = [v.severity for v in verdicts if v.severity is not None]
+    if decision == "not measured":
+        # A green quantity must not stand for the one that is missing; a failing one is still shown.
+        colours = [c for c in colours if c != "green"]
+    severity = max(colours, key=_SEVERITIES.index) if colours else None
+    reasons = [reason, *(v.reason for v in verdicts)]
+    return _Verdict(severity, decision, "; ".join(r for r in reasons if r) or None)
+
+
+def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
+    """The rivets with severity, decision and the reason for anything short of a pass."""
+    zone = spec.zone()
+    judged = []
+    for rivet in rivets:
+        verdict = _gravest(
+            [
+                _judge("height", "mm", rivet.height_mean_mm, rivet.height_u95_mm, zone.height_mm),
+                _judge("tilt", "°", rivet.tilt_deg, rivet.tilt_u95_deg, zone.tilt_deg),
+            ],
+            rivet.reason,
+        )
+        judged.append(replace(rivet, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason))
+    return judged
+
+
+def judge_stations(stations: Sequence[SeamStation], spec: PanelSpec) -> list[SeamStation]:
+    """The seam stations with severity, decision and the reason for anything short of a pass."""
+    zone = spec.zone()
+    judged = []
+    for station in stations:
+        verdict = _gravest(
+            [
+                _judge("step", "mm", station.step_mm, station.step_u95_mm, zone.step_mm),
+                _judge("width", "mm", station.width_mm, station.width_u95_mm, zone.width_mm),
+            ],
+            station.reason,
+        )
+        judged.append(replace(station, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason))
+    return judged
