@@ -1,0 +1,98 @@
+"""Painting an overlay: as a raster image for the projector, and as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.overlay.marks import Label, Stroke
+
+_FONT = cv2.FONT_HERSHEY_DUPLEX
+_CAP_HEIGHT = 21.0  # pixels of a capital letter at scale 1
+_SHIFT = 4  # fixed-point bits of the drawing coordinates
+
+
+def text_size(text: str, height: float) -> tuple[float, float]:
+    """Width and height in pixels that a line of text takes, halo included."""
+    scale = height / _CAP_HEIGHT
+    (width, cap), base = cv2.getTextSize(text, _FONT, scale, _thickness(height))
+    return float(width + height), float(cap + base + 0.4 * height)
+
+
+def _thickness(height: float) -> int:
+    return max(1, round(height / 12))
+
+
+def paint(
+    size: tuple[int, int], background: int, strokes: Sequence[Stroke], labels: Sequence[Label]
+) -> NDArray[np.uint8]:
+    """The overlay as an image.
+
+    Parameters
+    ----------
+    size : (width, height)
+    background : int
+        Grey level 0 … 255 of everything unmarked.
+
+    Returns
+    -------
+    (height, width, 3) uint8, RGB
+    """
+    width, height = size
+    image = np.full((height, width, 3), background, np.uint8)
+    for stroke in strokes:
+        points = np.round(stroke.points * 2**_SHIFT).astype(np.int32).reshape(-1, 1, 2)
+        cv2.polylines(image, [points], stroke.closed, stroke.colour, stroke.width, cv2.LINE_AA, _SHIFT)
+    for label in labels:
+        _paint_label(image, label)
+    return image
+
+
+def _paint_label(image: NDArray[np.uint8], label: Label) -> None:
+    """Text on a black plate (light from the fringe field around it would drown thin letters)."""
+    width, height = (int(np.ceil(x)) for x in text_size(label.text, label.height))
+    scale, thickness = label.height / _CAP_HEIGHT, _thickness(label.height)
+    (text_width, cap), base = cv2.getTextSize(label.text, _FONT, scale, thickness)
+    plate = np.zeros((height, width, 3), np.uint8)
+    origin = ((width - text_width) // 2, (height - cap - base) // 2 + cap)
+    cv2.putText(plate, label.text, origin, _FONT, scale, label.colour, thickness, cv2.LINE_AA)
+    cos, sin = np.cos(label.angle), np.sin(label.angle)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    shift = label.centre - turn @ ((np.array([width, height]) - 1) / 2)
+    placing = np.column_stack([turn, shift])
+    # Straight into the image: only the plate's own pixels change.
+    cv2.warpAffine(
+        plate, placing, image.shape[1::-1], dst=image, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+    )
+
+
+def paint_svg(size: tuple[int, int], background: int, strokes: Sequence[Stroke], labels: Sequence[Label]) -> str:
+    """The overlay as an SVG document of the projector's size, one user unit per pixel, pixel centres at integers."""
+    width, height = size
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
+        f'viewBox="-0.5 -0.5 {width} {height}">',
+        f'<rect x="-0.5" y="-0.5" width="{width}" height="{height}" fill="rgb{(background,) * 3}"/>',
+    ]
+    for stroke in strokes:
+        path = " ".join(f"{x:.2f},{y:.2f}" for x, y in stroke.points)
+        tag = "polygon" if stroke.closed else "polyline"
+        lines.append(
+            f'<{tag} points="{path}" fill="none" stroke="rgb{stroke.colour}" stroke-width="{stroke.width}" '
+            'stroke-linecap="round" stroke-linejoin="round"/>'
+        )
+    for label in labels:
+        x, y = label.centre
+        plate_width, plate_height = text_size(label.text, label.height)
+        lines.append(
+            f'<g transform="translate({x:.2f},{y:.2f}) rotate({np.degrees(label.angle):.3f})">'
+            f'<rect x="{-plate_width / 2:.1f}" y="{-plate_height / 2:.1f}" width="{plate_width:.1f}" '
+            f'height="{plate_height:.1f}"/>'
+            f'<text text-anchor="middle" y="{label.height / 2:.1f}" font-family="sans-serif" '
+            f'font-size="{label.height / 0.72:.1f}" fill="rgb{label.colour}">{escape(label.text)}</text></g>'
+        )
+    return "\n".join([*lines, "</svg>", ""])
