@@ -1,0 +1,144 @@
+"""Rig files (`flushline-rig/1`); keys that Flushline does not know are kept."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from metrology.errors import RigError
+from metrology.rig import Device, Rig
+from storage.documents import Identifier, UtcTime, WholeNumber, check_format, read_json, utc_text, validate
+
+FORMAT = "flushline-rig/1"
+
+Vector3 = Annotated[tuple[float, ...], Field(min_length=3, max_length=3)]
+Matrix3 = Annotated[tuple[Vector3, ...], Field(min_length=3, max_length=3)]
+
+
+class _OpenModel(BaseModel):
+    """A rig file may say more than Flushline reads."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+
+
+class DeviceModel(_OpenModel):
+    """A camera or the projector."""
+
+    width: Annotated[WholeNumber, Field(gt=0)]
+    height: Annotated[WholeNumber, Field(gt=0)]
+    K: Matrix3
+    distortion: tuple[float, ...]
+    R: Matrix3
+    t: Vector3
+
+
+class CamerasModel(_OpenModel):
+    """`cameras` of a rig file."""
+
+    left: DeviceModel
+    right: DeviceModel
+
+
+class RigModel(_OpenModel):
+    """A rig file."""
+
+    format: Literal["flushline-rig/1"]
+    id: Identifier
+    calibrated_at: UtcTime
+    units: Literal["mm"]
+    cameras: CamerasModel
+    projector: DeviceModel
+
+
+def load_rig(path: Path) -> Rig:
+    """Read a rig file."""
+    path = Path(path)
+    return rig_from_document(read_json(path, RigError), path)
+
+
+def rig_from_document(document: Mapping[str, Any], path: Path) -> Rig:
+    """The rig that a document describes; `path` names it in errors."""
+    check_format(document, FORMAT, path, RigError)
+    model = validate(RigModel, document, path, RigError)
+    devices = {"left": model.cameras.left, "right": model.cameras.right, "projector": model.projector}
+    try:
+        return Rig(
+            id=model.id,
+            calibrated_at=utc_text(model.calibrated_at),
+            extra=_unknown(model),
+            **{name: _device(name, device) for name, device in devices.items()},
+        )
+    except RigError as problem:
+        raise RigError(f"{path}: {problem}") from None
+
+
+def rig_document(rig: Rig) -> dict[str, Any]:
+    """The rig as a file has it, with the extra keys it came with."""
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "id": rig.id,
+        "calibrated_at": rig.calibrated_at,
+        "units": "mm",
+        "cameras": {"left": _device_document(rig.left), "right": _device_document(rig.right)},
+        "projector": _device_document(rig.projector),
+    }
+    return _merged(rig.extra, document)
+
+
+def save_rig(rig: Rig, path: Path) -> None:
+    """Write a rig file; it is whole or not there, also where it replaces another."""
+    path = Path(path)
+    document = rig_document(rig)
+    rig_from_document(document, path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
+    partial.replace(path)
+
+
+def _device(name: str, model: DeviceModel) -> Device:
+    try:
+        return Device(
+            model.width,
+            model.height,
+            np.array(model.K),
+            np.array(model.distortion),
+            np.array(model.R),
+            np.array(model.t),
+        )
+    except RigError as problem:
+        raise RigError(f"{name}: {problem}") from None
+
+
+def _device_document(device: Device) -> dict[str, Any]:
+    return {
+        "width": device.width,
+        "height": device.height,
+        **{name: getattr(device, name).tolist() for name in ("K", "distortion", "R", "t")},
+    }
+
+
+def _unknown(model: BaseModel) -> dict[str, Any]:
+    """What the model does not know, nested as it was in the file."""
+    unknown = dict(model.model_extra or {})
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, BaseModel) and (inner := _unknown(value)):
+            unknown[name] = inner
+    return unknown
+
+
+def _merged(extra: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any]:
+    """`document` with the keys of `extra` that it does not have, at every depth."""
+    merged = dict(document)
+    for key, value in extra.items():
+        if key not in merged:
+            merged[key] = value
+        elif isinstance(value, Mapping) and isinstance(merged[key], dict):
+            merged[key] = _merged(value, merged[key])
+    return merged

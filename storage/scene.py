@@ -1,0 +1,245 @@
+"""Scene folders (`flushline-scene/1`): the manifest, its frames, and how a folder is written."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from metrology.errors import SceneError
+from metrology.fringe import FringeCode
+from metrology.results import SceneKey
+from metrology.rig import Device, Rig
+from storage.documents import Identifier, StrictModel, UtcTime, WholeNumber, check_format, read_json, utc_text, validate
+from storage.frames import Frame, FrameHeader, read_header, read_stack, write_frame
+
+FORMAT = "flushline-scene/1"
+MANIFEST = "scene.json"
+Camera = Literal["left", "right"]
+CAMERAS: tuple[Camera, ...] = ("left", "right")
+
+
+class FringeModel(StrictModel):
+    """`fringe` of scene.json."""
+
+    axis: Literal["x", "y"]
+    steps: WholeNumber
+    counts: tuple[WholeNumber, ...]
+
+
+class FramesModel(StrictModel):
+    """`frames` of scene.json: paths per exposure, count-major, then step."""
+
+    left: tuple[tuple[str, ...], ...]
+    right: tuple[tuple[str, ...], ...]
+
+    @field_validator("left", "right")
+    @classmethod
+    def _inside_the_folder(cls, exposures: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+        for path in (path for frames in exposures for path in frames):
+            pure = PurePosixPath(path)
+            if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
+                raise ValueError(f"found path {path!r}, expected one inside the scene folder, relative to it")
+        return exposures
+
+
+class SceneModel(StrictModel):
+    """scene.json."""
+
+    format: Literal["flushline-scene/1"]
+    aircraft_serial: Identifier
+    panel: Identifier
+    station: Identifier
+    captured_at: UtcTime
+    rig: Identifier
+    operator: str | None = None
+    fringe: FringeModel
+    exposures: Annotated[tuple[Annotated[float, Field(gt=0)], ...], Field(min_length=1)]
+    frames: FramesModel
+
+    @model_validator(mode="after")
+    def _frames_are_complete(self) -> SceneModel:
+        code = FringeCode(self.fringe.axis, self.fringe.steps, self.fringe.counts)
+        if len(set(self.exposures)) != len(self.exposures):
+            raise ValueError(f"found exposures {list(self.exposures)}, expected each only once")
+        for camera in CAMERAS:
+            exposures = getattr(self.frames, camera)
+            if len(exposures) != len(self.exposures):
+                raise ValueError(
+                    f"found frames.{camera} for {len(exposures)} exposures, expected {len(self.exposures)}"
+                )
+            for index, frames in enumerate(exposures):
+                if len(frames) != code.frames:
+                    raise ValueError(
+                        f"found {len(frames)} frames in frames.{camera}.{index}, expected {code.frames} "
+                        f"({len(code.counts)} counts × {code.steps} steps)"
+                    )
+        paths = [path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames]
+        twice = sorted({path for path in paths if paths.count(path) > 1})
+        if twice:
+            raise ValueError(f"found frame {twice[0]!r} listed more than once, expected each frame once")
+        return self
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene folder whose manifest is sound and whose frames are all there, whole and of one kind.
+
+    Attributes
+    ----------
+    folder : Path
+    key : SceneKey
+    rig_id : str
+        The calibration that was valid at capture.
+    operator : str or None
+    code : FringeCode
+    exposures : tuple of float
+        Relative exposure times.
+    left, right : tuple of Path
+        Frames, exposure-major.
+    left_header, right_header : FrameHeader
+        What all frames of a camera have in common.
+    """
+
+    folder: Path
+    key: SceneKey
+    rig_id: str
+    operator: str | None
+    code: FringeCode
+    exposures: tuple[float, ...]
+    left: tuple[Path, ...]
+    right: tuple[Path, ...]
+    left_header: FrameHeader
+    right_header: FrameHeader
+
+    def frames(self, camera: Camera, executor: Executor | None = None) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """Decode one camera's frames.
+
+        Returns
+        -------
+        (exposures, frames, h, w) ndarray of uint8 or uint16
+            Frames count-major, then step.
+        """
+        paths, header = (self.left, self.left_header) if camera == "left" else (self.right, self.right_header)
+        stack = read_stack(paths, header, SceneError, executor)
+        return stack.reshape(len(self.exposures), self.code.frames, header.height, header.width)
+
+    def check_fits(self, rig: Rig) -> None:
+        """Refuse a rig whose cameras have other sizes than the frames."""
+        for camera, header in (("left", self.left_header), ("right", self.right_header)):
+            device: Device = getattr(rig, camera)
+            if (header.width, header.height) != (device.width, device.height):
+                raise SceneError(
+                    f"{getattr(self, camera)[0]}: found {header.width}×{header.height} pixels, "
+                    f"expected {device.width}×{device.height} as the {camera} camera of rig {rig.id!r} has"
+                )
+
+
+def load_scene(folder: Path) -> Scene:
+    """Read a scene's manifest and look at every frame's header; nothing is decoded yet."""
+    folder = Path(folder)
+    manifest = folder / MANIFEST
+    model = load_manifest(manifest)
+    paths = {
+        camera: tuple(folder / path for frames in getattr(model.frames, camera) for path in frames)
+        for camera in CAMERAS
+    }
+    left, right = (_common_header(paths[camera]) for camera in CAMERAS)
+    if left.bits != right.bits:
+        raise SceneError(
+            f"{paths['right'][0]}: found {right.bits} bit, expected {left.bits} as the left camera's frames have"
+        )
+    return Scene(
+        folder=folder,
+        key=SceneKey(model.aircraft_serial, model.panel, model.station, model.captured_at),
+        rig_id=model.rig,
+        operator=model.operator,
+        code=FringeCode(model.fringe.axis, model.fringe.steps, model.fringe.counts),
+        exposures=model.exposures,
+        left=paths["left"],
+        right=paths["right"],
+        left_header=left,
+        right_header=right,
+    )
+
+
+def load_manifest(manifest: Path) -> SceneModel:
+    """scene.json, validated; the frames are not looked at."""
+    folder = manifest.parent
+    if not folder.is_dir():
+        found = "a file" if folder.is_file() else "no such folder"
+        raise SceneError(f"{folder}: found {found}, expected a scene folder")
+    if not os.path.lexists(manifest):
+        found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"
+        raise SceneError(f"{folder}: found {found}, expected a scene folder")
+    document = read_json(manifest, SceneError)
+    check_format(document, FORMAT, manifest, SceneError)
+    return validate(SceneModel, document, manifest, SceneError)
+
+
+def write_scene(
+    folder: Path,
+    key: SceneKey,
+    rig_id: str,
+    code: FringeCode,
+    exposures: Sequence[float],
+    left: Frame,
+    right: Frame,
+    truth: dict[str, Any] | None = None,
+    operator: str | None = None,
+) -> None:
+    """Write a scene folder; scene.json comes last, so a folder with one is complete.
+
+    Parameters
+    ----------
+    left, right : (exposures, frames, h, w) ndarray of uint8 or uint16
+    truth : dict, optional
+        Written to truth.json beside it.
+    """
+    names: dict[str, list[list[str]]] = {
+        camera: [
+            [f"{camera}/e{e}_c{count}_s{step}.png" for count in range(len(code.counts)) for step in range(code.steps)]
+            for e in range(len(exposures))
+        ]
+        for camera in CAMERAS
+    }
+    document = {
+        "format": FORMAT,
+        "aircraft_serial": key.aircraft_serial,
+        "panel": key.panel,
+        "station": key.station,
+        "captured_at": utc_text(key.captured_at),
+        "rig": rig_id,
+        **({"operator": operator} if operator else {}),
+        "fringe": {"axis": code.axis, "steps": code.steps, "counts": list(code.counts)},
+        "exposures": list(exposures),
+        "frames": names,
+    }
+    manifest = folder / MANIFEST
+    validate(SceneModel, document, manifest, SceneError)
+    for camera, stack in (("left", left), ("right", right)):
+        (folder / camera).mkdir(parents=True, exist_ok=True)
+        for exposure_names, frames in zip(names[camera], stack, strict=True):
+            for name, frame in zip(exposure_names, frames, strict=True):
+                write_frame(folder / name, frame)
+    if truth is not None:
+        (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    manifest.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def _common_header(paths: Sequence[Path]) -> FrameHeader:
+    """The header that all frames of a camera share."""
+    first = read_header(paths[0], SceneError)
+    for path in paths[1:]:
+        header = read_header(path, SceneError)
+        if header != first:
+            raise SceneError(f"{path}: found {header}, expected {first} as {paths[0].name} has")
+    return first
