@@ -6,15 +6,12 @@ says why.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-
-from metrology.cloud import Reconstruction
 
 Severity = Literal["green", "blue", "red"]
 Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "no limit"]
@@ -153,51 +150,3 @@ class SceneKey:
         return (
             f"{self.aircraft_serial} {self.panel} {self.station} {self.captured_at.astimezone(UTC):%Y-%m-%d %H:%M:%SZ}"
         )
-
-
-@dataclass(frozen=True)
-class InspectionResult:
-    """All that the inspection of one scene leaves behind.
-
-    Attributes
-    ----------
-    key : SceneKey
-    reconstruction : Reconstruction
-        With the rig that was used.
-    rivets, stations : tuple
-        Judged.
-    overlay : (h, w, 3) uint8
-        The image to project, blue-green-red as OpenCV has it, in projector pixels.
-    preview : (h, w) uint8
-        The texture as the left camera sees it.
-    rig_document : mapping
-        The rig file's content as it was used, for traceability.
-    settings : mapping
-        Every setting of every step, as plain values.
-    config_hash : str
-        Names settings and panel specification together: equal hashes were inspected alike.
-    panel_spec : mapping
-        The panel specification as it was used, as plain values.
-    seconds : mapping
-        Wall time of each step.
-    warnings : tuple of str
-    versions : mapping
-        Of Flushline and of what it computes with.
-    epipolar_rms_px : float or None
-        How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines.
-    """
-
-    key: SceneKey
-    reconstruction: Reconstruction
-    rivets: tuple[Rivet, ...]
-    stations: tuple[SeamStation, ...]
-    overlay: NDArray[np.uint8]
-    preview: NDArray[np.uint8]
-    rig_document: Mapping[str, Any]
-    settings: Mapping[str, Any]
-    config_hash: str
-    panel_spec: Mapping[str, Any]
-    seconds: Mapping[str, float]
-    warnings: tuple[str, ...]
-    versions: Mapping[str, str]
-    epipolar_rms_px: float | None = None

@@ -9,7 +9,7 @@ import stat
 import tomllib
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints, ValidationError
@@ -55,6 +55,17 @@ UtcTime = Annotated[datetime, BeforeValidator(_iso_text), AfterValidator(_in_utc
 """A moment, given with its zone and kept in UTC."""
 
 WholeNumber = Annotated[int, Strict()]
+
+
+def _inside(path: str) -> str:
+    pure = PurePosixPath(path)
+    if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
+        raise ValueError(f"found path {path!r}, expected one inside the folder, relative to it")
+    return path
+
+
+InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
+"""A file of the folder that the manifest lies in. Links in that folder are its owner's and are followed."""
 
 
 def utc_text(moment: datetime) -> str:

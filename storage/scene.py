@@ -7,18 +7,28 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
-from storage.documents import Identifier, StrictModel, UtcTime, WholeNumber, check_format, read_json, utc_text, validate
+from storage.documents import (
+    Identifier,
+    InnerPath,
+    StrictModel,
+    UtcTime,
+    WholeNumber,
+    check_format,
+    read_json,
+    utc_text,
+    validate,
+)
 from storage.frames import Frame, FrameHeader, read_header, read_stack, write_frame
 
 FORMAT = "flushline-scene/1"
@@ -38,17 +48,8 @@ class FringeModel(StrictModel):
 class FramesModel(StrictModel):
     """`frames` of scene.json: paths per exposure, count-major, then step."""
 
-    left: tuple[tuple[str, ...], ...]
-    right: tuple[tuple[str, ...], ...]
-
-    @field_validator("left", "right")
-    @classmethod
-    def _inside_the_folder(cls, exposures: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
-        for path in (path for frames in exposures for path in frames):
-            pure = PurePosixPath(path)
-            if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
-                raise ValueError(f"found path {path!r}, expected one inside the scene folder, relative to it")
-        return exposures
+    left: tuple[tuple[InnerPath, ...], ...]
+    right: tuple[tuple[InnerPath, ...], ...]
 
 
 class SceneModel(StrictModel):

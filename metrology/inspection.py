@@ -1,0 +1,62 @@
+"""What the inspection of one scene leaves behind, complete, as the archive takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.overlay import Overlay
+from metrology.results import Rivet, SceneKey, SeamStation
+
+
+@dataclass(frozen=True)
+class InspectionResult:
+    """All that the inspection of one scene leaves behind.
+
+    Attributes
+    ----------
+    key : SceneKey
+    reconstruction : Reconstruction
+        With the rig that was used.
+    rivets, stations : tuple
+        Judged.
+    overlay : Overlay
+        What to project.
+    preview : (h, w) uint8
+        The texture as the left camera sees it.
+    rig_document : mapping
+        The rig file's content as it was used, for traceability.
+    settings : mapping
+        Every setting of every step, as plain values.
+    config_hash : str
+        Names settings and panel specification together: equal hashes were inspected alike.
+    panel_spec : mapping
+        The panel specification as it was used, as plain values.
+    seconds : mapping
+        Wall time of each step.
+    warnings : tuple of str
+    versions : mapping
+        Of Flushline and of what it computes with.
+    epipolar_rms_px : float or None
+        How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines.
+    """
+
+    key: SceneKey
+    reconstruction: Reconstruction
+    rivets: tuple[Rivet, ...]
+    stations: tuple[SeamStation, ...]
+    overlay: Overlay
+    preview: NDArray[np.uint8]
+    rig_document: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    config_hash: str
+    panel_spec: Mapping[str, Any]
+    seconds: Mapping[str, float]
+    warnings: tuple[str, ...]
+    versions: Mapping[str, str]
+    epipolar_rms_px: float | None = None

@@ -1,0 +1,252 @@
+"""Calibration captures (`flushline-calibration/1`): the board, what the projector showed, the pictures of each pose."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from metrology.calibration.board import Board, BoardKind
+from metrology.calibration.projected_dots import ProjectedDots
+from metrology.errors import CalibrationError
+from metrology.fringe import Axis, FringeCode
+from storage.documents import (
+    Identifier,
+    InnerPath,
+    StrictModel,
+    UtcTime,
+    WholeNumber,
+    check_format,
+    read_json,
+    validate,
+)
+from storage.frames import FrameHeader, read_frame, read_header, read_stack
+from storage.scene import CAMERAS, Camera
+
+FORMAT = "flushline-calibration/1"
+MANIFEST = "calibration.json"
+GreyFrame = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+class BoardModel(StrictModel):
+    """`board`: what is printed on the plate, in mm."""
+
+    type: BoardKind
+    cols: WholeNumber
+    rows: WholeNumber
+    spacing_mm: float
+    dot_diameter_mm: float | None = None
+    marker_mm: float | None = None
+    dictionary: str | None = None
+
+
+class DotsModel(StrictModel):
+    """`projector.dots`: the projected dot grid, in projector pixels."""
+
+    type: Literal["asymmetric_circles"]
+    cols: WholeNumber
+    rows: WholeNumber
+    spacing_px: float
+    origin_px: tuple[float, float]
+    diameter_px: float
+    marker_diameter_px: float
+    markers: tuple[tuple[WholeNumber, WholeNumber], ...]
+
+
+class AxisFringeModel(StrictModel):
+    """Steps and counts of the fringes along one axis."""
+
+    steps: WholeNumber
+    counts: tuple[WholeNumber, ...]
+
+
+class FringesModel(StrictModel):
+    """`projector.fringe`: fringes shown in both axes in place of dots."""
+
+    x: AxisFringeModel
+    y: AxisFringeModel
+
+
+class ProjectorModel(StrictModel):
+    """`projector`: its size, and the dots or the fringes it showed."""
+
+    width: Annotated[WholeNumber, Field(gt=0)]
+    height: Annotated[WholeNumber, Field(gt=0)]
+    dots: DotsModel | None = None
+    fringe: FringesModel | None = None
+
+
+class FringePathsModel(StrictModel):
+    """Fringe frames of one pose and camera, count-major, then step."""
+
+    x: tuple[InnerPath, ...]
+    y: tuple[InnerPath, ...]
+
+
+class CameraPoseModel(StrictModel):
+    """One camera's pictures of one pose."""
+
+    white: InnerPath
+    dark: InnerPath | None = None
+    dots: InnerPath | None = None
+    fringes: FringePathsModel | None = None
+
+
+class PoseModel(StrictModel):
+    """One pose of the board."""
+
+    left: CameraPoseModel
+    right: CameraPoseModel
+
+
+class CaptureModel(StrictModel):
+    """calibration.json."""
+
+    format: Literal["flushline-calibration/1"]
+    units: Literal["mm"] = "mm"
+    captured_at: UtcTime | None = None
+    rig: Identifier | None = None
+    board: BoardModel
+    projector: ProjectorModel
+    poses: Annotated[tuple[PoseModel, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _frames_match_the_patterns(self) -> CaptureModel:
+        for index, pose in enumerate(self.poses):
+            for camera in CAMERAS:
+                frames: CameraPoseModel = getattr(pose, camera)
+                place = f"poses.{index}.{camera}"
+                if frames.dots and not self.projector.dots:
+                    raise ValueError(
+                        f"found a dots frame in {place} but no projector.dots, expected the dots' description"
+                    )
+                if not frames.fringes:
+                    continue
+                if not self.projector.fringe:
+                    raise ValueError(f"found fringes in {place} but no projector.fringe, expected steps and counts")
+                for axis in ("x", "y"):
+                    code = getattr(self.projector.fringe, axis)
+                    found, expected = len(getattr(frames.fringes, axis)), code.steps * len(code.counts)
+                    if found != expected:
+                        raise ValueError(f"found {found} frames in {place}.fringes.{axis}, expected {expected}")
+        return self
+
+
+@dataclass(frozen=True)
+class PoseImages:
+    """One camera's pictures of one pose, decoded from their files.
+
+    Attributes
+    ----------
+    white : (h, w) uint8 or uint16
+        Projector white all over.
+    dark, dots : (h, w) array or None
+        Projector black; projected dots.
+    fringes : mapping of axis to (frames, h, w) array
+        Count-major, then step; empty where none were shown.
+    """
+
+    white: GreyFrame
+    dark: GreyFrame | None
+    dots: GreyFrame | None
+    fringes: dict[Axis, GreyFrame]
+
+
+@dataclass(frozen=True)
+class CalibrationCapture:
+    """A calibration capture whose manifest is sound and whose frames are all there, whole and of one kind.
+
+    Attributes
+    ----------
+    folder : Path
+    board : Board
+    projector_size : (width, height)
+    dots : ProjectedDots or None
+    codes : mapping of axis to FringeCode
+        Empty where no fringes were shown.
+    model : CaptureModel
+        The manifest itself.
+    headers : mapping
+        What all frames of a camera have in common.
+    """
+
+    folder: Path
+    board: Board
+    projector_size: tuple[int, int]
+    dots: ProjectedDots | None
+    codes: dict[Axis, FringeCode]
+    model: CaptureModel
+    headers: dict[Camera, FrameHeader]
+
+    def __len__(self) -> int:
+        return len(self.model.poses)
+
+    def images(self, pose: int, camera: Camera, executor: Executor | None = None) -> PoseImages:
+        """Decode one camera's pictures of one pose."""
+        frames: CameraPoseModel = getattr(self.model.poses[pose], camera)
+        header = self.headers[camera]
+
+        def read(path: str | None) -> GreyFrame | None:
+            return read_frame(self.folder / path, header, CalibrationError) if path else None
+
+        fringes: dict[Axis, GreyFrame] = {}
+        if frames.fringes:
+            for axis in self.codes:
+                paths = [self.folder / path for path in getattr(frames.fringes, axis)]
+                fringes[axis] = read_stack(paths, header, CalibrationError, executor)
+        white = read_frame(self.folder / frames.white, header, CalibrationError)
+        return PoseImages(white, read(frames.dark), read(frames.dots), fringes)
+
+
+def load_capture(folder: Path) -> CalibrationCapture:
+    """Read a capture's manifest (its folder, or the file itself) and look at every frame's header."""
+    folder = Path(folder)
+    manifest = folder / MANIFEST if folder.is_dir() else folder
+    folder = manifest.parent
+    document = read_json(manifest, CalibrationError)
+    check_format(document, FORMAT, manifest, CalibrationError)
+    model = validate(CaptureModel, document, manifest, CalibrationError)
+    board, dots, fringe = model.board, model.projector.dots, model.projector.fringe
+    try:
+        return CalibrationCapture(
+            folder=folder,
+            board=Board(kind=board.type, **board.model_dump(exclude={"type"})),
+            projector_size=(model.projector.width, model.projector.height),
+            dots=ProjectedDots(**dots.model_dump(exclude={"type"})) if dots else None,
+            codes=_codes(fringe) if fringe else {},
+            model=model,
+            headers={camera: _camera_header(folder, model, camera) for camera in CAMERAS},
+        )
+    except CalibrationError as problem:
+        text = str(problem)
+        raise CalibrationError(text if text.startswith(str(folder)) else f"{manifest}: {text}") from None
+
+
+def _codes(fringe: FringesModel) -> dict[Axis, FringeCode]:
+    return {
+        "x": FringeCode("x", fringe.x.steps, fringe.x.counts),
+        "y": FringeCode("y", fringe.y.steps, fringe.y.counts),
+    }
+
+
+def _camera_header(folder: Path, model: CaptureModel, camera: Camera) -> FrameHeader:
+    """The header that all frames of a camera share."""
+    first: FrameHeader | None = None
+    for pose in model.poses:
+        frames: CameraPoseModel = getattr(pose, camera)
+        fringes = (*frames.fringes.x, *frames.fringes.y) if frames.fringes else ()
+        for name in (frames.white, frames.dark, frames.dots, *fringes):
+            if name is None:
+                continue
+            header = read_header(folder / name, CalibrationError)
+            first = first or header
+            if header != first:
+                raise CalibrationError(f"{folder / name}: found {header}, expected {first} as {frames.white} has")
+    if first is None:
+        raise CalibrationError(f"{folder}: found no frames of the {camera} camera, expected some")
+    return first
