@@ -8,6 +8,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.noise import NoiseModel
 from metrology.rig import Rig
 
 Float32 = NDArray[np.float32]
@@ -44,11 +45,13 @@ class DecodedView:
     sigma : (h, w) float32
         Standard deviation of `coordinate`, projector pixels.
     modulation : (h, w) float32
-        Fringe amplitude B in grey levels at exposure 1, the smallest over the fringe counts.
+        Fringe amplitude B in grey levels at exposure 1, root mean square over the fringe counts.
     texture : (h, w) float32
         Mean grey level A at exposure 1 over all frames (may exceed the camera's range where exposures were fused).
     flags : (h, w) uint16
         PixelFlag bits.
+    noise : NoiseModel or None
+        The camera's noise as it was taken for `sigma`.
     """
 
     coordinate: Float32
@@ -56,6 +59,7 @@ class DecodedView:
     modulation: Float32
     texture: Float32
     flags: NDArray[np.uint16]
+    noise: NoiseModel | None = None
 
 
 @dataclass(frozen=True)

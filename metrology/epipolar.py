@@ -1,0 +1,118 @@
+"""What stereo matching needs of a rig, once per rig: undistorted pixel maps and the epipolar plane of every pixel.
+
+Nothing is resampled: raw pixels stay where they are and are labelled with the epipolar plane they see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.rig import Device, Rig
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class EpipolarMaps:
+    """Per-pixel constants of one camera.
+
+    Attributes
+    ----------
+    xy : (h, w, 2) float32
+        Undistorted image coordinates x/z, y/z in the camera's own frame.
+    row : (h, w) float32
+        Epipolar plane that the pixel lies on, as the row it would have in a rectified image pair, pixels from 0; the
+        same number in both cameras for the same plane.
+    """
+
+    xy: Float32
+    row: Float32
+
+
+@dataclass(frozen=True)
+class EpipolarGeometry:
+    """Both cameras' maps, and the transformation between them in the right camera's frame.
+
+    Attributes
+    ----------
+    left, right : EpipolarMaps
+    rows : int
+        Number of rectified rows.
+    R, t : (3, 3) and (3,) ndarray
+        x_right = R x_left + t, mm.
+    along : (2,) ndarray
+        Direction of the epipolar lines in the middle of the right image, unit.
+    """
+
+    left: EpipolarMaps
+    right: EpipolarMaps
+    rows: int
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+    along: NDArray[np.float64]
+
+
+def epipolar_geometry(rig: Rig) -> EpipolarGeometry:
+    """Maps of a rig; kept for the last few rigs, since they depend on nothing else."""
+    key = tuple(_bytes(device) for device in (rig.left, rig.right))
+    return _geometry(key, _Hidden(rig))
+
+
+class _Hidden:
+    """Carries the rig past the cache's comparison, which goes by the key alone."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+
+    def __hash__(self) -> int:
+        return 0
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hidden)
+
+
+def _bytes(device: Device) -> bytes:
+    size = np.array([device.width, device.height], float)
+    return b"".join(a.tobytes() for a in (size, device.K, device.distortion8, device.R, device.t))
+
+
+@lru_cache(maxsize=2)
+def _geometry(key: tuple[bytes, ...], hidden: _Hidden) -> EpipolarGeometry:
+    rig = hidden.rig
+    baseline = rig.right.centre / np.linalg.norm(rig.right.centre)
+    # The plane's angle about the baseline is measured from the mean viewing direction.
+    view = rig.left.R[2] + rig.right.R[2]
+    forward = view - (view @ baseline) * baseline
+    forward /= np.linalg.norm(forward)
+    across = np.cross(forward, baseline)
+    focal = float(np.mean([rig.left.K[0, 0], rig.left.K[1, 1]]))
+    left_xy, left_row = _maps(rig.left, across, forward, focal)
+    right_xy, right_row = _maps(rig.right, across, forward, focal)
+    lowest = min(left_row.min(), right_row.min())
+    rows = int(np.ceil(max(left_row.max(), right_row.max()) - lowest)) + 1
+    middle = np.array([(rig.right.width - 1) / 2, (rig.right.height - 1) / 2])
+    ray = rig.right.rays(middle)
+    ahead = rig.right.centre + ray * np.linalg.norm(rig.right.centre)
+    shift = np.diff(rig.right.project(np.stack([ahead, ahead + 1e-3 * baseline])), axis=0)[0]
+    return EpipolarGeometry(
+        left=EpipolarMaps(left_xy, (left_row - lowest).astype(np.float32)),
+        right=EpipolarMaps(right_xy, (right_row - lowest).astype(np.float32)),
+        rows=rows,
+        R=rig.right.R,
+        t=rig.right.t,
+        along=shift / np.linalg.norm(shift),
+    )
+
+
+def _maps(device: Device, across: NDArray, forward: NDArray, focal: float) -> tuple[Float32, NDArray[np.float64]]:
+    """Undistorted coordinates (h, w, 2) and row (h, w) of every pixel of a camera."""
+    v, u = np.mgrid[: device.height, : device.width].astype(float)
+    xy = device.normalized(np.stack([u, v], axis=-1))
+    # The two directions in the camera's own frame.
+    a, f = device.R @ across, device.R @ forward
+    row = focal * (xy @ a[:2] + a[2]) / (xy @ f[:2] + f[2])
+    return xy.astype(np.float32), row

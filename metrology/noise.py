@@ -1,0 +1,161 @@
+"""Camera noise from the frames' own residuals.
+
+A camera's variance rises linearly with the signal (photon transfer): ``var(I) = read_variance + gain · I``, in grey
+levels. With N ≥ 4 phase steps a sinusoid leaves N − 3 residuals per pixel that hold no signal. Projector harmonics do
+show in them, but they hardly change from one pixel to the next along a fringe, and noise does: the estimate uses the
+difference of the residuals of two such neighbours, so that gamma and clipping do not pass for noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from metrology.fringe import FringeCode
+from metrology.jit import kernel
+
+_BINS = 64
+_PAIRS_OF_ROWS = 40
+_LEAST_PIXELS_PER_BIN = 200
+# A sample counts if its squared residual is below this many variances; a normal deviate beyond 5 sigma is 1 in 1.7e6.
+_CLIP = 25.0
+# Rounding to whole grey levels: no camera is quieter.
+_QUANTISATION = 1.0 / 12.0
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """``var(I) = read_variance + gain · I``.
+
+    Attributes
+    ----------
+    read_variance : float
+        Grey levels squared; read noise and rounding.
+    gain : float
+        Grey levels of variance per grey level of signal (shot noise).
+    """
+
+    read_variance: float
+    gain: float
+
+    def __post_init__(self) -> None:
+        if not (self.read_variance > 0 and self.gain >= 0):
+            raise ValueError(f"noise: found {self}, expected a positive read variance and a gain of at least 0")
+
+    def sigma(self, level: ArrayLike) -> NDArray[np.float64]:
+        """Standard deviation in grey levels at a signal of `level` grey levels."""
+        return np.sqrt(self.read_variance + self.gain * np.asarray(level, float))
+
+
+def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> NoiseModel:
+    """Noise model of one camera from its fringe frames.
+
+    Parameters
+    ----------
+    frames : (exposures, frames, h, w) ndarray of uint8 or uint16
+    code : FringeCode
+    saturation : float
+        Grey level from which a sample counts as saturated.
+
+    Returns
+    -------
+    NoiseModel
+        With three steps the residual is that of the mean levels of two counts; with three steps and one count there is
+        none, and the difference of neighbours' mean levels serves, an upper estimate on textured skin.
+    """
+    # Neighbours along a fringe: rows for axis x, columns for axis y.
+    planes = frames if code.axis == "x" else np.swapaxes(frames, 2, 3)
+    steps = 2 * np.pi * np.arange(code.steps) / code.steps
+    stride = max(2, planes.shape[2] // _PAIRS_OF_ROWS)
+    counts = np.zeros(_BINS)
+    squares = np.zeros(_BINS)
+    levels = np.zeros(_BINS)
+    limit = np.full(_BINS, np.inf)
+    for _ in range(3):
+        counts[:] = squares[:] = levels[:] = 0
+        arguments = (np.cos(steps), np.sin(steps), float(saturation), stride, limit)
+        _bin_residuals(planes, len(code.counts), *arguments, counts, squares, levels)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            limit = np.where(counts > 0, _CLIP * squares / counts, np.inf)
+    used = counts >= _LEAST_PIXELS_PER_BIN
+    if not used.any():
+        return NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
+    return _fit_line(levels[used] / counts[used], squares[used] / counts[used], counts[used])
+
+
+def _fit_line(level: NDArray, variance: NDArray, weight: NDArray) -> NoiseModel:
+    """Weighted line through (level, variance); each variance's own spread is proportional to itself."""
+    scale = np.sqrt(weight) / variance
+    design = np.column_stack([np.ones_like(level), level]) * scale[:, None]
+    if level.size > 1:
+        read, gain = np.linalg.lstsq(design, variance * scale, rcond=None)[0]
+        if gain >= 0 and read >= _QUANTISATION:
+            return NoiseModel(float(read), float(gain))
+        if read < _QUANTISATION and gain > 0:
+            slope = scale * level
+            gain = slope @ ((variance - _QUANTISATION) * scale) / (slope @ slope)
+            return NoiseModel(_QUANTISATION, max(float(gain), 0.0))
+    mean = float(np.average(variance, weights=weight))
+    return NoiseModel(max(mean, _QUANTISATION), 0.0)
+
+
+@kernel
+def _bin_residuals(planes, n_counts, cosines, sines, saturation, stride, limit, counts, squares, levels):  # type: ignore[no-untyped-def]
+    """Sum squared residual differences of pixel pairs (row, row + 1) into bins of mean level.
+
+    Each entry of `squares` adds an unbiased estimate of the variance of one sample.
+    """
+    exposures, _, height, width = planes.shape
+    n = cosines.size
+    bins = counts.size
+    difference = np.empty(n)
+    for e in range(exposures):
+        for row in range(0, height - 1, stride):
+            for x in range(width):
+                previous = 0.0
+                for k in range(n_counts):
+                    mean = 0.0
+                    c = 0.0
+                    s = 0.0
+                    level = 0.0
+                    peak = 0.0
+                    trough = saturation
+                    for j in range(n):
+                        upper = float(planes[e, k * n + j, row, x])
+                        lower = float(planes[e, k * n + j, row + 1, x])
+                        d = upper - lower
+                        difference[j] = d
+                        mean += d
+                        c += d * cosines[j]
+                        s += d * sines[j]
+                        level += upper + lower
+                        peak = max(peak, max(upper, lower))
+                        trough = min(trough, min(upper, lower))
+                    # Clipped noise, at the top or at zero, would look smaller than it is.
+                    if peak >= saturation or trough < 1.0:
+                        previous = np.nan
+                        continue
+                    mean /= n
+                    level /= 2 * n
+                    if n >= 4:
+                        c *= 2.0 / n
+                        s *= 2.0 / n
+                        total = 0.0
+                        for j in range(n):
+                            rest = difference[j] - mean - c * cosines[j] - s * sines[j]
+                            total += rest * rest
+                        variance = total / (2.0 * (n - 3))
+                    elif n_counts > 1:
+                        variance = (mean - previous) ** 2 * n / 4.0
+                        previous = mean
+                        if k == 0 or not variance >= 0.0:
+                            continue
+                    else:
+                        variance = mean * mean * n / 2.0
+                    index = min(int(level * bins / saturation), bins - 1)
+                    if variance <= limit[index]:
+                        counts[index] += 1.0
+                        squares[index] += variance
+                        levels[index] += level

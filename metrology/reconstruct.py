@@ -1,0 +1,92 @@
+"""The way from both cameras' fringe frames to the organised cloud."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView, Reconstruction
+from metrology.decode import decode_phase
+from metrology.edges import flag_edges
+from metrology.errors import RigError
+from metrology.fringe import FringeCode
+from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.rig import Device, Rig
+from metrology.stereo import match
+
+__all__ = ["ReconstructionSettings", "decode", "reconstruct", "triangulate"]
+
+
+def reconstruct(
+    left_frames: NDArray,
+    right_frames: NDArray,
+    rig: Rig,
+    code: FringeCode,
+    exposures: Sequence[float] = (1.0,),
+    settings: ReconstructionSettings | None = None,
+) -> Reconstruction:
+    """Organised cloud from the fringe frames of both cameras.
+
+    Parameters
+    ----------
+    left_frames, right_frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
+        Count-major, then step.
+    rig : Rig
+    code : FringeCode
+    exposures : sequence of float
+        Exposure times relative to exposure 1.
+    settings : ReconstructionSettings, optional
+    """
+    size = code.size(rig.projector.width, rig.projector.height)
+    left = decode(left_frames, code, size, exposures, settings)
+    right = decode(right_frames, code, size, exposures, settings)
+    return triangulate(left, right, rig, settings)
+
+
+def decode(
+    frames: NDArray,
+    code: FringeCode,
+    projector_size: int,
+    exposures: Sequence[float] = (1.0,),
+    settings: ReconstructionSettings | None = None,
+) -> DecodedView:
+    """One camera's view with its edges flagged; for reading one camera's frames while the other's are decoded.
+
+    Parameters
+    ----------
+    frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
+    code : FringeCode
+    projector_size : int
+        Projector pixels along the fringe axis, ``code.size(width, height)``.
+    exposures : sequence of float
+    settings : ReconstructionSettings, optional
+    """
+    settings = settings or ReconstructionSettings()
+    view = decode_phase(frames, code, projector_size, exposures, settings)
+    return flag_edges(view, code.frames, settings)
+
+
+def triangulate(
+    left: DecodedView, right: DecodedView, rig: Rig, settings: ReconstructionSettings | None = None
+) -> Reconstruction:
+    """Match two decoded views and triangulate.
+
+    Raises
+    ------
+    RigError
+        Where the views are not of the size of the rig's cameras.
+    """
+    settings = settings or ReconstructionSettings()
+    for name, view, device in (("left", left, rig.left), ("right", right, rig.right)):
+        _check_size(name, view, device)
+    points, sigma_z, flags = match(left, right, rig, settings)
+    return Reconstruction(rig=rig, left=left, right=right, points=points, sigma_z=sigma_z, flags=flags)
+
+
+def _check_size(name: str, view: DecodedView, device: Device) -> None:
+    height, width = view.coordinate.shape
+    if (width, height) != (device.width, device.height):
+        raise RigError(
+            f"{name} camera: found frames of {width}×{height}, expected {device.width}×{device.height} as in the rig"
+        )
