@@ -57,8 +57,8 @@ class Board:
             )
         if self.kind == "charuco" and not (0 < (self.marker_mm or 0) < self.spacing_mm and self.dictionary):
             raise CalibrationError(
-                f"ChArUco board: found marker_mm {self.marker_mm} and dictionary {self.dictionary!r}, expected a marker "
-                f"smaller than the {self.spacing_mm:g} mm square and the name of its dictionary"
+                f"ChArUco board: found marker_mm {self.marker_mm} and dictionary {self.dictionary!r}, expected a "
+                f"marker smaller than the {self.spacing_mm:g} mm square and the name of its dictionary"
             )
 
     @property

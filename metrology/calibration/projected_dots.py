@@ -45,8 +45,8 @@ class ProjectedDots:
             )
         if not 0 < self.diameter_px < self.marker_diameter_px < self.spacing_px * np.sqrt(2):
             raise CalibrationError(
-                f"projected dots: found diameters {self.diameter_px} and {self.marker_diameter_px} (markers) px, expected "
-                "markers larger than dots and smaller than the distance between them"
+                f"projected dots: found diameters {self.diameter_px} and {self.marker_diameter_px} (markers) px, "
+                "expected markers larger than dots and smaller than the distance between them"
             )
         outside = [m for m in self.markers if not (0 <= m[0] < self.rows and 0 <= m[1] < self.cols)]
         if outside or len(set(self.markers)) < MIN_MARKERS:

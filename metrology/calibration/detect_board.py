@@ -1,0 +1,225 @@
+"""The board's printed features in a picture, to a few thousandths of a pixel for dots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.calibration.blobs import printed_blobs
+from metrology.calibration.board import Board
+from metrology.calibration.dot_edge import DotFit, fit_dot
+from metrology.calibration.frames import BoardFrames
+from metrology.calibration.homography import fit_homography, unit_area
+from metrology.calibration.lattice import Labels, diagonal_to_grid, label_lattice, turned
+from metrology.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+LARGEST_SIGMA_PX = 0.03
+_LEAST_PART = 0.75  # of the features: with fewer the board is only half in view
+_LEAST_RIM = 0.8
+_STRAY_DOTS = 2  # blobs that fit the lattice by chance
+_SIZE_TOLERANCE = 0.1  # of a dot's diameter over its spacing against the board's description
+_BLUR_OF_DOT = 0.35  # blur over a dot's smaller radius at which its middle no longer reaches its own level
+_CORNER_SIGMA_PX = 0.03
+_BLURRED_RISE_PX = 8.0  # of a chessboard's edges from 10 to 90 %
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """Features of the board that one camera found.
+
+    Attributes
+    ----------
+    index : (n,) int array
+        Which features (rows of `Board.points`).
+    pixels : (n, 2) ndarray
+        Raw pixels; of dots the ellipse's centre, perspective eccentricity still in it.
+    sigma_px : (n,) ndarray
+        Standard deviation of each coordinate as the fit's residual tells it.
+    blur_px : float
+        Median blur of the edges; NaN where the detector does not tell.
+    size : (int, int)
+        Width and height of the image.
+    """
+
+    index: NDArray[np.intp]
+    pixels: Array
+    sigma_px: Array
+    blur_px: float
+    size: tuple[int, int]
+
+
+def detect_board(frames: BoardFrames, board: Board) -> BoardView:
+    """Find the board's features; CalibrationError says what is wrong with a picture in which they are not."""
+    lit = frames.lit
+    if np.quantile(lit, 0.99) < 8:
+        raise CalibrationError("the picture is dark: white and dark frames hardly differ")
+    if board.has_dots:
+        return _detect_dots(frames, lit, board)
+    grey = np.clip(lit * (255.0 / np.quantile(lit, 0.995)), 0, 255).astype(np.uint8)
+    return _detect_charuco(grey, board) if board.kind == "charuco" else _detect_chessboard(grey, board)
+
+
+def _detect_dots(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
+    weight = np.where(frames.saturated, 0.0, 1.0)
+    fits = [fit for fit in (fit_dot(lit, weight, c) for c in printed_blobs(lit)) if fit is not None]
+    fits = [fit for fit in fits if fit.rim_fraction > _LEAST_RIM]
+    expected = len(board.grid)
+    if len(fits) < _LEAST_PART * expected:
+        blur = ", their edges are blurred" if fits and _blurred(fits) else ""
+        raise CalibrationError(
+            f"found {len(fits)} dots{blur}, expected {expected} of the {board}: board half in view, "
+            "blurred or another one"
+        )
+    if _blurred(fits):
+        raise CalibrationError(
+            f"blurred: edges have σ {np.median([f.blur_px for f in fits]):.1f} px on dots of "
+            f"{np.median([f.minor_radius_px for f in fits]):.0f} px radius"
+        )
+    centres = np.array([fit.centre for fit in fits])
+    found, labels = label_lattice(centres)
+    if board.kind == "asymmetric_circles":
+        labels = diagonal_to_grid(labels)
+    on_board, index = _place(labels, centres[found], board)
+    chosen = [fits[k] for k in found[on_board]]
+    view = BoardView(
+        index,
+        np.array([fit.centre for fit in chosen]),
+        np.array([fit.sigma_px for fit in chosen]),
+        float(np.median([fit.blur_px for fit in chosen])),
+        frames.size,
+    )
+    _check_dots(view, chosen, board)
+    return view
+
+
+def _blurred(fits: list[DotFit]) -> bool:
+    return bool(np.median([fit.blur_px / fit.minor_radius_px for fit in fits]) > _BLUR_OF_DOT)
+
+
+def _place(labels: Labels, pixels: Array, board: Board) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Where on the board a lattice of dots lies.
+
+    Returns the lattice's rows that are on the board, and their features. Of the turns that fit a symmetric board, the
+    one whose x axis points most nearly along +u is taken, in both cameras alike.
+    """
+    grid = board.grid
+    feature = {(int(x), int(y)): k for k, (x, y) in enumerate(grid)}
+    fits: list[tuple[float, NDArray[np.intp], NDArray[np.intp]]] = []
+    seen = (0, 0)
+    for turn in range(4):
+        places = turned(labels, turn)
+        extent = np.ptp(places, axis=0)
+        seen = (int(extent[0]), int(extent[1])) if turn == 0 else seen
+        slack = grid.max(0) - extent
+        if (slack < -_STRAY_DOTS).any():
+            continue
+        for x in range(min(0, slack[0]), max(0, slack[0]) + 1):
+            for y in range(min(0, slack[1]), max(0, slack[1]) + 1):
+                shifted = places - places.min(0) + (x, y)
+                index = np.array([feature.get((int(i), int(j)), -1) for i, j in shifted])
+                on_board = np.flatnonzero(index >= 0)
+                if len(labels) - len(on_board) <= _STRAY_DOTS:
+                    fits.append((_along_u(grid[index[on_board]], pixels[on_board]), on_board, index[on_board]))
+    if not fits:
+        raise CalibrationError(
+            f"found {len(labels)} dots on a lattice {seen[0]} × {seen[1]} spacings wide, expected the {board}, "
+            f"{np.ptp(grid, axis=0)[0]} × {np.ptp(grid, axis=0)[1]}: wrong board size"
+        )
+    most = max(len(fit[1]) for fit in fits)
+    if most < _LEAST_PART * len(grid):
+        raise CalibrationError(f"found {most} of {len(grid)} dots of the {board}: board half in view or another one")
+    fits = sorted((fit for fit in fits if len(fit[1]) == most), key=lambda fit: -fit[0])
+    if len(fits) > 1 and np.isclose(fits[0][0], fits[1][0], atol=0.2):
+        raise CalibrationError(
+            f"found {most} of {len(grid)} dots of the {board}, which fit in more than one place: a row or column is "
+            "out of view, or the board is another one"
+        )
+    return fits[0][1], fits[0][2]
+
+
+def _along_u(grid: Labels, pixels: Array) -> float:
+    """Cosine of the angle between the board's x axis and +u in the image."""
+    centred = grid - grid.mean(0)
+    axes = np.linalg.lstsq(centred, pixels - pixels.mean(0), rcond=None)[0]
+    return float(axes[0, 0] / np.linalg.norm(axes[0]))
+
+
+def _check_dots(view: BoardView, fits: list[DotFit], board: Board) -> None:
+    """Refuse dots of another size than described, and centres that are not sharp enough."""
+    points = board.points[view.index, :2]
+    areas = np.array([fit.area for fit in fits]) / unit_area(fit_homography(points, view.pixels), points)
+    diameter = float(np.median(2 * np.sqrt(areas / np.pi)))
+    if abs(diameter / (2 * board.radius_mm) - 1) > _SIZE_TOLERANCE:
+        raise CalibrationError(
+            f"found dots of {diameter / board.spacing_mm:.2f} spacings across, expected "
+            f"{2 * board.radius_mm / board.spacing_mm:.2f} for the {board}: wrong board or wrong sizes"
+        )
+    sigma = float(np.median(view.sigma_px))
+    if sigma > LARGEST_SIGMA_PX:
+        raise CalibrationError(
+            f"dot centres are only known to {sigma:.3f} px (blur {view.blur_px:.1f} px), expected "
+            f"{LARGEST_SIGMA_PX} px: blurred or too dark"
+        )
+
+
+def _detect_chessboard(grey: NDArray[np.uint8], board: Board) -> BoardView:
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    pattern = (board.cols, board.rows)
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, pattern, flags | cv2.CALIB_CB_LARGER)
+    if not found:
+        raise CalibrationError(f"did not find the {board}: half in view, blurred or another one")
+    if {meta.shape[0], meta.shape[1]} != {board.cols, board.rows}:
+        raise CalibrationError(
+            f"found a chessboard of {meta.shape[1]} × {meta.shape[0]} inner corners, expected {board.cols} × "
+            f"{board.rows}: wrong board size"
+        )
+    rise = float(np.ravel(cv2.estimateChessboardSharpness(grey, pattern, corners)[0])[0])
+    if rise > _BLURRED_RISE_PX:
+        raise CalibrationError(f"blurred: edges rise over {rise:.1f} px, expected at most {_BLURRED_RISE_PX:g} px")
+    pixels = np.asarray(corners, float).reshape(-1, 2)
+    index = np.arange(len(pixels))
+    if _along_u(board.grid, pixels) < 0:
+        index = index[::-1].copy()
+    blur = rise / 2.563  # a Gaussian edge rises from 10 to 90 % over 2.563 σ
+    return BoardView(index, pixels, np.full(len(pixels), _CORNER_SIGMA_PX), blur, (grey.shape[1], grey.shape[0]))
+
+
+def _detect_charuco(grey: NDArray[np.uint8], board: Board) -> BoardView:
+    identifier = getattr(cv2.aruco, board.dictionary or "", None)
+    if not isinstance(identifier, int):
+        raise CalibrationError(f"ChArUco dictionary: found {board.dictionary!r}, expected a name such as DICT_5X5_100")
+    printed = cv2.aruco.CharucoBoard(
+        (board.cols, board.rows),
+        board.spacing_mm,
+        float(board.marker_mm or 0),
+        cv2.aruco.getPredefinedDictionary(identifier),
+    )
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(printed).detectBoard(grey)
+    found = 0 if ids is None else len(ids)
+    expected = len(board.grid)
+    if found < 0.25 * expected or found < 6:
+        raise CalibrationError(
+            f"found {found} of {expected} corners of the {board}: half in view, blurred or another one"
+        )
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
+    pixels = np.ascontiguousarray(np.asarray(corners, np.float32).reshape(-1, 1, 2))
+    half = max(2, int(0.2 * _least_distance(pixels[:, 0])))
+    refined = cv2.cornerSubPix(grey, pixels, (half, half), (-1, -1), criteria).reshape(-1, 2)
+    return BoardView(
+        np.asarray(ids).ravel().astype(np.intp),
+        refined.astype(float),
+        np.full(found, _CORNER_SIGMA_PX),
+        float("nan"),
+        (grey.shape[1], grey.shape[0]),
+    )
+
+
+def _least_distance(pixels: NDArray[np.float32]) -> float:
+    distance = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    return float(np.median(distance.min(1)))

@@ -1,0 +1,55 @@
+"""What a camera saw of one pose of the board."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+GreyFrame = NDArray[np.uint8] | NDArray[np.uint16]
+CameraName = Literal["left", "right"]
+CAMERAS: tuple[CameraName, ...] = ("left", "right")
+
+
+@dataclass(frozen=True)
+class BoardFrames:
+    """One camera's pictures of one pose; grey levels of uint8 or uint16.
+
+    Attributes
+    ----------
+    white : (h, w) uint8 or uint16
+        Lit by the projector all over.
+    dark : (h, w) array or None
+        Projector black; taken as zero where it was not captured.
+    dots : (h, w) array or None
+        Projected dot pattern.
+    coordinate : (h, w, 2) float array or None
+        Decoded fringes in both axes: the projector column and row that each pixel sees, NaN where none.
+    """
+
+    white: GreyFrame
+    dark: GreyFrame | None = None
+    dots: GreyFrame | None = None
+    coordinate: NDArray[np.floating] | None = None
+
+    @property
+    def lit(self) -> NDArray[np.float64]:
+        """White minus dark: the projector's light alone."""
+        white = self.white.astype(np.float64)
+        return white if self.dark is None else white - self.dark
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return int(self.white.shape[1]), int(self.white.shape[0])
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """(h, w) pixels of the white frame at the top of the camera's range."""
+        return np.asarray(self.white >= np.iinfo(self.white.dtype).max)
+
+
+PoseFrames = Mapping[CameraName, BoardFrames]

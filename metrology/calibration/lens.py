@@ -1,0 +1,84 @@
+"""A device's projection with its derivatives, for the joint adjustment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Pixels of points with derivatives.
+
+    Attributes
+    ----------
+    pixels : (n, 2) ndarray
+    by_point : (n, 2, 3) ndarray
+        ∂(u, v)/∂(x, y, z), the point in the device's own frame.
+    by_lens : (n, 2, 9) ndarray
+        ∂(u, v)/∂ INTRINSICS.
+    """
+
+    pixels: Array
+    by_point: Array
+    by_lens: Array
+
+
+def project(points: Array, lens: Array) -> Projected:
+    """OpenCV's model with three radial and two tangential terms.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        Device frame, mm.
+    lens : (9,) array
+        INTRINSICS.
+    """
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+    z = points[:, 2]
+    x, y = points[:, 0] / z, points[:, 1] / z
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)  # ∂radial/∂r²
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    xd_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    xd_y = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    yd_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    yd_x = xd_y
+
+    by_point = np.empty((len(points), 2, 3))
+    by_point[:, 0] = np.stack([fx * xd_x, fx * xd_y, -fx * (xd_x * x + xd_y * y)], -1) / z[:, None]
+    by_point[:, 1] = np.stack([fy * yd_x, fy * yd_y, -fy * (yd_x * x + yd_y * y)], -1) / z[:, None]
+
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    by_lens = np.empty((len(points), 2, 9))
+    u_terms = [x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3]
+    v_terms = [y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3]
+    by_lens[:, 0] = np.stack([xd, zero, one, zero, *(fx * term for term in u_terms)], -1)
+    by_lens[:, 1] = np.stack([zero, yd, zero, one, *(fy * term for term in v_terms)], -1)
+    return Projected(np.column_stack([fx * xd + cx, fy * yd + cy]), by_point, by_lens)
+
+
+def skew(vectors: Array) -> Array:
+    """(..., 3, 3) cross-product matrices of (..., 3) vectors."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vectors.shape, 3)
+
+
+def left_jacobian(rotation_vector: Array) -> Array:
+    """(3, 3) J with exp(r + dr) ≈ exp(J dr) exp(r)."""
+    angle = float(np.linalg.norm(rotation_vector))
+    cross = skew(rotation_vector)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + cross / 2)
+    return np.asarray(
+        np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
+    )
