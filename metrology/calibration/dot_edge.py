@@ -7,7 +7,7 @@ how well the centre is known. The centre is that of the ellipse; the image of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -106,9 +106,7 @@ def fit_dot(image: Array, weight: Array, contour: NDArray[np.int32]) -> DotFit |
     fitted = _refine(patch, patch_weight, np.stack([u, v], -1).astype(float), local, shape)
     if fitted is None or np.hypot(*(fitted.centre - local)) > _LOST_PX:
         return None
-    return DotFit(
-        fitted.centre + np.array([u0, v0]), fitted.shape, fitted.covariance, fitted.blur_px, fitted.rim_fraction
-    )
+    return replace(fitted, centre=fitted.centre + np.array([u0, v0]))
 
 
 def _refine(patch: Array, weight: Array, pixels: Array, centre: Array, shape: Array) -> DotFit | None:

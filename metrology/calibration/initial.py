@@ -173,8 +173,8 @@ def _relative(name: DeviceName, of: _Zhang, left: _Zhang) -> tuple[Device, dict[
         bad[p] = (
             "left and right frames are swapped"
             if swapped
-            else f"{name}: stands {turn_deg(turns[p], rotation):.1f}° and {np.linalg.norm(shifts[p] - shift):.0f} mm off "
-            "the other poses: frames of another pose, or the board moved between the pictures"
+            else f"{name}: stands {turn_deg(turns[p], rotation):.1f}° and {np.linalg.norm(shifts[p] - shift):.0f} mm "
+            "off the other poses: frames of another pose, or the board moved between the pictures"
         )
     return replace(of.device, R=rotation, t=shift), bad
 

@@ -22,8 +22,8 @@ class Sighting:
     ----------
     kind : "board" or "dots"
         board: features printed on it, known in its frame; the projector "sees" them where fringes in both axes gave
-        them a projector coordinate. dots: discs emitted by the projector, known in projector pixels, seen by a camera on the
-        board's plane.
+        them a projector coordinate. dots: discs emitted by the projector, known in projector pixels, seen by a
+        camera on the board's plane.
     device : str
     pose : int
         Number of the pose in the capture.
