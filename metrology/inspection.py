@@ -42,6 +42,8 @@ class InspectionResult:
     warnings : tuple of str
     versions : mapping
         Of Flushline and of what it computes with.
+    operator : str or None
+        Who scanned.
     epipolar_rms_px : float or None
         How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines.
     """
@@ -59,4 +61,5 @@ class InspectionResult:
     seconds: Mapping[str, float]
     warnings: tuple[str, ...]
     versions: Mapping[str, str]
+    operator: str | None = None
     epipolar_rms_px: float | None = None

@@ -15,17 +15,9 @@ from metrology.calibration.board import Board, BoardKind
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.errors import CalibrationError
 from metrology.fringe import Axis, FringeCode
-from storage.documents import (
-    Identifier,
-    InnerPath,
-    StrictModel,
-    UtcTime,
-    WholeNumber,
-    check_format,
-    read_json,
-    validate,
-)
+from storage.documents import check_format, read_json
 from storage.frames import FrameHeader, read_frame, read_header, read_stack
+from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
 from storage.scene import CAMERAS, Camera
 
 FORMAT = "flushline-calibration/1"

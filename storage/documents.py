@@ -7,65 +7,15 @@ import json
 import os
 import stat
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, TypeVar
-
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints, ValidationError
+from pathlib import Path
+from typing import Any
 
 from metrology.errors import FlushlineError
 
 MAX_DOCUMENT_BYTES = 64 * 2**20
-MAX_IDENTIFIER_LENGTH = 64
-# No separator, no leading dot: an identifier becomes a folder name and part of a scene's name.
-IDENTIFIER_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9._-]*"
-
-Model = TypeVar("Model", bound=BaseModel)
 ErrorType = type[FlushlineError]
-
-
-class StrictModel(BaseModel):
-    """Base of what Flushline writes itself: unknown keys are refused, numbers must be finite numbers."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-Identifier = Annotated[
-    str,
-    Strict(),
-    StringConstraints(pattern=f"^{IDENTIFIER_PATTERN}$", min_length=1, max_length=MAX_IDENTIFIER_LENGTH),
-]
-"""Aircraft serial, panel, station, rig: letters, digits, ``.``, ``_``, ``-``; no leading dot."""
-
-
-def _iso_text(value: object) -> object:
-    if not isinstance(value, (str, datetime)):
-        raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
-    return value
-
-
-def _in_utc(value: datetime) -> datetime:
-    if value.tzinfo is None:
-        raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
-    return value.astimezone(UTC)
-
-
-UtcTime = Annotated[datetime, BeforeValidator(_iso_text), AfterValidator(_in_utc)]
-"""A moment, given with its zone and kept in UTC."""
-
-WholeNumber = Annotated[int, Strict()]
-
-
-def _inside(path: str) -> str:
-    pure = PurePosixPath(path)
-    if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
-        raise ValueError(f"found path {path!r}, expected one inside the folder, relative to it")
-    return path
-
-
-InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
-"""A file of the folder that the manifest lies in. Links in that folder are its owner's and are followed."""
 
 
 def utc_text(moment: datetime) -> str:
@@ -124,7 +74,7 @@ def read_json(path: Path, error: ErrorType) -> dict[str, Any]:
     except RecursionError:
         raise error(f"{path}: found JSON nested too deeply, expected a JSON object") from None
     if not isinstance(document, dict):
-        raise error(f"{path}: found {_shown(document)}, expected a JSON object")
+        raise error(f"{path}: found {shown(document)}, expected a JSON object")
     return document
 
 
@@ -138,70 +88,17 @@ def read_toml(path: Path, error: ErrorType) -> dict[str, Any]:
         raise error(f"{path}: found TOML nested too deeply, expected a TOML document") from None
 
 
-def validate(model: type[Model], document: Mapping[str, Any], path: Path, error: ErrorType) -> Model:
-    """`document` as `model`, or one line naming the file, the key, what was found and what was expected."""
-    try:
-        return model.model_validate(document)
-    except ValidationError as problem:
-        raise error(f"{path}: {first_problem(problem, _keys_of(model))}") from None
-    except FlushlineError as problem:
-        raise error(f"{path}: {problem}") from None
-
-
 def check_format(document: Mapping[str, Any], expected: str, path: Path, error: ErrorType) -> None:
     """Name a wrong or missing format before any key is looked at: the file is likely another kind of file."""
     found = document.get("format")
     if found != expected:
-        raise error(f'{path}: found format {_shown(found)}, expected "{expected}"')
-
-
-def first_problem(problem: ValidationError, keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
-    """The first complaint of pydantic in Flushline's words; how many follow is said in brackets."""
-    first = problem.errors(include_url=False)[0]
-    place = first["loc"]
-    more = problem.error_count() - 1
-    tail = f" (and {more} more like this)" if more else ""
-    return f"{_complaint(first, place, keys_at)}{tail}"
+        raise error(f'{path}: found format {shown(found)}, expected "{expected}"')
 
 
 def closest(key: str, known: list[str]) -> str:
     """A hint at the key that was probably meant, or the list of all."""
     match = difflib.get_close_matches(key, known, n=1)
     return f"{match[0]!r}" if match else f"one of {', '.join(sorted(known))}"
-
-
-def _complaint(first: Any, place: tuple[int | str, ...], keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
-    where = ".".join(str(part) for part in place)
-    if first["type"] == "extra_forbidden":
-        return f"found unknown key {where!r}, expected {closest(str(place[-1]), keys_at(place[:-1]))}"
-    if first["type"] == "missing":
-        return f"found no key {where!r}, expected it"
-    expected = str(first["msg"])
-    for prefix in ("Input should be ", "Value error, "):
-        expected = expected.removeprefix(prefix)
-    if "pattern" in first.get("ctx", {}):
-        expected = "letters, digits, '.', '_' and '-' only, without a leading dot"
-    if expected.startswith("found "):  # a validator of ours that says both itself
-        return f"{where}: {expected}"
-    if first["type"].startswith("datetime"):
-        expected = "an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z"
-    return f"{where}: found {_shown(first['input'])}, expected {expected[:1].lower()}{expected[1:]}"
-
-
-def _keys_of(model: type[BaseModel]) -> Callable[[tuple[int | str, ...]], list[str]]:
-    """The keys that a model knows at a place inside it, for hints."""
-
-    def keys_at(place: tuple[int | str, ...]) -> list[str]:
-        current: type[BaseModel] = model
-        for part in place:
-            field = current.model_fields.get(str(part))
-            inner = field.annotation if field else None
-            if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-                return []
-            current = inner
-        return [field.alias or name for name, field in current.model_fields.items()]
-
-    return keys_at
 
 
 def _decode(path: Path, error: ErrorType) -> str:
@@ -217,6 +114,7 @@ def _reason(problem: Exception) -> str:
     return f'"{text}"'
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A value as an error message shows it."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 80 else text[:77] + "…"

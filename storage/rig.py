@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from metrology.errors import RigError
 from metrology.rig import Device, Rig
-from storage.documents import Identifier, UtcTime, WholeNumber, check_format, read_json, utc_text, validate
+from storage.documents import check_format, read_json, utc_text
+from storage.models import Identifier, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-rig/1"
 

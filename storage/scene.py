@@ -18,18 +18,9 @@ from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
-from storage.documents import (
-    Identifier,
-    InnerPath,
-    StrictModel,
-    UtcTime,
-    WholeNumber,
-    check_format,
-    read_json,
-    utc_text,
-    validate,
-)
+from storage.documents import check_format, read_json, utc_text
 from storage.frames import Frame, FrameHeader, read_header, read_stack, write_frame
+from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-scene/1"
 MANIFEST = "scene.json"

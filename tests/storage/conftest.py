@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,28 +9,14 @@ import pytest
 
 from metrology.fringe import FringeCode
 from metrology.results import SceneKey
-from metrology.rig import Device, Rig
+from metrology.rig import Rig
 from storage.scene import write_scene
-
-WIDTH, HEIGHT = 64, 48
-
-
-def device(width: int, height: int, x_mm: float = 0.0) -> Device:
-    """A pinhole camera at x, looking along z."""
-    K = np.array([[100.0, 0, width / 2], [0, 100.0, height / 2], [0, 0, 1]])
-    return Device(width, height, K, np.zeros(5), np.eye(3), np.array([-x_mm, 0.0, 0.0]))
+from tests.storage.results import HEIGHT, WIDTH, small_key, small_rig
 
 
 @pytest.fixture(scope="session")
 def rig() -> Rig:
-    return Rig(
-        "rig-a",
-        "2026-11-02T07:30:00Z",
-        device(WIDTH, HEIGHT),
-        device(WIDTH, HEIGHT, 50.0),
-        device(40, 30, 25.0),
-        {"residuals": {"left": 0.01}, "cameras": {"left": {"serial": "C-17"}}},
-    )
+    return small_rig()
 
 
 @pytest.fixture(scope="session")
@@ -41,7 +26,7 @@ def code() -> FringeCode:
 
 @pytest.fixture(scope="session")
 def key() -> SceneKey:
-    return SceneKey("MSN-1", "LH-F12", "S3", datetime(2026, 11, 20, 8, 15, tzinfo=UTC))
+    return small_key()
 
 
 @pytest.fixture

@@ -1,0 +1,215 @@
+"""A bundle: everything that one run of one scene left, in one folder that never changes once it is there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from metrology.errors import StoreError
+from metrology.inspection import InspectionResult
+from metrology.results import SceneKey
+from storage.archive.files import sha256, sync, write_durably
+from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
+from storage.cloud import write_cloud
+from storage.documents import read_json, utc_text
+from storage.models import Identifier, UtcTime, validate
+
+FORMAT = "flushline-bundle/1"
+MANIFEST = "manifest.json"
+CLOUD, OVERLAY, OVERLAY_SVG, PREVIEW, RIG = "cloud.parquet", "overlay.png", "overlay.svg", "preview.png", "rig.json"
+
+
+class FileModel(BaseModel):
+    """A file of a bundle."""
+
+    bytes: int
+    sha256: str
+
+
+class BundleModel(BaseModel):
+    """manifest.json of a bundle; newer versions may say more."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    format: Literal["flushline-bundle/1"]
+    run_id: str
+    aircraft_serial: Identifier
+    panel: Identifier
+    station: Identifier
+    captured_at: UtcTime
+    scene_id: str
+    config_hash: str
+    rig_hash: str
+    files: dict[str, FileModel]
+
+    @property
+    def key(self) -> SceneKey:
+        """Which scene it is."""
+        return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at)
+
+
+def document_hash(document: Mapping[str, Any]) -> str:
+    """A short name of a document's content."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionResult) -> None:
+    """Write and sync a run's files into an empty folder; manifest.json comes last.
+
+    Parameters
+    ----------
+    final_path : str
+        Where the folder will lie, relative to the store.
+    """
+    tables = result_tables(result, run_id, final_path)
+    with ThreadPoolExecutor(2) as threads:
+        cloud = threads.submit(write_cloud, folder / CLOUD, result.reconstruction)
+        (folder / PREVIEW).write_bytes(_png(result.preview))
+        (folder / OVERLAY).write_bytes(_png(cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)))
+        (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
+        (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
+        for name, table in tables.items():
+            pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
+        cloud.result()
+    files = sorted(folder.iterdir())
+    for path in files:
+        path.chmod(0o444)
+        sync(path)
+    manifest = {
+        "format": FORMAT,
+        "run_id": run_id,
+        **_key_document(result.key),
+        "operator": result.operator,
+        "config_hash": result.config_hash,
+        "rig_hash": document_hash(result.rig_document),
+        "rig": result.reconstruction.rig.id,
+        "settings": result.settings,
+        "panel_spec": result.panel_spec,
+        "versions": result.versions,
+        "seconds": result.seconds,
+        "warnings": list(result.warnings),
+        "outside_overlay": list(result.overlay.outside),
+        "rows": {name: table.num_rows for name, table in tables.items()},
+        "files": {path.name: {"bytes": path.stat().st_size, "sha256": sha256(path)} for path in files},
+    }
+    write_durably(folder / MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
+    (folder / MANIFEST).chmod(0o444)
+
+
+def read_manifest(bundle: Path) -> BundleModel:
+    """The manifest of a bundle."""
+    return validate(BundleModel, read_json(bundle / MANIFEST, StoreError), bundle / MANIFEST, StoreError)
+
+
+def check_bundle(bundle: Path, only_tables: bool = False) -> BundleModel:
+    """Compare a bundle's files with its manifest; the first damaged one is named.
+
+    Parameters
+    ----------
+    only_tables : bool
+        Look at the tables alone, which is what the index is made from.
+    """
+    manifest = read_manifest(bundle)
+    if bundle.name != manifest.run_id or bundle.parent.name != manifest.scene_id:
+        raise StoreError(
+            f"{bundle / MANIFEST}: found run {manifest.run_id!r} of {manifest.scene_id!r}, expected the folder's"
+        )
+    wanted = [f"{table.name}.parquet" for table in TABLES]
+    if missing := sorted(set(wanted) - set(manifest.files)):
+        raise StoreError(f"{bundle / MANIFEST}: found no {missing[0]} listed, expected every table")
+    for name in wanted if only_tables else manifest.files:
+        path, stated = bundle / name, manifest.files[name]
+        if not path.is_file():
+            raise StoreError(f"{path}: found no such file, expected it as the manifest lists it")
+        if (size := path.stat().st_size) != stated.bytes:
+            raise StoreError(f"{path}: found {size} bytes, expected {stated.bytes} as the manifest says")
+        if (found := sha256(path)) != stated.sha256:
+            raise StoreError(
+                f"{path}: found checksum {found[:12]}…, expected {stated.sha256[:12]}… as the manifest says"
+            )
+    return manifest
+
+
+def result_tables(result: InspectionResult, run_id: str, bundle_path: str) -> dict[str, pa.Table]:
+    """A result's rows of every table."""
+    key = {**asdict(result.key), "scene_id": result.key.scene_id}
+    rows = {
+        SCENES.name: [key | _scene_row(result, run_id, bundle_path)],
+        RIVETS.name: [key | {f.name: getattr(rivet, f.name) for f in fields(rivet)} for rivet in result.rivets],
+        SEAM_STATIONS.name: [key | {f.name: getattr(s, f.name) for f in fields(s)} for s in result.stations],
+    }
+    return {
+        table.name: pa.Table.from_pylist(
+            [{name: _plain(value) for name, value in row.items()} for row in rows[table.name]], table.arrow_schema
+        )
+        for table in TABLES
+    }
+
+
+def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[str, Any]:
+    valid = result.reconstruction.valid
+    sigma = result.reconstruction.sigma_z[valid]
+    spec = result.panel_spec
+    return {
+        "run_id": run_id,
+        "rig_id": result.reconstruction.rig.id,
+        "operator": result.operator,
+        "processed_at": datetime.now(UTC),
+        "software_version": result.versions.get("flushline"),
+        "config_hash": result.config_hash,
+        "rig_hash": document_hash(result.rig_document),
+        "panel_spec": " ".join(str(spec[part]) for part in ("panel", "revision") if spec.get(part)) or None,
+        "status": "warnings" if result.warnings else "ok",
+        "warnings": list(result.warnings),
+        "n_points": int(valid.sum()),
+        "valid_fraction": float(valid.mean()),
+        "sigma_z_median_mm": float(np.median(sigma)) if sigma.size else None,
+        "epipolar_rms_px": result.epipolar_rms_px,
+        "n_rivets": len(result.rivets),
+        "n_seams": len({station.seam_id for station in result.stations}),
+        "n_stations": len(result.stations),
+        **{f"seconds_{step}": result.seconds.get(step) for step in STEPS},
+        "seconds_total": result.seconds.get("total"),
+        "bundle_path": bundle_path,
+        "cloud_path": f"{bundle_path}/{CLOUD}",
+        "overlay_path": f"{bundle_path}/{OVERLAY}",
+        "preview_path": f"{bundle_path}/{PREVIEW}",
+    }
+
+
+def _plain(value: object) -> object:
+    """NumPy numbers as Python's; what is not finite is not a measurement."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _key_document(key: SceneKey) -> dict[str, str]:
+    return {
+        "aircraft_serial": key.aircraft_serial,
+        "panel": key.panel,
+        "station": key.station,
+        "captured_at": utc_text(key.captured_at),
+        "scene_id": key.scene_id,
+    }
+
+
+def _png(image: NDArray[Any]) -> bytes:
+    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not ok:
+        raise StoreError(f"found an image of shape {image.shape} that does not encode as PNG, expected a picture")
+    return data.tobytes()

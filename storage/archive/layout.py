@@ -1,0 +1,104 @@
+"""Where things lie in a store.
+
+flushline-store.json           marks the folder as a store
+archive.duckdb                 link to the published index: what people, the dashboard and SQL open
+bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth
+rigs/RIG.json                  calibrations, found by the id that a scene names
+parquet/                       link to the compacted tables for other engines
+.staging/                      runs being written
+.index/                        the working index, its published generations, the lock
+"""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from storage.archive.schema import schema_hash
+from storage.archive.views import VIEWS
+
+if TYPE_CHECKING:
+    from metrology.results import SceneKey
+
+STORE_FORMAT = "flushline-store/1"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Paths of a store."""
+
+    root: Path
+
+    @property
+    def marker(self) -> Path:
+        """Says that the folder is a store."""
+        return self.root / "flushline-store.json"
+
+    @property
+    def archive(self) -> Path:
+        """The published index."""
+        return self.root / "archive.duckdb"
+
+    @property
+    def bundles(self) -> Path:
+        """All scene runs."""
+        return self.root / "bundles"
+
+    @property
+    def rigs(self) -> Path:
+        """Calibrations."""
+        return self.root / "rigs"
+
+    @property
+    def parquet(self) -> Path:
+        """Compacted tables."""
+        return self.root / "parquet"
+
+    @property
+    def staging(self) -> Path:
+        """Runs being written: a folder RUN_ID and beside it RUN_ID.json, which its writer holds locked."""
+        return self.root / ".staging"
+
+    @property
+    def index(self) -> Path:
+        """What makes the published index."""
+        return self.root / ".index"
+
+    @property
+    def work(self) -> Path:
+        """The working index. Other tables or views make another file: the old one is left and a new one made."""
+        return self.index / f"work-{schema_hash(*(view.create_sql for view in VIEWS))}.duckdb"
+
+    @property
+    def generations(self) -> Path:
+        """Published generations of the index."""
+        return self.index / "generations"
+
+    @property
+    def lock(self) -> Path:
+        """Held by whoever changes the index."""
+        return self.index / "lock"
+
+    def scene(self, key: SceneKey) -> Path:
+        """Folder of a scene's runs."""
+        return self.bundles / key.aircraft_serial / key.panel / key.scene_id
+
+    def runs(self) -> list[Path]:
+        """Every complete run of every scene, oldest first within a scene."""
+        return sorted(self.bundles.glob("*/*/*/*/manifest.json"))
+
+    def relative(self, path: Path) -> str:
+        """A path as the tables have it."""
+        return path.relative_to(self.root).as_posix()
+
+
+def new_run_id(scene_folder: Path) -> str:
+    """A run id that sorts after every run that the scene has, also where the clock went back."""
+    moment = f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
+    newest = max((run.name for run in scene_folder.glob("*")), default="")
+    stamp, _, _ = newest.partition("-")
+    # "~" sorts after everything a time is made of.
+    return f"{moment if moment > stamp else stamp + '~'}-{uuid.uuid4().hex[:8]}"

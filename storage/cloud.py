@@ -1,0 +1,101 @@
+"""The organised cloud as Parquet: one row per pixel of the left camera, row by row, in whole micrometres.
+
+Rounding to 1 µm adds at most 0.5 µm (0.29 µm standard deviation) to each coordinate, a twentieth of a point's noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.errors import StoreError
+
+UM_PER_MM = 1000.0
+NM_PER_MM = 1e6
+_COMMENTS = {
+    "v_px": "row of the pixel in the raw left image",
+    "u_px": "column of the pixel in the raw left image",
+    "x_um": "point in the rig frame (left camera), to the right, µm; NULL where there is none",
+    "y_um": "point in the rig frame, down, µm",
+    "z_um": "point in the rig frame, away from the rig, µm",
+    "sigma_z_nm": "standard deviation of the point's depth, nm",
+    "flags": "bits that say why there is no point, or a doubtful one: 1 saturated, 2 low modulation, "
+    "4 order residual, 8 edge, 16 unmatched, 32 saturated samples, 64 slope",
+}
+
+
+@dataclass(frozen=True)
+class StoredCloud:
+    """A cloud as it comes back from the store.
+
+    Attributes
+    ----------
+    points : (h, w, 3) float32
+        Rig frame, mm, to 0.5 µm; NaN where none.
+    sigma_z : (h, w) float32
+        mm; NaN where none.
+    flags : (h, w) uint16
+        metrology.cloud.PixelFlag bits.
+    """
+
+    points: NDArray[np.float32]
+    sigma_z: NDArray[np.float32]
+    flags: NDArray[np.uint16]
+
+
+def write_cloud(path: Path, reconstruction: Reconstruction) -> None:
+    """Write the organised cloud of a reconstruction."""
+    height, width = reconstruction.flags.shape
+    missing = ~reconstruction.valid.ravel()
+
+    def whole(values: NDArray[np.float32], scale: float) -> pa.Array:
+        rounded = np.rint(np.where(missing, np.float32(0), values.ravel()) * np.float32(scale))
+        limit = np.float32(2**31 - 256)  # the largest float32 that an int32 holds
+        return pa.array(np.clip(rounded, -limit, limit).astype(np.int32), mask=missing)
+
+    columns = {
+        "v_px": pa.array(np.repeat(np.arange(height, dtype=np.uint16), width)),
+        "u_px": pa.array(np.tile(np.arange(width, dtype=np.uint16), height)),
+        **{name: whole(reconstruction.points[..., i], UM_PER_MM) for i, name in enumerate(("x_um", "y_um", "z_um"))},
+        "sigma_z_nm": whole(np.nan_to_num(reconstruction.sigma_z, posinf=0.0), NM_PER_MM),
+        "flags": pa.array(reconstruction.flags.ravel()),
+    }
+    schema = pa.schema(
+        [pa.field(name, column.type, metadata={"comment": _COMMENTS[name]}) for name, column in columns.items()],
+        metadata={"width_px": str(width), "height_px": str(height), "rounding": "1 µm"},
+    )
+    delta = dict.fromkeys(("u_px", "x_um", "y_um", "z_um"), "DELTA_BINARY_PACKED")
+    pq.write_table(
+        pa.table(columns, schema),
+        path,
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=["v_px", "flags"],
+        column_encoding=delta,
+    )
+
+
+def read_cloud(path: Path) -> StoredCloud:
+    """Read an organised cloud."""
+    try:
+        table = pq.read_table(path, columns=["x_um", "y_um", "z_um", "sigma_z_nm", "flags"])
+        metadata = table.schema.metadata
+        shape = int(metadata[b"height_px"]), int(metadata[b"width_px"])
+    except (OSError, KeyError, pa.ArrowException) as problem:
+        raise StoreError(f"{path}: found {problem}, expected an organised cloud") from None
+
+    def lengths(name: str, scale: float) -> NDArray[np.float32]:
+        values = table[name].combine_chunks().to_numpy(zero_copy_only=False)
+        return (values / scale).astype(np.float32).reshape(shape)
+
+    return StoredCloud(
+        np.stack([lengths(name, UM_PER_MM) for name in ("x_um", "y_um", "z_um")], axis=-1),
+        lengths("sigma_z_nm", NM_PER_MM),
+        table["flags"].to_numpy().reshape(shape),
+    )

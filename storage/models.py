@@ -1,0 +1,115 @@
+"""Checking documents against models: identifiers, times and paths, and complaints in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints, ValidationError
+
+from metrology.errors import FlushlineError
+from storage.documents import ErrorType, closest, shown
+
+MAX_IDENTIFIER_LENGTH = 64
+# No separator, no leading dot: an identifier becomes a folder name and part of a scene's name.
+IDENTIFIER_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9._-]*"
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class StrictModel(BaseModel):
+    """Base of what Flushline writes itself: unknown keys are refused, numbers must be finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Identifier = Annotated[
+    str,
+    Strict(),
+    StringConstraints(pattern=f"^{IDENTIFIER_PATTERN}$", min_length=1, max_length=MAX_IDENTIFIER_LENGTH),
+]
+"""Aircraft serial, panel, station, rig: letters, digits, ``.``, ``_``, ``-``; no leading dot."""
+
+
+def _iso_text(value: object) -> object:
+    if not isinstance(value, (str, datetime)):
+        raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
+    return value
+
+
+def _in_utc(value: datetime) -> datetime:
+    if value.tzinfo is None:
+        raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
+    return value.astimezone(UTC)
+
+
+UtcTime = Annotated[datetime, BeforeValidator(_iso_text), AfterValidator(_in_utc)]
+"""A moment, given with its zone and kept in UTC."""
+
+WholeNumber = Annotated[int, Strict()]
+
+
+def _inside(path: str) -> str:
+    pure = PurePosixPath(path)
+    if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
+        raise ValueError(f"found path {path!r}, expected one inside the folder, relative to it")
+    return path
+
+
+InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
+"""A file of the folder that the manifest lies in. Links in that folder are its owner's and are followed."""
+
+
+def validate(model: type[Model], document: Mapping[str, Any], path: Path, error: ErrorType) -> Model:
+    """`document` as `model`, or one line naming the file, the key, what was found and what was expected."""
+    try:
+        return model.model_validate(document)
+    except ValidationError as problem:
+        raise error(f"{path}: {first_problem(problem, _keys_of(model))}") from None
+    except FlushlineError as problem:
+        raise error(f"{path}: {problem}") from None
+
+
+def first_problem(problem: ValidationError, keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
+    """The first complaint of pydantic in Flushline's words; how many follow is said in brackets."""
+    first = problem.errors(include_url=False)[0]
+    place = first["loc"]
+    more = problem.error_count() - 1
+    tail = f" (and {more} more like this)" if more else ""
+    return f"{_complaint(first, place, keys_at)}{tail}"
+
+
+def _complaint(first: Any, place: tuple[int | str, ...], keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
+    where = ".".join(str(part) for part in place)
+    if first["type"] == "extra_forbidden":
+        return f"found unknown key {where!r}, expected {closest(str(place[-1]), keys_at(place[:-1]))}"
+    if first["type"] == "missing":
+        return f"found no key {where!r}, expected it"
+    expected = str(first["msg"])
+    for prefix in ("Input should be ", "Value error, "):
+        expected = expected.removeprefix(prefix)
+    if "pattern" in first.get("ctx", {}):
+        expected = "letters, digits, '.', '_' and '-' only, without a leading dot"
+    if expected.startswith("found "):  # a validator of ours that says both itself
+        return f"{where}: {expected}"
+    if first["type"].startswith("datetime"):
+        expected = "an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z"
+    return f"{where}: found {shown(first['input'])}, expected {expected[:1].lower()}{expected[1:]}"
+
+
+def _keys_of(model: type[BaseModel]) -> Callable[[tuple[int | str, ...]], list[str]]:
+    """The keys that a model knows at a place inside it, for hints."""
+
+    def keys_at(place: tuple[int | str, ...]) -> list[str]:
+        current: type[BaseModel] = model
+        for part in place:
+            field = current.model_fields.get(str(part))
+            inner = field.annotation if field else None
+            if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+                return []
+            current = inner
+        return [field.alias or name for name, field in current.model_fields.items()]
+
+    return keys_at

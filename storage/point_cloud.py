@@ -1,0 +1,45 @@
+"""Clouds for other programs: PLY through Open3D, which is imported only here (it takes seconds)."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.errors import StoreError
+from storage.cloud import StoredCloud
+
+
+def write_ply(path: Path, cloud: StoredCloud, texture: NDArray[np.uint8]) -> int:
+    """Write the points (mm, grey as the left camera saw them) as binary PLY.
+
+    Parameters
+    ----------
+    texture : (h, w) uint8
+
+    Returns
+    -------
+    int
+        Number of points written.
+    """
+    open3d = _open3d()
+    valid = np.isfinite(cloud.points[..., 2])
+    points = open3d.t.geometry.PointCloud(cloud.points[valid])
+    points.point.colors = np.repeat(texture[valid][:, None], 3, axis=1)
+    if not open3d.t.io.write_point_cloud(str(path), points):
+        raise StoreError(f"{path}: found it not writable, expected a place for a PLY file")
+    return int(valid.sum())
+
+
+def _open3d() -> ModuleType:
+    import libusb_package
+
+    library = libusb_package.get_library_path()
+    if library:
+        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+    import open3d
+
+    return open3d

@@ -1,0 +1,73 @@
+"""Small results to store, without an inspection."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from metrology.cloud import DecodedView, PixelFlag, Reconstruction
+from metrology.inspection import InspectionResult
+from metrology.overlay import Overlay
+from metrology.results import Rivet, SceneKey, SeamStation
+from metrology.rig import Device, Rig
+from storage.rig import rig_document
+
+WIDTH, HEIGHT = 64, 48
+
+
+def device(width: int, height: int, x_mm: float = 0.0) -> Device:
+    """A pinhole camera at x, looking along z."""
+    K = np.array([[100.0, 0, width / 2], [0, 100.0, height / 2], [0, 0, 1]])
+    return Device(width, height, K, np.zeros(5), np.eye(3), np.array([-x_mm, 0.0, 0.0]))
+
+
+def small_rig() -> Rig:
+    """Two cameras 50 mm apart and a projector between them, with keys that Flushline does not know."""
+    return Rig(
+        "rig-a",
+        "2026-11-02T07:30:00Z",
+        device(WIDTH, HEIGHT),
+        device(WIDTH, HEIGHT, 50.0),
+        device(40, 30, 25.0),
+        {"residuals": {"left": 0.01}, "cameras": {"left": {"serial": "C-17"}}},
+    )
+
+
+def small_key(station: str = "S3", aircraft: str = "MSN-1", panel: str = "LH-F12") -> SceneKey:
+    """A scene's key."""
+    return SceneKey(aircraft, panel, station, datetime(2026, 11, 20, 8, 15, tzinfo=UTC))
+
+
+def small_result(key: SceneKey | None = None, height_mm: float = 0.05, rivets: int = 3) -> InspectionResult:
+    """A sloping plane with a hole, some rivets of one height and two seam positions, the second not measured."""
+    rig = small_rig()
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    z = (700 + 0.1 * u).astype(np.float32)
+    points = np.stack([(u - WIDTH / 2) / 100 * z, (v - HEIGHT / 2) / 100 * z, z], axis=-1).astype(np.float32)
+    flags = np.zeros((HEIGHT, WIDTH), np.uint16)
+    flags[:10, :5] = PixelFlag.UNMATCHED
+    points[flags != 0] = np.nan
+    sigma = np.where(flags == 0, np.float32(0.006), np.float32(np.nan))
+    blank = np.zeros((HEIGHT, WIDTH), np.float32)
+    view = DecodedView(blank, blank, blank, blank, flags)
+    rivet = Rivet("R1", 1.0, 2.0, 700.0, 10.0, 12.0, None, None, 8.0, 20.0, 18.0, 5.0, 0.9)
+    measured = replace(rivet, height_mean_mm=height_mm, height_u95_mm=0.004, severity="green", decision="pass")
+    station = SeamStation("M1", 0.0, 1.0, 2.0, 700.0, 10.0, 12.0, 0.1, 0.01, 2.4, 0.05, 90, 95, "blue", "fail", "step")
+    unmeasured = SeamStation("M1", 2.0, None, None, None, 11.0, 13.0, decision="not measured", reason="over a rivet")
+    return InspectionResult(
+        key=key or small_key(),
+        reconstruction=Reconstruction(rig, view, view, points, sigma, flags),
+        rivets=tuple(replace(measured, rivet_id=f"R{i + 1}") for i in range(rivets)),
+        stations=(station, unmeasured),
+        overlay=Overlay((40, 30), 24, (), ()),
+        preview=np.full((HEIGHT, WIDTH), 90, np.uint8),
+        rig_document=rig_document(rig),
+        settings={"reconstruction": {"min_modulation": 3.0}},
+        config_hash="c0ffee",
+        panel_spec={"panel": "LH-F12", "revision": "B"},
+        seconds={"load": 0.1, "total": 1.0},
+        warnings=(),
+        versions={"flushline": "0.1.0"},
+    )
