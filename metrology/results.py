@@ -35,6 +35,8 @@ class RivetDetection:
         Of (u_px, v_px, major_px, minor_px, angle_deg).
     u_right_px, v_right_px : float or None
         Where the right camera sees the head's centre.
+    rim_sigma_px : float or None
+        Half-width of the rim's image (standard deviation of gap and blur together).
     """
 
     u_px: float
@@ -46,6 +48,7 @@ class RivetDetection:
     covariance: NDArray[np.float64] = field(default_factory=lambda: np.full((5, 5), np.nan))
     u_right_px: float | None = None
     v_right_px: float | None = None
+    rim_sigma_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,10 @@ class Rivet:
     severity: Severity | None = None
     decision: Decision = "no limit"
     reason: str | None = None
+    x_panel_mm: float | None = None
+    y_panel_mm: float | None = None
+    z_panel_mm: float | None = None
+    zone: str | None = None
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,11 @@ class SeamStation:
     severity: Severity | None = None
     decision: Decision = "no limit"
     reason: str | None = None
+    step_into_wind_mm: float | None = None
+    x_panel_mm: float | None = None
+    y_panel_mm: float | None = None
+    z_panel_mm: float | None = None
+    zone: str | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,287 @@
+"""Rivet detection in the image (paper §3.1): arcs, votes near suspects, and the joint fit that decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.rivets.arc_fit import fit_candidates
+from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
+from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
+from metrology.rivets.evidence import distinction, ring_evidence
+from metrology.rivets.ring import RingFit, fit_ring
+from metrology.rivets.settings import RivetSettings
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution at which arcs are traced.
+
+    Attributes
+    ----------
+    reduction : int
+        Pixels of the image per pixel of the level.
+    least, most : float
+        Radii looked for, pixels of the image.
+    """
+
+    reduction: int
+    least: float
+    most: float
+
+
+@dataclass(frozen=True)
+class CircleShapes:
+    """What a circle on the surface looks like: one ellipse shape of determinant 1 per cell of the image.
+
+    Attributes
+    ----------
+    matrices : (rows, columns, 3) ndarray
+        Entries uu, vv, uv of Σ, see `Ellipse.shape`.
+    cell : float
+        Size of a cell, px.
+    """
+
+    matrices: Array
+    cell: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the shapes come from a surface."""
+        return self.matrices.size > 3
+
+    @classmethod
+    def round(cls) -> CircleShapes:
+        """Circles look like circles everywhere."""
+        return cls(np.array([[[1.0, 1.0, 0.0]]]), 1e9)
+
+    def at(self, u: Array, v: Array) -> Array:
+        """(n, 3) shapes at pixels."""
+        rows, columns = self.matrices.shape[:2]
+        i = np.clip((np.asarray(v) / self.cell).astype(int), 0, rows - 1)
+        j = np.clip((np.asarray(u) / self.cell).astype(int), 0, columns - 1)
+        return self.matrices[i, j]
+
+
+def levels_for(least: float, most: float) -> list[Level]:
+    """Resolutions for radii between `least` and `most` pixels: heads of few pixels at full resolution, the rest at half.
+
+    A thin ring loses contrast at a lower resolution, so even large heads are traced at half resolution; only those
+    beyond 70 px, where the gap itself is wide, at a quarter.
+    """
+    bounds = [(1, 0.0, 9.0), (2, 8.0, 70.0), (4, 60.0, np.inf)]
+    return [Level(k, max(a, least), min(b, most)) for k, a, b in bounds if max(a, least) < min(b, most)]
+
+
+def _candidates(
+    arcs: Arcs, size: tuple[int, int], level: Level, shapes: CircleShapes, settings: RivetSettings
+) -> Array:
+    """(n, 7) ellipses in pixels of the level that ridge points support, then coverage and agreement."""
+    k = level.reduction
+    radii = np.arange(max(level.least / k, 2.5), level.most / k + 0.5, 0.5)
+    planes = max(1, int(np.ceil(np.log(radii[-1] / radii[0]) / np.log(1.35))))
+    edges = np.geomspace(radii[0], radii[-1] + 1e-6, planes + 1)
+    found = vote_centres(arcs, size, radii, edges, shapes.matrices, shapes.cell / k, settings.min_support, 400)
+    if not found:
+        return np.empty((0, 7))
+    order = np.argsort(arcs.v, kind="stable")
+    v = arcs.v[order]
+    rows = np.searchsorted(v, np.arange(size[0] + 2)).astype(np.int64)
+    starts = np.array([[c.u, c.v, c.radius] for c in found])
+    expected = shapes.at(starts[:, 0] * k, starts[:, 1] * k)
+    ellipses, coverage, agreement = np.zeros((len(starts), 5)), np.zeros(len(starts)), np.zeros(len(starts))
+    fit_candidates(
+        starts, arcs.u[order], v, arcs.nu[order], arcs.nv[order], rows, expected, ellipses, coverage, agreement
+    )
+    return np.column_stack([ellipses, coverage, agreement])
+
+
+def _with_evidence(image: Float32, candidates: Array, polarity: int) -> Array:
+    """Candidates with coverage and agreement replaced by the ring's coverage and score in the image, hopeless ones left out."""
+    evidence = np.zeros((len(candidates), 2))
+    ring_evidence(image, candidates[:, :5], np.full(len(candidates), float(polarity)), 24, evidence)
+    keep = (evidence[:, 0] > 7.5) & (evidence[:, 1] >= 0.5)
+    return np.column_stack([candidates[keep, :5], evidence[keep, ::-1]])
+
+
+def _distinct(candidates: Array) -> Array:
+    """Candidates in order of support without those that repeat a better one."""
+    kept: list[Array] = []
+    for c in candidates[np.argsort(-candidates[:, 5] * candidates[:, 6], kind="stable")]:
+        if all(
+            np.hypot(c[0] - q[0], c[1] - q[1]) > 0.3 * min(c[3], q[3]) + 1.0
+            or abs(np.sqrt(c[2] * c[3]) - np.sqrt(q[2] * q[3])) > 3
+            for q in kept
+        ):
+            kept.append(c)
+    return np.array(kept).reshape(-1, candidates.shape[1])
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A ring that was found, and how good it is.
+
+    Attributes
+    ----------
+    fit : RingFit
+    distinction : float
+        See `evidence.distinction`.
+    """
+
+    fit: RingFit
+    distinction: float
+
+    @property
+    def ellipse(self) -> Ellipse:
+        return self.fit.ellipse
+
+    @property
+    def quality(self) -> float:
+        """Distinction times the square of the coverage: a partial ring must stand out more."""
+        return self.distinction * self.fit.coverage**2
+
+    @property
+    def confident(self) -> bool:
+        """Complete and clear: needs no confirmation."""
+        return self.fit.coverage > 0.85 and self.quality > 10
+
+
+def detect_ellipses(
+    texture: Float32,
+    settings: RivetSettings | None = None,
+    shapes: CircleShapes | None = None,
+    radii: tuple[float, float] | None = None,
+) -> list[Ring]:
+    """Rings in an image.
+
+    Parameters
+    ----------
+    texture : (h, w) array
+        Grey levels; NaN where there are none.
+    settings : RivetSettings
+    shapes : CircleShapes
+        What a circle looks like in each part of the image. Without it the confident rings tell it to the others.
+    radii : (least, most)
+        Radii looked for, px; the settings' limits without it.
+
+    Returns
+    -------
+    list of Ring
+        Best first.
+    """
+    settings = settings or RivetSettings()
+    image = np.ascontiguousarray(texture, np.float32)
+    bounds = radii or (settings.min_diameter_px / 2, settings.max_diameter_px / 2)
+    rings: list[Ring] = []
+    for level in levels_for(*bounds):
+        for start in _suspects(image, level, shapes or CircleShapes.round(), settings):
+            if not any(r.confident and _within(start, r.ellipse) for r in rings):
+                ring = _verified(image, start, shapes, bounds, settings)
+                if ring is not None:
+                    rings.append(ring)
+    rings = suppress_repeats(rings)
+    if shapes is None:
+        rings = suppress_repeats(_agreeing(image, rings, bounds, settings))
+    return rings
+
+
+def _within(ellipse: Ellipse, other: Ellipse) -> bool:
+    return bool(np.hypot(ellipse.u - other.u, ellipse.v - other.v) < other.b)
+
+
+def _suspects(image: Float32, level: Level, shapes: CircleShapes, settings: RivetSettings) -> list[Ellipse]:
+    """Ellipses at one resolution that ridge points support, in pixels of the image, best first."""
+    k = level.reduction
+    small = image if k == 1 else cv2.resize(image, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA)
+    field = RidgeField.of(small, 1.4 if k == 1 else 1.0)
+    found = []
+    for polarity in (1, -1):
+        arcs = trace_arcs(field, polarity, (settings.ridge_low, settings.ridge_high), 7, 0.35)
+        candidates = _candidates(arcs, (small.shape[0], small.shape[1]), level, shapes, settings)
+        candidates = candidates[candidates[:, 5] >= 0.33]
+        candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
+        candidates[:, 2:4] *= k
+        found.append(_with_evidence(image, candidates, polarity))
+    return [Ellipse.of(c[:5]) for c in _distinct(np.concatenate(found))]
+
+
+def _verified(
+    image: Float32, start: Ellipse, shapes: CircleShapes | None, radii: tuple[float, float], settings: RivetSettings
+) -> Ring | None:
+    """The ring at a suspect, if it is one."""
+    reach = float(np.clip(0.6 * start.b, 4.5, 7.5))
+    limits = np.array([reach, 0.85 * radii[0], 1.15 * radii[1], 0.55, 0.5, 3.0])
+    shape = None
+    if shapes is not None:
+        uu, vv, uv = shapes.at(np.array([start.u]), np.array([start.v]))[0]
+        shape = np.array([[uu, uv], [uv, vv]])
+        start = ellipse_of_shape(start.u, start.v, shape * start.radius**2)
+    fit = fit_ring(image, start, 1.0, limits, shape)
+    if fit is None or not _is_rim(fit, settings):
+        return None
+    ring = Ring(fit, float(distinction(image, fit.ellipse.parameters, fit.sigma_px)))
+    return ring if ring.quality >= settings.min_quality else None
+
+
+def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
+    """Whether a fit is a rim and not a blob or a crossing of lines: a thin line, darker or brighter than both sides."""
+    beside_head = abs(ring.amplitude) - 0.5 * max(0.0, np.sign(ring.amplitude) * ring.step)
+    return bool(
+        ring.score >= settings.min_score
+        and ring.coverage >= settings.min_coverage
+        and ring.sigma_px < min(2.8, 0.4 * ring.ellipse.b)
+        and beside_head > 0.45 * abs(ring.amplitude)
+    )
+
+
+def _log_shape(ellipse: Ellipse) -> Array:
+    """(2,) elongation e cos 2θ, e sin 2θ with e = ln(a/b): 0 for a circle, smooth through it."""
+    return np.log(ellipse.a / ellipse.b) * np.array([np.cos(2 * ellipse.angle), np.sin(2 * ellipse.angle)])
+
+
+def _agreeing(image: Float32, rings: list[Ring], radii: tuple[float, float], settings: RivetSettings) -> list[Ring]:
+    """Rings that look like the confident ones: all lie on one panel, which the camera sees at one slant.
+
+    The elongation is taken as linear over the image. Rings that are not confident are fitted again with that shape.
+    """
+    confident = [r for r in rings if r.confident]
+    if len(confident) < 4:
+        return rings
+    at = np.array([[1.0, r.ellipse.u, r.ellipse.v] for r in confident]) / [1, image.shape[1], image.shape[0]]
+    values = np.array([_log_shape(r.ellipse) for r in confident])
+    columns = 3 if len(confident) >= 8 else 1
+    keep = np.ones(len(values), bool)
+    for _ in range(3):
+        model, *_ = np.linalg.lstsq(at[keep, :columns], values[keep], rcond=None)
+        error = np.linalg.norm(values - at[:, :columns] @ model, axis=1)
+        keep = error <= max(0.03, 3 * 1.4826 * float(np.median(error)))
+    kept = []
+    for ring in rings:
+        e = ring.ellipse
+        place = np.array([1.0, e.u / image.shape[1], e.v / image.shape[0]])[:columns]
+        expected = place @ model
+        if np.linalg.norm(_log_shape(e) - expected) < 0.05 and ring.confident:
+            kept.append(ring)
+            continue
+        elongation, angle = np.linalg.norm(expected), 0.5 * np.arctan2(expected[1], expected[0])
+        shape = Ellipse(0.0, 0.0, np.exp(elongation / 2), np.exp(-elongation / 2), angle).shape
+        one = CircleShapes(np.array([[[shape[0, 0], shape[1, 1], shape[0, 1]]]]), 1e9)
+        again = _verified(image, e, one, radii, settings)
+        if again is not None:
+            kept.append(again)
+    return kept
+
+
+def suppress_repeats(rings: list[Ring]) -> list[Ring]:
+    """One ring per rivet: of rings within each other the best stays."""
+    kept: list[Ring] = []
+    for ring in sorted(rings, key=lambda r: -r.quality):
+        if not any(_within(ring.ellipse, q.ellipse) or _within(q.ellipse, ring.ellipse) for q in kept):
+            kept.append(ring)
+    return kept

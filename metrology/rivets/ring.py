@@ -1,0 +1,527 @@
+"""Sub-pixel fit of a ring: the image of the thin gap round a rivet head, or of a round step without a gap.
+
+The model, with ρ the distance from the ellipse along its normal (negative inside):
+
+    I = q(u, v) + s(u, v) Φ(−ρ/σ) + a(θ) exp(−ρ²/2σ²)
+
+q is a quadratic (skin and light), s a plane (the head's own brightness against the skin's, and its tilt to the light),
+a the ring's amplitude, a periodic piecewise linear function of the angle (the camera and the projector see more of the
+gap on one side than on the other), σ the half-width of gap and blur together. Everything is fitted jointly by robust
+Gauss-Newton on the pixels themselves: no resampling, so the pixels' noise stays independent and the inverse of the normal
+matrix is the covariance. Without the plane s the centre's error doubles, since the brightness step pulls the ridge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.jit import kernel
+from metrology.rivets.ellipse import Ellipse
+
+Array = NDArray[np.float64]
+
+BACKGROUND = 6  # 1, x, y, x², xy, y²
+STEP = 3  # 1, x, y inside
+AMPLITUDE = BACKGROUND + STEP  # index of the first knot
+KNOTS = 16  # of the amplitude over the angle
+LINEAR = AMPLITUDE + KNOTS
+SIGMA = LINEAR  # index of the ring's half-width
+GEOMETRY = LINEAR + 1  # u, v and the three entries of the inverse shape matrix
+UNKNOWNS = GEOMETRY + 5
+NONZERO = BACKGROUND + STEP + 2 + 1 + 5  # derivatives of one pixel that are not zero
+SECTORS = 24  # in which the ring must show itself
+TUKEY = 5.0  # residuals beyond this many sigmas count nothing
+# For normal noise of variance 1 and Tukey's weights w with that limit: 1 / (Σ w r² / Σ w), and the estimate's variance
+# times Σ w against plain least squares' (E ψ² / (E ψ')² · E w).
+_WEIGHTED_VARIANCE = 1.180
+_WEIGHTED_COVARIANCE = 0.962
+
+
+@dataclass(frozen=True)
+class RingFit:
+    """A fitted ring.
+
+    Attributes
+    ----------
+    ellipse : Ellipse
+    inverse : (5,) ndarray
+        u, v, A, B, C: the centre and the inverse shape matrix [[A, C], [C, B]] of the ellipse.
+    covariance : (5, 5) ndarray
+        Of `inverse`.
+    sigma_px : float
+        Half-width σ of the ring's profile.
+    amplitude : float
+        Mean of a(θ), grey levels; negative for a dark ring.
+    step : float
+        Mean brightness of the inside against the outside, grey levels.
+    noise : float
+        Standard deviation of the residuals, grey levels.
+    score : float
+        Amplitude over its standard deviation.
+    coverage : float
+        Share of the ring's sectors in which it shows.
+    step_score : float
+        Step over its standard deviation.
+    inside_image : float
+        Share of the ring that lies on the image.
+    """
+
+    ellipse: Ellipse
+    inverse: Array
+    covariance: Array
+    sigma_px: float
+    amplitude: float
+    step: float
+    noise: float
+    score: float
+    coverage: float
+    step_score: float
+    inside_image: float
+
+
+@kernel
+def _collect(image, e, reach, x, y, value):
+    """Pixels within `reach` of the ellipse, and the share of the ellipse on the image."""
+    height, width = image.shape
+    size = max(e[2], e[3]) + reach + 1.0
+    u0 = max(0, int(e[0] - size))
+    u1 = min(width, int(e[0] + size) + 2)
+    v0 = max(0, int(e[1] - size))
+    v1 = min(height, int(e[1] + size) + 2)
+    c = math.cos(e[4])
+    s = math.sin(e[4])
+    n = 0
+    for v in range(v0, v1):
+        for u in range(u0, u1):
+            p = (c * (u - e[0]) + s * (v - e[1])) / e[2]
+            q = (c * (v - e[1]) - s * (u - e[0])) / e[3]
+            f = math.sqrt(p * p + q * q)
+            slope = math.sqrt((p / e[2]) ** 2 + (q / e[3]) ** 2) / max(f, 1e-9)
+            if abs(f - 1.0) < reach * slope and not np.isnan(image[v, u]) and n < len(x):
+                x[n] = u
+                y[n] = v
+                value[n] = image[v, u]
+                n += 1
+    seen = 0
+    for k in range(72):
+        t = k * (2.0 * math.pi / 72.0)
+        u = e[0] + c * e[2] * math.cos(t) - s * e[3] * math.sin(t)
+        v = e[1] + s * e[2] * math.cos(t) + c * e[3] * math.sin(t)
+        if 0.0 <= u <= width - 1 and 0.0 <= v <= height - 1:
+            seen += 1
+    return n, seen / 72.0
+
+
+@kernel
+def _factor(matrix, size):
+    """Cholesky factor of the leading block, in place in the lower triangle; False where it is not positive definite."""
+    for j in range(size):
+        for k in range(j + 1):
+            total = matrix[j, k]
+            for m in range(k):
+                total -= matrix[j, m] * matrix[k, m]
+            if j == k:
+                if total <= 1e-12:
+                    return False
+                matrix[j, j] = math.sqrt(total)
+            else:
+                matrix[j, k] = total / matrix[k, k]
+    return True
+
+
+@kernel
+def _substitute(matrix, size, x):
+    """Solve L Lᵀ x = b in place, given the factor."""
+    for j in range(size):
+        for k in range(j):
+            x[j] -= matrix[j, k] * x[k]
+        x[j] /= matrix[j, j]
+    for j in range(size - 1, -1, -1):
+        for k in range(j + 1, size):
+            x[j] -= matrix[k, j] * x[k]
+        x[j] /= matrix[j, j]
+
+
+@kernel
+def _scaled(normal, size, damping, work, scale):
+    """The normal matrix scaled to unit diagonal, damped, and factored into `work`; False where it is singular."""
+    for j in range(size):
+        scale[j] = 1.0 / math.sqrt(normal[j, j] + 1e-9)
+    for j in range(size):
+        for k in range(j + 1):
+            work[j, k] = normal[j, k] * scale[j] * scale[k]
+        work[j, j] += damping
+    return _factor(work, size)
+
+
+@kernel
+def _row(x, y, geometry, scale, sigma, params, row, place):
+    """Model value at a pixel and the derivatives that are not zero.
+
+    row : (NONZERO,) values; place : (NONZERO,) which unknown each belongs to. Also returns the ring's profile and the
+    polar angle.
+    """
+    dx = x - geometry[0]
+    dy = y - geometry[1]
+    A = geometry[2]
+    B = geometry[3]
+    C = geometry[4]
+    f = math.sqrt(A * dx * dx + B * dy * dy + 2.0 * C * dx * dy) + 1e-12
+    gx = (A * dx + C * dy) / f
+    gy = (B * dy + C * dx) / f
+    slope = math.sqrt(gx * gx + gy * gy) + 1e-12
+    z = (f - 1.0) / slope / sigma
+    ring = math.exp(-0.5 * z * z)
+    inside = 0.5 * math.erfc(z * 0.7071067811865476)
+    theta = math.atan2(dy, dx)
+    position = (theta + math.pi) / (2.0 * math.pi) * KNOTS
+    knot = min(int(position), KNOTS - 1)
+    part = position - knot
+    after = (knot + 1) % KNOTS
+    xs = dx / scale
+    ys = dy / scale
+    row[0] = 1.0
+    row[1] = xs
+    row[2] = ys
+    row[3] = xs * xs
+    row[4] = xs * ys
+    row[5] = ys * ys
+    row[6] = inside
+    row[7] = inside * xs
+    row[8] = inside * ys
+    model = 0.0
+    for j in range(BACKGROUND + STEP):
+        place[j] = j
+        model += params[j] * row[j]
+    # Ascending order of the unknowns keeps the lower triangle.
+    first = min(knot, after)
+    place[9] = AMPLITUDE + first
+    place[10] = AMPLITUDE + max(knot, after)
+    row[9] = ring * (1.0 - part) if first == knot else ring * part
+    row[10] = ring * part if first == knot else ring * (1.0 - part)
+    amplitude = params[AMPLITUDE + knot] * (1.0 - part) + params[AMPLITUDE + after] * part
+    step = params[6] + params[7] * xs + params[8] * ys
+    model += amplitude * ring
+    by_rho = -ring * (amplitude * z + step * 0.3989422804014327) / sigma
+    by_f = by_rho / slope
+    row[11] = -by_rho * z
+    row[12] = -by_f * gx
+    row[13] = -by_f * gy
+    row[14] = by_f * dx * dx / (2.0 * f)
+    row[15] = by_f * dy * dy / (2.0 * f)
+    row[16] = by_f * dx * dy / f
+    for j in range(6):
+        place[11 + j] = SIGMA + j
+    return model, ring, theta, amplitude
+
+
+@kernel
+def _tukey(residual, noise):
+    t = residual / (TUKEY * noise)
+    return (1.0 - t * t) ** 2 if abs(t) < 1.0 else 0.0
+
+
+@kernel
+def _hide_glints(x, y, residual, noise, hidden):
+    """Hide pixels next to clusters of outliers: a glint's skirt is too faint to be an outlier itself."""
+    n = len(x)
+    low_x = x.min()
+    low_y = y.min()
+    width = int(x.max() - low_x) + 1
+    height = int(y.max() - low_y) + 1
+    out = np.zeros((height, width), np.uint8)
+    for i in range(n):
+        if abs(residual[i]) > TUKEY * noise:
+            out[int(y[i] - low_y), int(x[i] - low_x)] = 1
+    for i in range(n):
+        px = int(x[i] - low_x)
+        py = int(y[i] - low_y)
+        count = 0
+        for dy in range(-2, 3):
+            for dx in range(-2, 3):
+                if 0 <= py + dy < height and 0 <= px + dx < width:
+                    count += out[py + dy, px + dx]
+        hidden[i] = count >= 3
+
+
+@kernel
+def _accumulate(weight, residual, row, place, count, normal, right):
+    """Add one pixel to the normal equations of the first `count` unknowns."""
+    for j in range(NONZERO):
+        a = place[j]
+        if a >= count:
+            break
+        wj = row[j] * weight
+        right[a] += wj * residual
+        for k in range(j + 1):
+            normal[a, place[k]] += wj * row[k]
+
+
+@kernel
+def _add_prior(geometry, shape, precision, normal, right):
+    """Pull the axis ratio and direction towards the expected shape (entries A, B, C of its inverse matrix).
+
+    Two conditions that the size does not enter: A/A₀ = B/B₀ and C = C₀ (A + B) / (A₀ + B₀).
+    """
+    trace = shape[0] + shape[1]
+    size = (geometry[2] + geometry[3]) / trace
+    condition = np.zeros(3)
+    for which in range(2):
+        if which == 0:
+            condition[0] = 1.0 / (shape[0] * size)
+            condition[1] = -1.0 / (shape[1] * size)
+            condition[2] = 0.0
+        else:
+            condition[0] = -2.0 * shape[2] / trace / (0.5 * trace * size)
+            condition[1] = condition[0]
+            condition[2] = 2.0 / (0.5 * trace * size)
+            condition[0] *= 0.5
+            condition[1] *= 0.5
+            condition[2] *= 0.5
+        error = 0.0
+        for j in range(3):
+            error -= condition[j] * geometry[2 + j]
+        for j in range(3):
+            right[GEOMETRY + 2 + j] += precision * condition[j] * error
+            for k in range(j + 1):
+                normal[GEOMETRY + 2 + j, GEOMETRY + 2 + k] += precision * condition[j] * condition[k]
+
+
+@kernel
+def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, out, covariance):
+    """Robust Gauss-Newton fit of the ring model.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+        NaN pixels are left out.
+    ellipse : (5,) float64
+        Start: u, v, semi-axes, angle.
+    sigma : float
+        Start of the ring's half-width, px.
+    shape : (3,) float64
+        Expected A, B, C up to their size.
+    shape_sd : float
+        Standard deviation of the expected relative shape; 0 where nothing is known of it.
+    limits : (6,) float64
+        Reach of the band, px; least and largest semi-axis, px; least axis ratio; least and largest σ, px.
+    iterations : int
+    out : (13,) float64, output
+        u, v, A, B, C, σ, mean amplitude, mean step, noise, score, coverage, step score, share on the image.
+    covariance : (5, 5) float64, output
+
+    Returns
+    -------
+    bool
+        False where no ring could be fitted.
+    """
+    reach, least, largest, flattest, sigma_low, sigma_high = limits
+    room = int(8.0 * (max(ellipse[2], ellipse[3]) + reach + 2.0) * (reach + 2.0)) + 64
+    x = np.empty(room)
+    y = np.empty(room)
+    value = np.empty(room)
+    n, share = _collect(image, ellipse, reach, x, y, value)
+    if n < 4 * UNKNOWNS or share < 0.5:
+        return False
+    x = x[:n]
+    y = y[:n]
+    c = math.cos(ellipse[4])
+    s = math.sin(ellipse[4])
+    ia = 1.0 / ellipse[2] ** 2
+    ib = 1.0 / ellipse[3] ** 2
+    geometry = np.empty(5)
+    geometry[0] = ellipse[0]
+    geometry[1] = ellipse[1]
+    geometry[2] = c * c * ia + s * s * ib
+    geometry[3] = s * s * ia + c * c * ib
+    geometry[4] = c * s * (ia - ib)
+    scale = math.sqrt(ellipse[2] * ellipse[3])
+    params = np.zeros(UNKNOWNS)
+    residual = np.empty(n)
+    hidden = np.zeros(n, np.bool_)
+    row = np.empty(NONZERO)
+    place = np.empty(NONZERO, np.int64)
+    step = np.zeros(UNKNOWNS)
+    diagonal = np.empty(UNKNOWNS)
+    work = np.empty((UNKNOWNS, UNKNOWNS))
+    normal = np.zeros((UNKNOWNS, UNKNOWNS))
+    noise = 0.0
+    for iteration in range(iterations):
+        # First the brightness alone on the starting ellipse, then everything.
+        count = LINEAR if iteration < 3 else UNKNOWNS
+        normal[:] = 0.0
+        step[:] = 0.0
+        for i in range(n):
+            model, ring, theta, amplitude = _row(x[i], y[i], geometry, scale, sigma, params, row, place)
+            residual[i] = value[i] - model
+            weight = 1.0 if iteration == 0 else _tukey(residual[i], noise)
+            if weight > 0.0 and not hidden[i]:
+                _accumulate(weight, residual[i], row, place, count, normal, step)
+        if count == UNKNOWNS:
+            # The width is poorly known on weak rings: a mild pull towards where it is.
+            normal[SIGMA, SIGMA] *= 1.02
+            if shape_sd > 0.0:
+                _add_prior(geometry, shape, (noise / shape_sd) ** 2, normal, step)
+        if not _scaled(normal, count, 1e-6, work, diagonal):
+            return False
+        for j in range(count):
+            step[j] *= diagonal[j]
+        _substitute(work, count, step)
+        for j in range(count):
+            step[j] *= diagonal[j]
+        for j in range(LINEAR):
+            params[j] += step[j]
+        if count == UNKNOWNS:
+            sigma = min(max(sigma + min(max(step[SIGMA], -0.3), 0.3), sigma_low), sigma_high)
+            size = 0.5 * (geometry[2] + geometry[3])
+            move = 0.0
+            for j in range(5):
+                limit = 1.0 if j < 2 else 0.12 * size
+                d = min(max(step[GEOMETRY + j], -limit), limit)
+                geometry[j] += d
+                move = max(move, abs(d) if j < 2 else 0.5 * abs(d) / size * scale)
+            half = math.sqrt(0.25 * (geometry[2] - geometry[3]) ** 2 + geometry[4] ** 2)
+            low = 0.5 * (geometry[2] + geometry[3]) - half
+            high = 0.5 * (geometry[2] + geometry[3]) + half
+            if low <= 0.0 or low < high * flattest**2 or low * largest**2 < 1.0 or high * least**2 > 1.0:
+                return False
+            if abs(geometry[0] - ellipse[0]) + abs(geometry[1] - ellipse[1]) > 0.5 * scale + 2.0:
+                return False
+            if iteration > 5 and move < 0.003:
+                break
+        if iteration < 6:
+            for i in range(n):
+                model, ring, theta, amplitude = _row(x[i], y[i], geometry, scale, sigma, params, row, place)
+                residual[i] = value[i] - model
+            # A strong ring that is not yet in place leaves residuals of its own: they must not count as outliers.
+            mean = 0.0
+            for k in range(KNOTS):
+                mean += abs(params[AMPLITUDE + k]) / KNOTS
+            noise = 1.4826 * np.median(np.abs(residual)) + (0.15 if iteration < 5 else 0.05) * mean + 1e-6
+            if iteration == 5:
+                _hide_glints(x, y, residual, noise, hidden)
+    scores = np.zeros(SECTORS)
+    norms = np.zeros(SECTORS)
+    gradients = np.zeros((SECTORS, 5))
+    total = 0.0
+    used = 0.0
+    normal[:] = 0.0
+    step[:] = 0.0
+    for i in range(n):
+        model, ring, theta, amplitude = _row(x[i], y[i], geometry, scale, sigma, params, row, place)
+        residual[i] = value[i] - model
+        weight = _tukey(residual[i], noise)
+        if hidden[i] or weight == 0.0:
+            continue
+        sector = min(int((theta + math.pi) / (2.0 * math.pi) * SECTORS), SECTORS - 1)
+        scores[sector] += weight * (residual[i] + amplitude * ring) * ring
+        norms[sector] += weight * ring * ring
+        total += weight * residual[i] ** 2
+        used += weight
+        for j in range(5):
+            gradients[sector, j] += weight * residual[i] * row[12 + j]
+        _accumulate(weight, residual[i], row, place, UNKNOWNS, normal, step)
+    norm = norms.sum()
+    if used < 0.35 * n or norm <= 0.0:
+        return False
+    variance = total / max(used - UNKNOWNS, 1.0) * _WEIGHTED_VARIANCE
+    # Brushed metal leaves residuals that are not independent: compare the scatter of the sectors' sums with what
+    # independent noise gives.
+    ratio = 0.0
+    for j in range(5):
+        ratio += (gradients[:, j] ** 2).sum() / (normal[GEOMETRY + j, GEOMETRY + j] * variance + 1e-30)
+    inflation = max(1.0, ratio / 5.0)
+    variance *= inflation
+    noise = math.sqrt(variance)
+    if shape_sd > 0.0:
+        _add_prior(geometry, shape, variance / shape_sd**2, normal, step)
+    if not _scaled(normal, UNKNOWNS, 1e-9, work, diagonal):
+        return False
+    step_sd = 0.0
+    for j in range(6):
+        # Columns of the inverse: the geometry's, then the brightness step's.
+        column = GEOMETRY + j if j < 5 else BACKGROUND
+        step[:] = 0.0
+        step[column] = diagonal[column]
+        _substitute(work, UNKNOWNS, step)
+        if j < 5:
+            for k in range(5):
+                value_jk = step[GEOMETRY + k] * diagonal[GEOMETRY + k]
+                covariance[j, k] = value_jk * variance * _WEIGHTED_COVARIANCE
+        else:
+            step_sd = math.sqrt(step[column] * diagonal[column]) * noise
+    mean = scores.sum() / norm
+    sign = 1.0 if mean > 0.0 else -1.0
+    hits = 0
+    for k in range(SECTORS):
+        if norms[k] > 0.0 and sign * scores[k] / math.sqrt(norms[k]) > 1.6 * noise:
+            hits += 1
+    for j in range(5):
+        out[j] = geometry[j]
+    out[5] = sigma
+    out[6] = mean
+    out[7] = params[BACKGROUND]
+    out[8] = noise / math.sqrt(inflation)
+    out[9] = abs(mean) * math.sqrt(norm) / noise
+    out[10] = hits / SECTORS
+    out[11] = abs(params[BACKGROUND]) / (step_sd + 1e-12)
+    out[12] = share
+    return True
+
+
+def ellipse_of_inverse(u: float, v: float, A: float, B: float, C: float) -> Ellipse:
+    """The ellipse A x² + 2 C x y + B y² = 1 about (u, v)."""
+    values, vectors = np.linalg.eigh(np.array([[A, C], [C, B]]))
+    a, b = 1 / np.sqrt(values)
+    return Ellipse.of([u, v, a, b, np.arctan2(vectors[1, 0], vectors[0, 0])])
+
+
+def fit_ring(
+    image: NDArray[np.float32],
+    start: Ellipse,
+    sigma_px: float,
+    limits: Array,
+    shape: Array | None = None,
+    shape_sd: float = 0.03,
+    iterations: int = 15,
+) -> RingFit | None:
+    """Fit the ring model near a starting ellipse; None where there is none.
+
+    Parameters
+    ----------
+    image, limits, iterations
+        See `fit_ring_kernel`.
+    start : Ellipse
+    sigma_px : float
+        Half-width of gap and blur to start from.
+    shape : (2, 2) ndarray
+        The shape matrix Σ that the ellipse should have but for its size, where the surface tells; see `Ellipse.shape`.
+    shape_sd : float
+        Its relative standard deviation.
+    """
+    out, covariance, expected = np.zeros(13), np.zeros((5, 5)), np.zeros(3)
+    if shape is not None:
+        inverse = np.linalg.inv(shape)
+        expected[:] = inverse[0, 0], inverse[1, 1], inverse[0, 1]
+    sd = shape_sd if shape is not None else 0.0
+    if not fit_ring_kernel(image, start.parameters, sigma_px, expected, sd, limits, iterations, out, covariance):
+        return None
+    if not (np.isfinite(out).all() and np.isfinite(covariance).all()):
+        return None
+    return RingFit(
+        ellipse=ellipse_of_inverse(out[0], out[1], out[2], out[3], out[4]),
+        inverse=out[:5].copy(),
+        covariance=covariance,
+        sigma_px=out[5],
+        amplitude=out[6],
+        step=out[7],
+        noise=out[8],
+        score=out[9],
+        coverage=out[10],
+        step_score=out[11],
+        inside_image=out[12],
+    )

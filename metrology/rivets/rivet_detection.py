@@ -1,0 +1,105 @@
+"""Rivets of a scan: rings in the left image whose shape the surface bears out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.results import RivetDetection
+from metrology.rivets.detect import Ring, detect_ellipses
+from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.geometry import circle_shapes, nearby_plane
+from metrology.rivets.ring import ellipse_of_inverse
+from metrology.rivets.settings import RivetSettings
+
+Array = NDArray[np.float64]
+
+
+def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None = None) -> list[RivetDetection]:
+    """Find the rivet heads of a scan.
+
+    The cloud tells how large heads look and what ellipse a circle on the skin makes where; rings of that size and shape
+    are looked for in the left texture.
+
+    Returns
+    -------
+    list of RivetDetection
+        In reading order: rows from the top, each from the left.
+    """
+    settings = settings or RivetSettings()
+    shapes, scale = circle_shapes(reconstruction)
+    texture = reconstruction.left.texture
+    if np.isfinite(scale).all():
+        least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
+        most = 0.5 * settings.max_diameter_mm * scale.max()
+        rings = detect_ellipses(texture, settings, shapes, (least, most))
+    else:
+        rings = detect_ellipses(texture, settings)
+    found = [_detection(ring, reconstruction) for ring in rings]
+    return [found[i] for i in reading_order(found)]
+
+
+def reading_order(detections: list[RivetDetection]) -> list[int]:
+    """Indices of detections row by row: a row goes on while the centres are within one diameter of its first's."""
+    if not detections:
+        return []
+    by_height = sorted(range(len(detections)), key=lambda i: (detections[i].v_px, detections[i].u_px))
+    size = float(np.median([d.major_px for d in detections]))
+    rows: list[list[int]] = []
+    for i in by_height:
+        if not rows or detections[i].v_px - detections[rows[-1][0]].v_px > size:
+            rows.append([])
+        rows[-1].append(i)
+    return [i for row in rows for i in sorted(row, key=lambda i: (detections[i].u_px, detections[i].v_px))]
+
+
+def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
+    e = ring.ellipse
+    right = _in_right_camera(e, reconstruction)
+    return RivetDetection(
+        u_px=e.u,
+        v_px=e.v,
+        major_px=2 * e.a,
+        minor_px=2 * e.b,
+        angle_deg=float(np.degrees(e.angle)),
+        confidence=confidence(ring.quality),
+        covariance=_axes_covariance(ring),
+        u_right_px=right[0] if right else None,
+        v_right_px=right[1] if right else None,
+        rim_sigma_px=ring.fit.sigma_px,
+    )
+
+
+def confidence(quality: float) -> float:
+    """0 … 1: one half at the quality below which nothing is a rivet, 0.99 where a ring stands out by 20 sigmas."""
+    return float(1 - np.exp(-quality / 4.34))
+
+
+def _axes_covariance(ring: Ring) -> Array:
+    """(5, 5) covariance of u, v, major, minor (px) and angle (degrees) from that of the inverse shape matrix."""
+    values = _axes(ring.fit.inverse)
+    jacobian = np.empty((5, 5))
+    for k in range(5):
+        step = 1e-4 * max(abs(ring.fit.inverse[k]), abs(ring.fit.inverse[2])) if k >= 2 else 1e-3
+        moved = ring.fit.inverse.copy()
+        moved[k] += step
+        change = _axes(moved) - values
+        change[4] = (change[4] + 90) % 180 - 90
+        jacobian[:, k] = change / step
+    return np.asarray(jacobian @ ring.fit.covariance @ jacobian.T)
+
+
+def _axes(inverse: Array) -> Array:
+    e = ellipse_of_inverse(*inverse)
+    return np.array([e.u, e.v, 2 * e.a, 2 * e.b, np.degrees(e.angle)])
+
+
+def _in_right_camera(ellipse: Ellipse, reconstruction: Reconstruction) -> tuple[float, float] | None:
+    """Where the right camera sees the circle's centre, through the plane of the points about it."""
+    plane = nearby_plane(reconstruction, ellipse)
+    if plane is None:
+        return None
+    frame, x, y = plane
+    pixel = reconstruction.rig.right.project(frame.rig([x, y, 0.0]))
+    return float(pixel[0]), float(pixel[1])

@@ -1,0 +1,88 @@
+"""Settings of rivet detection and measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from metrology.errors import UsageError
+
+Reference = Literal["quadric", "plane"]
+
+
+@dataclass(frozen=True)
+class RivetSettings:
+    """How rivets are looked for and measured.
+
+    Attributes
+    ----------
+    min_diameter_mm, max_diameter_mm : float
+        Heads looked for, where the cloud gives the scale.
+    min_diameter_px, max_diameter_px : float
+        Heads looked for in an image without a cloud, and hard limits with one.
+    ridge_low, ridge_high : float
+        Ridge response at which an arc goes on, and starts, in standard deviations of its noise.
+    min_support : float
+        Share of a full turn that must vote for a centre before it is looked at.
+    min_coverage : float
+        Share of a ring's sectors in which the ring must show to be a rivet.
+    min_score : float
+        Amplitude of the ring over its standard deviation to be a rivet.
+    min_quality : float
+        How far the ring stands out from its surroundings, in their standard deviations, times the square of its
+        coverage, to be a rivet.
+    reference : "quadric" or "plane"
+        What the skin round a head is taken for: the tangent plane at the head's centre of a quadric, or a plane
+        (the paper's).
+    inner_radius : float
+        Radius of the inner point set as a share of the head's.
+    outer_radii : (float, float)
+        Radii of the outer annulus as shares of the head's.
+    min_outer_width_mm : float
+        The outer annulus reaches at least this far from the rim, so that small heads have skin enough.
+    guard_px, guard_sigmas : float
+        Both sets keep this distance from the rim: pixels, plus multiples of the rim's half-width σ in the image.
+    seam_margin_px : float
+        Kept from a seam beyond its half-width.
+    min_inner, min_outer : int
+        Points needed.
+    min_sectors : int
+        Directions, of twelve, in which skin is needed.
+    """
+
+    min_diameter_mm: float = 2.8
+    max_diameter_mm: float = 15.0
+    min_diameter_px: float = 10.0
+    max_diameter_px: float = 90.0
+    ridge_low: float = 2.2
+    ridge_high: float = 3.2
+    min_support: float = 0.12
+    min_coverage: float = 0.55
+    min_score: float = 8.0
+    min_quality: float = 4.5
+    reference: Reference = "quadric"
+    inner_radius: float = 0.85
+    outer_radii: tuple[float, float] = (1.1, 2.0)
+    min_outer_width_mm: float = 4.0
+    guard_px: float = 0.5
+    guard_sigmas: float = 3.0
+    seam_margin_px: float = 3.0
+    min_inner: int = 30
+    min_outer: int = 120
+    min_sectors: int = 7
+
+    def __post_init__(self) -> None:
+        if not 0 < self.min_diameter_mm < self.max_diameter_mm:
+            raise UsageError(
+                f"rivet diameters: found {self.min_diameter_mm:g} to {self.max_diameter_mm:g} mm, expected 0 < min < max"
+            )
+        if not 6 <= self.min_diameter_px < self.max_diameter_px:
+            raise UsageError(
+                f"rivet diameters: found {self.min_diameter_px:g} to {self.max_diameter_px:g} px, expected 6 <= min < max"
+            )
+        if self.reference not in ("quadric", "plane"):
+            raise UsageError(f"rivet reference: found {self.reference!r}, expected 'quadric' or 'plane'")
+        if not 0.3 <= self.inner_radius <= 1:
+            raise UsageError(f"inner_radius: found {self.inner_radius:g}, expected 0.3 to 1")
+        if not 1 <= self.outer_radii[0] < self.outer_radii[1]:
+            raise UsageError(f"outer_radii: found {self.outer_radii}, expected 1 <= inner < outer")

@@ -1,0 +1,210 @@
+"""Planes and quadrics through patches of an organised cloud: RANSAC, then weighted least squares with covariance.
+
+A patch is described in a frame of its own, x and y along the surface and h along its normal towards the rig, so that a
+surface is a polynomial h(x, y). A point of the cloud errs along its viewing ray; what the fit sees of that is the part
+along the normal, σ_h = σ_z |(x/z, y/z, 1) · n|.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Order = Literal[1, 2, 3, 4]
+
+# Tukey's limit in standard deviations: 95 % efficient on normal noise.
+_TUKEY = 4.685
+# E ψ² / (E ψ')² · E w of that weight: variance against that of least squares with the weights taken for exact.
+_TUKEY_COVARIANCE = 0.956
+_TUKEY_VARIANCE = 1.217
+_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A right-handed frame on a surface.
+
+    Attributes
+    ----------
+    origin : (3,) ndarray
+        Rig frame, mm.
+    axes : (3, 3) ndarray
+        Rows: along the surface, along the surface, normal towards the rig (negative z).
+    """
+
+    origin: Array
+    axes: Array
+
+    @classmethod
+    def on_plane(cls, origin: ArrayLike, normal: ArrayLike) -> Frame:
+        """Frame with the given normal, turned towards the rig; its first axis lies in the rig's x-z plane."""
+        n = np.asarray(normal, float)
+        n = n / np.linalg.norm(n)
+        if n[2] > 0:
+            n = -n
+        first = np.array([-n[2], 0.0, n[0]])
+        if np.linalg.norm(first) < 1e-6:
+            first = np.array([1.0, 0.0, 0.0])
+        first /= np.linalg.norm(first)
+        return cls(np.asarray(origin, float), np.stack([first, np.cross(n, first), n]))
+
+    def local(self, points: ArrayLike) -> Array:
+        """(…, 3) x, y, h of points."""
+        return np.asarray((np.asarray(points, float) - self.origin) @ self.axes.T)
+
+    def rig(self, local: ArrayLike) -> Array:
+        """(…, 3) points in the rig frame of x, y, h."""
+        return np.asarray(np.asarray(local, float) @ self.axes + self.origin)
+
+    def height_sigma(self, points: ArrayLike, sigma_z: ArrayLike) -> Array:
+        """(n,) σ_h of points whose z has the standard deviation `sigma_z`."""
+        p = np.asarray(points, float)
+        return np.asarray(np.abs((p / p[..., 2:]) @ self.axes[2]) * np.asarray(sigma_z, float))
+
+
+def monomials(x: ArrayLike, y: ArrayLike, order: Order) -> Array:
+    """(n, k) 1, x, y, x², xy, y², … up to the given order."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    return np.stack([x ** (d - i) * y**i for d in range(order + 1) for i in range(d + 1)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A fitted surface h(x, y).
+
+    Attributes
+    ----------
+    order : int
+        1 plane, 2 quadric.
+    coefficients : (k,) ndarray
+        Of `monomials`.
+    covariance : (k, k) ndarray
+        For independent noise of the size that the residuals show.
+    rms_mm : float
+        Standard deviation of the residuals, robust.
+    chi : float
+        Residuals over their expected standard deviation, robust; 1 where σ is right.
+    weights : (n,) ndarray
+        Robust weight of each point given, 0 for outliers.
+    """
+
+    order: Order
+    coefficients: Array
+    covariance: Array
+    rms_mm: float
+    chi: float
+    weights: Array
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """h at x, y."""
+        return np.asarray(monomials(x, y, self.order) @ self.coefficients)
+
+    def tangent(self, x: float, y: float) -> tuple[Array, Array]:
+        """(h, ∂h/∂x, ∂h/∂y) at a point and its covariance (3, 3)."""
+        rows = _tangent_rows(x, y, self.order)
+        return rows @ self.coefficients, rows @ self.covariance @ rows.T
+
+
+def _tangent_rows(x: float, y: float, order: Order) -> Array:
+    """(3, k) monomials and their derivatives by x and y at a point."""
+    value, by_x, by_y = [], [], []
+    for d in range(order + 1):
+        for i in range(d + 1):
+            p, q = d - i, i
+            value.append(x**p * y**q)
+            by_x.append(p * x ** max(p - 1, 0) * y**q)
+            by_y.append(q * x**p * y ** max(q - 1, 0))
+    return np.array([value, by_x, by_y], float)
+
+
+def fit_surface(
+    x: ArrayLike,
+    y: ArrayLike,
+    h: ArrayLike,
+    sigma: ArrayLike,
+    order: Order,
+    generator: np.random.Generator,
+    trials: int = 60,
+) -> Polynomial | None:
+    """Polynomial through a patch: RANSAC (paper §4.1) finds the surface that most points share, least squares refines it.
+
+    The refinement is iteratively reweighted with weights σ⁻² times Tukey's.
+
+    Parameters
+    ----------
+    x, y, h : (n,) array
+        Local coordinates, mm.
+    sigma : (n,) array
+        Standard deviation of h, mm.
+    order : int
+        1 plane, 2 quadric, up to 4.
+    generator : numpy.random.Generator
+        Draws the samples.
+    trials : int
+        RANSAC samples.
+
+    Returns
+    -------
+    Polynomial or None
+        None where there are fewer than three points per coefficient or they lie on a line.
+    """
+    x, y, h, sigma = (np.asarray(a, float).ravel() for a in (x, y, h, sigma))
+    unknowns = (order + 1) * (order + 2) // 2
+    if len(x) < 3 * unknowns:
+        return None
+    scale = float(np.sqrt(np.mean((x - x.mean()) ** 2 + (y - y.mean()) ** 2))) or 1.0
+    design = monomials(x / scale, y / scale, order) / sigma[:, None]
+    target = h / sigma
+    start = _consensus(design, target, unknowns, generator, trials)
+    if start is None:
+        return None
+    solution, spread, weights = start, 1.0, np.ones(len(x))
+    for iteration in range(12):
+        residual = target - design @ solution
+        spread = _MAD * float(np.median(np.abs(residual - np.median(residual)))) + 1e-12
+        t = residual / (_TUKEY * spread)
+        weights = np.where(np.abs(t) < 1, (1 - t**2) ** 2, 0.0)
+        normal = design.T @ (weights[:, None] * design)
+        try:
+            updated = np.linalg.solve(normal, design.T @ (weights * target))
+        except np.linalg.LinAlgError:
+            return None
+        change = np.abs(design @ (updated - solution)).max()
+        solution = updated
+        if iteration > 1 and change < 1e-3:
+            break
+    residual = target - design @ solution
+    chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * _TUKEY_VARIANCE
+    back = np.concatenate([np.full(d + 1, scale**-d) for d in range(order + 1)])
+    covariance = np.linalg.inv(normal) * chi2 * _TUKEY_COVARIANCE
+    real = (h - (design * sigma[:, None]) @ solution)[weights > 0]
+    return Polynomial(
+        order=order,
+        coefficients=solution * back,
+        covariance=covariance * np.outer(back, back),
+        rms_mm=float(np.sqrt(np.mean(real**2))),
+        chi=float(np.sqrt(chi2)),
+        weights=weights,
+    )
+
+
+def _consensus(
+    design: Array, target: Array, unknowns: int, generator: np.random.Generator, trials: int
+) -> Array | None:
+    """Coefficients of the sample with the smallest truncated squares (MSAC), points scaled to unit noise."""
+    n = len(target)
+    picks = np.array([generator.choice(n, unknowns, replace=False) for _ in range(trials)])
+    matrices, values = design[picks], target[picks]
+    sizes = np.abs(np.linalg.det(matrices / np.linalg.norm(matrices, axis=2, keepdims=True)))
+    good = sizes > 1e-6 * sizes.max() if sizes.max() > 0 else np.zeros(trials, bool)
+    if not good.any():
+        return None
+    solutions = np.linalg.solve(matrices[good], values[good][..., None])[..., 0]
+    residual2 = (target[:, None] - design @ solutions.T) ** 2
+    cost = np.minimum(residual2, 3.0**2).sum(axis=0)
+    return np.asarray(solutions[int(cost.argmin())])
