@@ -143,6 +143,10 @@ n_inner INTEGER points on the head that were used
 n_outer INTEGER points on the skin around it that were used
 rms_inner_mm DOUBLE scatter of the head's points about its plane, mm
 rms_outer_mm DOUBLE scatter of the skin's points about the reference surface, mm
+x_panel_mm DOUBLE the same point in the panel's frame, mm; NULL where the panel's pattern was not recognised
+y_panel_mm DOUBLE the same point in the panel's frame, mm
+z_panel_mm DOUBLE the same point in the panel's frame, mm
+zone VARCHAR tolerance zone of the panel specification
 severity VARCHAR green meets the limits, blue slightly outside, red seriously outside
 decision VARCHAR pass, conditional pass, conditional fail, fail, not measured, no limit
 reason VARCHAR why there is no value, or why the decision is not a pass
@@ -167,6 +171,11 @@ width_mm DOUBLE width of the gap between the ideal edges, mm
 width_u95_mm DOUBLE expanded uncertainty (95 %) of width_mm, mm
 n_left INTEGER points used on side A
 n_right INTEGER points used on side B
+step_into_wind_mm DOUBLE step that the air runs against (positive) or falls from (negative), mm; NULL without an airflow
+x_panel_mm DOUBLE the same point in the panel's frame, mm; NULL where the panel's pattern was not recognised
+y_panel_mm DOUBLE the same point in the panel's frame, mm
+z_panel_mm DOUBLE the same point in the panel's frame, mm
+zone VARCHAR tolerance zone of the panel specification
 severity VARCHAR green meets the limits, blue slightly outside, red seriously outside
 decision VARCHAR pass, conditional pass, conditional fail, fail, not measured, no limit
 reason VARCHAR why there is no value, or why the decision is not a pass

@@ -1,0 +1,83 @@
+"""The command line `flushline`. Nothing heavy is imported before a command needs it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from metrology.errors import FlushlineError
+
+EXIT_DONE, EXIT_SOME_FAILED, EXIT_BAD_INPUT = 0, 1, 2
+_INTERRUPTED = 130
+
+COMMANDS = ("inspect", "patterns", "overlay", "query")
+"""Modules of flows.commands, in the order of the help."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 bad input or usage."""
+    options = build_parser().parse_args(arguments)
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # what OpenCV would say about a bad image, we say in one line
+    try:
+        return int(options.run(options))
+    except FlushlineError as problem:
+        if options.debug:
+            raise
+        print_error(str(problem))
+        return EXIT_BAD_INPUT
+    except BrokenPipeError:
+        # Whoever read our output has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+    except KeyboardInterrupt:
+        print_error("interrupted")
+        return _INTERRUPTED
+    except Exception as problem:
+        if options.debug:
+            raise
+        print_error(f"{unexpected(problem)}; --debug shows where")
+        return EXIT_BAD_INPUT
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    parser = argparse.ArgumentParser(
+        prog="flushline",
+        description="Measures rivet flushness and seam step and gap of aircraft skins from fringe-projection scans.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--debug", action="store_true", help="show where an error comes from")
+    for name in COMMANDS:
+        importlib.import_module(f"flows.commands.{name}").add_parser(commands, common)
+    return parser
+
+
+def print_error(text: str) -> None:
+    """One line on stderr."""
+    print(f"error: {' '.join(text.split())}", file=sys.stderr)
+
+
+def unexpected(problem: Exception) -> str:
+    """A bug or a surprise of the machine, in one line."""
+    if isinstance(problem, OSError) and problem.strerror:
+        return f'{problem.filename or "machine"}: found "{problem.strerror}", expected it to work'
+    return f"unexpected {type(problem).__name__}: {problem}"
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
+        from importlib.metadata import version
+
+        print(f"flushline {version('flushline')}")
+        parser.exit()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

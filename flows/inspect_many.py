@@ -1,0 +1,160 @@
+"""Inspecting scenes from the command line: all are looked at first, a bad one never stops the others."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error, unexpected
+from flows.inspect_scene import Inspected, Job, inspect_scene
+from flows.prefect_server import answers, configured_api
+from metrology.errors import FlushlineError, UsageError
+from metrology.results import Rivet, SeamStation
+from storage.archive import Store
+from storage.panel_spec import load_panel_spec
+from storage.rig import load_rig
+from tasks import steps
+from tasks.settings import load_settings
+
+_STEP_TEXT = {
+    "load": "checking",
+    "reconstruct": "reconstructing",
+    "detect_rivets": "finding rivets",
+    "detect_seams": "finding seams",
+    "measure_rivets": "measuring rivets",
+    "measure_seams": "measuring seams",
+    "judge": "judging",
+    "overlay": "drawing the overlay",
+    "publish": "storing",
+}
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Paths that the command was given."""
+
+    scenes: Sequence[Path]
+    store: Path
+    rig: Path | None = None
+    panel_spec: Path | None = None
+    settings: Path | None = None
+
+
+def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) -> int:
+    """Inspect scenes one after the other; returns the command's exit code."""
+    jobs = _jobs(inputs)
+    sound = [
+        job for job in jobs if _passes(lambda job=job: steps.load(job.folder, job.rig_path, job.store), job, debug)
+    ]
+    if not sound:
+        return EXIT_BAD_INPUT
+    run = _way_to_run(inputs, use_server)
+    done = 0
+    with _progress() as progress:
+        bar = progress.add_task("", total=len(sound))
+
+        def inspect(job: Job) -> None:
+            def show(step: str) -> None:
+                progress.update(bar, description=f"{job.folder.name}: {_STEP_TEXT[step]}")
+
+            print(describe(run(job, show)))
+
+        for job in sound:
+            done += _passes(partial(inspect, job), job, debug)
+            progress.advance(bar)
+    if done == len(jobs):
+        return EXIT_DONE
+    return EXIT_SOME_FAILED if done else EXIT_BAD_INPUT
+
+
+def describe(inspected: Inspected) -> str:
+    """A scene's result in a few lines."""
+    rivets, stations = _decisions(inspected.rivets), _decisions(inspected.stations)
+    seams = len({station.seam_id for station in inspected.stations})
+    lines = [
+        f"{inspected.key}: {_number(len(inspected.rivets), 'rivet')}{rivets}; "
+        f"{_number(seams, 'seam')} with {_number(len(inspected.stations), 'position')}{stations}; "
+        f"{inspected.seconds['total']:.1f} s",
+        f"  scene id {inspected.key.scene_id}",
+        *(f"  warning: {warning}" for warning in inspected.warnings),
+    ]
+    return "\n".join(lines)
+
+
+def _jobs(inputs: Inputs) -> list[Job]:
+    store = Store(inputs.store)
+    store.check_usable()
+    if inputs.rig:
+        load_rig(inputs.rig)  # a bad rig is one complaint, not one per scene
+    settings, spec = load_settings(inputs.settings), load_panel_spec(inputs.panel_spec)
+    return [Job(folder, store, inputs.rig, settings, spec) for folder in inputs.scenes]
+
+
+def _way_to_run(inputs: Inputs, use_server: bool) -> Callable[[Job, Callable[[str], None]], Inspected]:
+    """In this process, or as a Prefect flow where a server is configured; stderr says which."""
+    api = configured_api()
+    if api and not answers(api):
+        if use_server:
+            raise UsageError(f"Prefect server: found no answer from {api}, expected it to run")
+        print(f"running in this process: the Prefect server at {api} does not answer", file=sys.stderr)
+    elif api or use_server:
+        print(
+            f"running as Prefect flow on {api or 'a server of its own, which takes a while to start'}", file=sys.stderr
+        )
+        from flows.prefect_flows import inspect_scene_flow
+
+        store, rig, spec, settings = map(_text, (inputs.store, inputs.rig, inputs.panel_spec, inputs.settings))
+        return lambda job, _: inspect_scene_flow(str(job.folder), str(store), rig, spec, settings)
+    else:
+        print("running in this process: no Prefect server is configured", file=sys.stderr)
+    return lambda job, show: inspect_scene(job, on_step=show)
+
+
+def _text(path: Path | None) -> str | None:
+    return str(path) if path else None
+
+
+def _passes(work: Callable[[], object], job: Job, debug: bool) -> bool:
+    """Whether work on one scene succeeds; what is wrong with it is said in one line."""
+    try:
+        work()
+    except FlushlineError as problem:
+        if debug:
+            raise
+        print_error(str(problem))
+        return False
+    except Exception as problem:
+        if debug:
+            raise
+        print_error(f"{job.folder}: {unexpected(problem)}; --debug shows where")
+        return False
+    return True
+
+
+def _progress() -> Progress:
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    )
+
+
+def _number(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def _decisions(features: Sequence[Rivet | SeamStation]) -> str:
+    counted = Counter(feature.decision for feature in features)
+    return f" ({', '.join(f'{n} {decision}' for decision, n in counted.most_common())})" if counted else ""

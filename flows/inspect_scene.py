@@ -1,0 +1,118 @@
+"""The order of steps that makes a result of a scan: written once, run in process or as Prefect tasks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from metrology.results import Rivet, SceneKey, SeamStation
+from storage.archive import Store
+from storage.panel_spec import PanelSpecification
+from tasks import steps
+from tasks.settings import InspectionSettings
+
+Result = TypeVar("Result")
+
+
+class Call(Protocol):
+    """How a step is run: directly, or as a Prefect task."""
+
+    def __call__(self, step: Callable[..., Result], *arguments: Any) -> Result: ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to inspect, with what, and where the result goes.
+
+    Attributes
+    ----------
+    folder : Path
+        Scene folder.
+    store : Store
+    rig_path : Path or None
+        None: the rig that the scene names, from the store.
+    settings : InspectionSettings
+    spec : PanelSpecification
+    """
+
+    folder: Path
+    store: Store
+    rig_path: Path | None
+    settings: InspectionSettings
+    spec: PanelSpecification
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """What became of a scene, in short.
+
+    Attributes
+    ----------
+    key : SceneKey
+    run_id : str
+    rivets, stations : tuple
+        Judged.
+    warnings : tuple of str
+    seconds : mapping
+        Wall time of each step, of publishing, and in total.
+    """
+
+    key: SceneKey
+    run_id: str
+    rivets: tuple[Rivet, ...]
+    stations: tuple[SeamStation, ...]
+    warnings: tuple[str, ...]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def directly(step: Callable[..., Result], *arguments: Any) -> Result:
+    """Run a step as the plain function it is."""
+    return step(*arguments)
+
+
+def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None] = lambda _: None) -> Inspected:
+    """Inspect one scene and publish what was found.
+
+    Parameters
+    ----------
+    job : Job
+    call : callable
+        Runs a step.
+    on_step : callable
+        Told the name of each step as it begins.
+    """
+    seconds: dict[str, float] = {}
+
+    @contextmanager
+    def timed(name: str) -> Iterator[None]:
+        on_step(name)
+        start = time.perf_counter()
+        yield
+        seconds[name] = time.perf_counter() - start
+
+    settings = job.settings
+    with timed("load"):
+        loaded = call(steps.load, job.folder, job.rig_path, job.store)
+    with timed("reconstruct"):
+        reconstruction = call(steps.reconstruct_scene, loaded, settings)
+    with timed("detect_rivets"):
+        detections = call(steps.detect_rivets, reconstruction, settings)
+    with timed("detect_seams"):
+        lines = call(steps.detect_seams, reconstruction, detections, settings)
+    with timed("measure_rivets"):
+        rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
+    with timed("measure_seams"):
+        stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
+    with timed("judge"):
+        judged = call(steps.judge, rivets, stations, job.spec)
+    with timed("overlay"):
+        drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
+    seconds["total"] = sum(seconds.values())
+    result = steps.assemble(loaded, reconstruction, judged, drawn, settings, job.spec, seconds)
+    with timed("publish"):
+        run_id = call(steps.publish, job.store, result, loaded.rig)
+    return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)

@@ -1,0 +1,109 @@
+"""Rows of a query as text: a table for people, CSV, or JSON objects."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterator
+from datetime import UTC, date, datetime, time
+from decimal import Decimal
+from typing import IO, TYPE_CHECKING, Any, Literal
+
+from metrology.errors import StoreError
+
+if TYPE_CHECKING:
+    import duckdb
+
+RowFormat = Literal["table", "csv", "json"]
+_CHUNK = 10_000
+_TABLE_ROWS = 1000
+
+
+def write_rows(connection: duckdb.DuckDBPyConnection, sql: str, row_format: RowFormat, output: IO[bytes]) -> None:
+    """Run a query and write its rows as they come."""
+    import duckdb
+
+    try:
+        result = connection.execute(sql)
+        names = [column[0] for column in result.description or ()]
+        rows = _rows(result)
+        writer = {"table": _write_table, "csv": _write_csv, "json": _write_json}[row_format]
+        writer(names, rows, output)
+    except duckdb.Error as problem:
+        raise StoreError(f"query: {' '.join(str(problem).split())}") from None
+
+
+def _rows(result: duckdb.DuckDBPyConnection) -> Iterator[tuple[Any, ...]]:
+    while chunk := result.fetchmany(_CHUNK):
+        yield from chunk
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: times in ISO 8601 (UTC with a Z), what is not a finite number as null."""
+    if isinstance(value, datetime):
+        return value.astimezone(UTC).isoformat().replace("+00:00", "Z") if value.tzinfo else value.isoformat()
+    if isinstance(value, (date, time)):
+        return value.isoformat()
+    if isinstance(value, Decimal):
+        return int(value) if value == value.to_integral_value() else float(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)
+
+
+def _write_json(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[bytes]) -> None:
+    output.write(b"[")
+    for index, row in enumerate(rows):
+        document = {name: plain(value) for name, value in zip(names, row, strict=True)}
+        output.write((",\n" if index else "\n").encode() + json.dumps(document, ensure_ascii=False).encode())
+    output.write(b"\n]\n")
+
+
+def _write_csv(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[bytes]) -> None:
+    text = io.TextIOWrapper(output, encoding="utf-8", newline="", write_through=True)
+    writer = csv.writer(text)
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow(
+            [json.dumps(p, ensure_ascii=False) if isinstance(p := plain(v), (dict, list)) else p for v in row]
+        )
+    text.detach()
+
+
+def _write_table(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[bytes]) -> None:
+    cells: list[list[str]] = []
+    numeric, more = [True] * len(names), 0
+    for row in rows:
+        if len(cells) == _TABLE_ROWS:
+            more += 1
+            continue
+        cells.append([_cell(value) for value in row])
+        numeric = [n and (v is None or isinstance(v, (int, float, Decimal))) for n, v in zip(numeric, row, strict=True)]
+    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
+    lines = ["  ".join(name.ljust(width) for name, width in zip(names, widths, strict=True)).rstrip()]
+    lines.append("  ".join("─" * width for width in widths))
+    for row_cells in cells:
+        aligned = [
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(row_cells, widths, numeric, strict=True)
+        ]
+        lines.append("  ".join(aligned).rstrip())
+    if more:
+        lines.append(f"… and {more} more; --format csv writes them all")
+    lines.append(f"{len(cells) + more} row{'' if len(cells) + more == 1 else 's'}")
+    output.write(("\n".join(lines) + "\n").encode())
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.6g}" if math.isfinite(value) else str(value)
+    shown = plain(value)
+    return json.dumps(shown, ensure_ascii=False) if isinstance(shown, (dict, list)) else str(shown)

@@ -1,0 +1,90 @@
+"""The settings of a whole inspection, and reading them from TOML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from metrology.errors import FlushlineError, UsageError
+from metrology.overlay import OverlaySettings
+from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.registration.settings import RegistrationSettings
+from metrology.rivets.settings import RivetSettings
+from metrology.seams.settings import SeamSettings
+from storage.documents import closest, read_toml
+from storage.models import first_problem
+
+
+@dataclass(frozen=True)
+class SceneChecks:
+    """When a scan is refused or doubted.
+
+    Attributes
+    ----------
+    min_valid_fraction : float
+        Share of the left camera's pixels that must have a point; a scan with less shows no skin.
+    max_projector_misfit_px : float
+        Largest median distance between the projector column (or row) that a point's phase says and the one that the
+        rig projects the point to. More means that the rig is not the one that took the scan.
+    """
+
+    min_valid_fraction: float = 0.02
+    max_projector_misfit_px: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_valid_fraction < 1:
+            raise UsageError(f"min_valid_fraction: found {self.min_valid_fraction:g}, expected 0 … 1")
+        if self.max_projector_misfit_px <= 0:
+            raise UsageError(f"max_projector_misfit_px: found {self.max_projector_misfit_px:g}, expected more than 0")
+
+
+@dataclass(frozen=True)
+class InspectionSettings:
+    """Settings of every step, one block per step as in the TOML file."""
+
+    checks: SceneChecks = field(default_factory=SceneChecks)
+    reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
+    rivets: RivetSettings = field(default_factory=RivetSettings)
+    seams: SeamSettings = field(default_factory=SeamSettings)
+    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    overlay: OverlaySettings = field(default_factory=OverlaySettings)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Every setting as plain values, for traceability and comparison."""
+        return asdict(self)
+
+
+def load_settings(path: Path | None = None) -> InspectionSettings:
+    """Settings from a TOML file; what it does not mention has its default, a key that does not exist is refused."""
+    if path is None:
+        return InspectionSettings()
+    path = Path(path)
+    return settings_from(read_toml(path, UsageError), str(path))
+
+
+def settings_from(document: Mapping[str, Any], source: str) -> InspectionSettings:
+    """Settings from a document; `source` names it in errors."""
+    try:
+        _check_keys(InspectionSettings, document, "")
+        return TypeAdapter(InspectionSettings).validate_python(document)
+    except ValidationError as problem:
+        raise UsageError(f"{source}: {first_problem(problem, lambda _: [])}") from None
+    except FlushlineError as problem:
+        raise UsageError(f"{source}: {problem}") from None
+
+
+def _check_keys(settings: Any, document: Mapping[str, Any], place: str) -> None:
+    known = {f.name: f for f in fields(settings)}
+    for key, value in document.items():
+        if key not in known:
+            raise UsageError(f"found unknown key {place + key!r}, expected {closest(key, list(known))}")
+        inner = known[key].default_factory
+        if isinstance(inner, type) and is_dataclass(inner):
+            if not isinstance(value, Mapping):
+                raise UsageError(f"{place}{key}: found {value!r}, expected a table of settings")
+            _check_keys(inner, value, f"{place}{key}.")

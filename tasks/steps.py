@@ -1,0 +1,223 @@
+"""The steps of an inspection, each a plain function: load, call metrology, save. `flows.inspect_scene` orders them."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology import overlay, reconstruct, rivets, seams, tolerance
+from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.errors import RigError, SceneError
+from metrology.inspection import InspectionResult
+from metrology.overlay import Overlay
+from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
+from metrology.rig import Rig
+from storage.archive import Store
+from storage.archive.bundle import document_hash
+from storage.panel_spec import PanelSpecification
+from storage.rig import load_rig, rig_document
+from storage.scene import Scene, load_scene
+from tasks.settings import InspectionSettings, SceneChecks
+
+_MISFIT_SAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A sound scene and the rig that measures it.
+
+    Attributes
+    ----------
+    scene : Scene
+    rig : Rig
+    warnings : tuple of str
+    """
+
+    scene: Scene
+    rig: Rig
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Rivets and seam stations with their verdicts."""
+
+    rivets: tuple[Rivet, ...]
+    stations: tuple[SeamStation, ...]
+
+
+def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
+    """Check a scene folder and find its rig: the file that is given, or else the one the scene names, in the store."""
+    scene = load_scene(folder)
+    rig = load_rig(rig_path) if rig_path else store.find_rig(scene.rig_id)
+    scene.check_fits(rig)
+    if rig.id == scene.rig_id:
+        return LoadedScene(scene, rig)
+    return LoadedScene(scene, rig, (f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}",))
+
+
+def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reconstruction:
+    """Frames to organised cloud; the right camera's frames are read while the left one's are decoded."""
+    scene, rig = loaded.scene, loaded.rig
+    size = scene.code.size(rig.projector.width, rig.projector.height)
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
+        left_frames = scene.frames("left", readers)
+        right_frames = right_reader.submit(scene.frames, "right", readers)
+        left = reconstruct.decode(left_frames, scene.code, size, scene.exposures, settings.reconstruction)
+        del left_frames
+        right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
+    reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
+    _check_skin_is_seen(scene, reconstruction, settings.checks)
+    _check_rig_fits(scene, reconstruction, settings.checks)
+    return reconstruction
+
+
+def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
+    """Rivet heads in the left image."""
+    return rivets.detect_rivets(reconstruction, settings.rivets)
+
+
+def detect_seams(
+    reconstruction: Reconstruction, detections: list[RivetDetection], settings: InspectionSettings
+) -> list[SeamLine]:
+    """Centre lines of seams in the left image."""
+    return seams.detect_seams(reconstruction, detections, settings.seams)
+
+
+def measure_rivets(
+    detections: list[RivetDetection],
+    reconstruction: Reconstruction,
+    lines: list[SeamLine],
+    settings: InspectionSettings,
+) -> list[Rivet]:
+    """Height and tilt of each rivet."""
+    return rivets.measure_rivets(detections, reconstruction, lines, settings.rivets)
+
+
+def measure_seams(
+    lines: list[SeamLine], reconstruction: Reconstruction, measured: list[Rivet], settings: InspectionSettings
+) -> list[SeamStation]:
+    """Step and width along each seam."""
+    return seams.measure_seams(lines, reconstruction, measured, settings.seams)
+
+
+def judge(measured: Sequence[Rivet], stations: Sequence[SeamStation], spec: PanelSpecification) -> Judged:
+    """Verdicts by the panel's limits."""
+    return Judged(
+        tuple(tolerance.judge_rivets(measured, spec.limits)), tuple(tolerance.judge_stations(stations, spec.limits))
+    )
+
+
+def draw_overlay(
+    judged: Judged, loaded: LoadedScene, reconstruction: Reconstruction, settings: InspectionSettings
+) -> Overlay:
+    """The image to project."""
+    key = loaded.scene.key
+    title = (f"{key.aircraft_serial} {key.panel} {key.station}", f"{key.captured_at:%Y-%m-%d %H:%MZ}")
+    return overlay.draw_overlay(judged.rivets, judged.stations, reconstruction, title, settings.overlay)
+
+
+def assemble(
+    loaded: LoadedScene,
+    reconstruction: Reconstruction,
+    judged: Judged,
+    drawn: Overlay,
+    settings: InspectionSettings,
+    spec: PanelSpecification,
+    seconds: Mapping[str, float],
+) -> InspectionResult:
+    """Everything that is to be stored."""
+    warnings = list(loaded.warnings)
+    if drawn.outside:
+        warnings.append(f"outside the projector's field, at least in part: {', '.join(drawn.outside)}")
+    return InspectionResult(
+        key=loaded.scene.key,
+        reconstruction=reconstruction,
+        rivets=judged.rivets,
+        stations=judged.stations,
+        overlay=drawn,
+        preview=preview(reconstruction.left.texture),
+        rig_document=rig_document(loaded.rig),
+        settings=settings.document,
+        config_hash=config_hash(settings, spec),
+        panel_spec=spec.document,
+        seconds=dict(seconds),
+        warnings=tuple(warnings),
+        versions=versions(),
+        operator=loaded.scene.operator,
+    )
+
+
+def publish(store: Store, result: InspectionResult, rig: Rig) -> str:
+    """Store the result, and the rig for later scenes that name it; returns the run's id."""
+    run_id = store.publish(result)
+    store.add_rig(rig)
+    return run_id
+
+
+def config_hash(settings: InspectionSettings, spec: PanelSpecification) -> str:
+    """Names settings and panel specification together."""
+    return document_hash({"settings": settings.document, "panel_spec": spec.document})
+
+
+def preview(texture: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The texture as an 8-bit picture; brightened or dimmed only where it would not fit."""
+    lit = np.nan_to_num(texture, nan=0.0, posinf=0.0, neginf=0.0)
+    high = float(np.quantile(lit[::4, ::4], 0.999))
+    scale = 250.0 / high if high > 255 else 1.0
+    return np.clip(np.rint(lit * np.float32(scale)), 0, 255).astype(np.uint8)
+
+
+def versions() -> dict[str, str]:
+    """What computed a result."""
+    packages = ("flushline", "numpy", "scipy", "numba", "opencv-python-headless", "pyarrow", "duckdb")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def _check_skin_is_seen(scene: Scene, reconstruction: Reconstruction, checks: SceneChecks) -> None:
+    valid = float(reconstruction.valid.mean())
+    if valid >= checks.min_valid_fraction:
+        return
+    flags = reconstruction.flags
+    causes = {flag: float((flags & flag != 0).mean()) for flag in PixelFlag if flag & MISSING}
+    cause, share = max(causes.items(), key=lambda item: item[1])
+    raise SceneError(
+        f"{scene.folder}: found points for {valid:.1%} of the pixels ({share:.0%} {_CAUSE[cause]}), "
+        f"expected at least {checks.min_valid_fraction:.0%}: a lit skin in the field of both cameras"
+    )
+
+
+_CAUSE = {
+    PixelFlag.SATURATED: "saturated",
+    PixelFlag.LOW_MODULATION: "too dark or without fringes",
+    PixelFlag.ORDER_RESIDUAL: "with fringes that contradict each other",
+    PixelFlag.UNMATCHED: "without a counterpart in the other camera",
+    PixelFlag.SLOPE: "out of range",
+}
+
+
+def _check_rig_fits(scene: Scene, reconstruction: Reconstruction, checks: SceneChecks) -> None:
+    """Compare the projector coordinate that the fringes say with where the rig projects the point to.
+
+    Cameras and projector are calibrated apart from the scan's phase, so a rig that is not the scan's own disagrees.
+    """
+    rows, columns = np.nonzero(reconstruction.valid)
+    pick = slice(None, None, max(1, len(rows) // _MISFIT_SAMPLES))
+    at = rows[pick], columns[pick]
+    seen = reconstruction.left.coordinate[at]
+    projected = reconstruction.rig.projector.project(reconstruction.points[at].astype(float))
+    misfit = float(np.median(np.abs(projected[:, 0 if scene.code.axis == "x" else 1] - seen)))
+    if misfit > checks.max_projector_misfit_px:
+        raise RigError(
+            f"{scene.folder}: found fringes {misfit:.1f} projector pixels from where rig {reconstruction.rig.id!r} has "
+            f"them, expected at most {checks.max_projector_misfit_px:g}: the rig is not the one that took this scan"
+        )

@@ -1,0 +1,77 @@
+"""Panel specifications: limits carry their source, and what is wrong is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metrology.errors import SpecError
+from storage.panel_spec import load_panel_spec
+
+SPEC = """
+panel = "LH-F12"
+revision = "B"
+[zones.default.height_mm]
+upper = 0.1
+source = "drawing 4711"
+revision = "C"
+[zones.nose.step_mm]
+lower = -0.1
+upper = 0.05
+source = "drawing 4711"
+revision = "C"
+[[rivets]]
+id = "R01"
+position_mm = [0.0, 1.0, 2.0]
+diameter_mm = 8.0
+[[seams]]
+id = "M1"
+course_mm = [[0, 0, 0], [0, 100, 0]]
+zone = "nose"
+airflow = [1, 0, 0]
+[stations.S3]
+R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+t_mm = [0, 0, -700]
+"""
+
+
+def test_a_specification_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "panel.toml"
+    path.write_text(SPEC)
+    spec = load_panel_spec(path)
+    assert spec.limits.zone("nose").step_mm is not None
+    limit = spec.limits.zone().height_mm
+    assert limit is not None
+    assert (limit.upper, limit.lower, limit.source, limit.revision) == (0.1, None, "drawing 4711", "C")
+    assert spec.layout.seams[0].zone == "nose"
+    assert spec.layout.stations["S3"].t[2] == -700
+
+
+def test_the_example_says_that_it_is_one() -> None:
+    zone = load_panel_spec().limits.zone()
+    for limit in (zone.height_mm, zone.tilt_deg, zone.step_mm, zone.width_mm):
+        assert limit is not None
+        assert "example" in limit.source
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('source = "drawing 4711"\n', "", "no key 'zones.default.height_mm.source'"),
+        ("upper = 0.1\n", "", "zones.default.height_mm: limits: found neither"),
+        ("upper = 0.05", "upper = -0.5", "zones.nose.step_mm: limits: found"),
+        ("upper = 0.1\n", "uper = 0.1\n", "unknown key 'zones.default.height_mm.uper'"),
+        ('zone = "nose"', 'zone = "tail"', "found zone 'tail' in seam M1"),
+        ("upper = 0.1\n", "upper = nan\n", "finite number"),
+        ("[[rivets]]", "[[rivets", "broken TOML"),
+        ("[1, 0, 0], [0, 1, 0]", "[2, 0, 0], [0, 1, 0]", "not a rotation"),
+    ],
+)
+def test_a_wrong_specification_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = tmp_path / "panel.toml"
+    path.write_text(SPEC.replace(old, new))
+    with pytest.raises(SpecError) as caught:
+        load_panel_spec(path)
+    assert said in str(caught.value)
+    assert "panel.toml" in str(caught.value)
