@@ -1,0 +1,345 @@
+"""Where a ray meets the panel, and whether a point of it sees the projector: exact intersection with each piece.
+
+In the x-y plane a ray runs along a straight line; the borders it crosses cut that line into intervals, in each of
+which the surface is smooth. An interval entered below its surface is a wall; one left below it holds the hit, found by
+bracketed root finding to far below a nanometre.
+"""
+
+from __future__ import annotations
+
+import math
+
+from simulator.compiled import kernel
+from simulator.relief import (
+    BACKGROUND,
+    COURSE,
+    PLATE,
+    R_HEAD_GX,
+    R_HEAD_GY,
+    R_HEAD_X,
+    R_HEAD_Y,
+    R_IS_HOLE,
+    R_OUTER,
+    R_RADIUS,
+    R_RING_GX,
+    R_RING_GY,
+    R_RING_X,
+    R_RING_Y,
+    R_SLOT_COS,
+    R_SLOT_CROSS,
+    R_SLOT_LENGTH,
+    R_SLOT_SIN,
+    R_SLOT_WIDTH,
+    S_CABLE,
+    S_CHAMFER,
+    S_EX,
+    S_EY,
+    WIDTH,
+    Floats,
+    Relief,
+    lateral,
+    piece_at,
+    piece_height,
+    plate_height,
+    sides_of,
+    skin_height,
+    table,
+)  # fmt: skip
+
+# Columns of the borders array, a thread's working memory of MAX_BORDERS rows: where along the ray a border is crossed, and the border's normal in the x-y plane.
+MAX_BORDERS = 256
+_TOLERANCE = 1e-11  # mm along the ray
+_WALL_TOLERANCE = 1e-9  # mm: less than that below a piece is rounding, not a wall
+
+
+@kernel
+def _meet_skin(relief: Relief, o: Floats, d: Floats, lift: float) -> float:
+    """Ray parameter where o + λ d meets the skin raised by `lift` (secant method)."""
+    a = (lift - o[2]) / d[2]
+    fa = o[2] + a * d[2] - skin_height(relief.skin, o[0] + a * d[0], o[1] + a * d[1]) - lift
+    b = a - fa / d[2]
+    for _ in range(50):
+        fb = o[2] + b * d[2] - skin_height(relief.skin, o[0] + b * d[0], o[1] + b * d[1]) - lift
+        if fb == fa or abs(b - a) < _TOLERANCE:
+            break
+        a, b, fa = b, b - fb * (b - a) / (fb - fa), fb
+    return b
+
+
+@kernel
+def _meet_plate(relief: Relief, o: Floats, d: Floats, sides: int, start: float) -> float:
+    """The same for a plate with its step, from a start nearby."""
+    a = start
+    fa = o[2] + a * d[2] - plate_height(relief, o[0] + a * d[0], o[1] + a * d[1], sides, -1)
+    b = a - fa / d[2]
+    for _ in range(50):
+        fb = o[2] + b * d[2] - plate_height(relief, o[0] + b * d[0], o[1] + b * d[1], sides, -1)
+        if fb == fa or abs(b - a) < _TOLERANCE:
+            break
+        a, b, fa = b, b - fb * (b - a) / (fb - fa), fb
+    return b
+
+
+@kernel
+def _add(borders: Floats, n: int, low: float, high: float, at: float, nx: float, ny: float) -> int:
+    """Keep a crossing if it lies within the ray's part; returns how many there are."""
+    if at > low and at < high and n < MAX_BORDERS - 2:
+        borders[n, 0], borders[n, 1], borders[n, 2] = at, nx, ny
+        return n + 1
+    return n
+
+
+@kernel
+def _add_circle(borders, n, low, high, o, d, cx, cy, gx, gy, radius):  # type: ignore[no-untyped-def]
+    """Crossings with |p − c|² + (g·(p − c))² = radius²."""
+    px, py = o[0] - cx, o[1] - cy
+    pg, dg = gx * px + gy * py, gx * d[0] + gy * d[1]
+    a = d[0] * d[0] + d[1] * d[1] + dg * dg
+    b = px * d[0] + py * d[1] + pg * dg
+    c = px * px + py * py + pg * pg - radius * radius
+    root = b * b - a * c
+    if root <= 0.0 or a <= 0.0:
+        return n
+    root = math.sqrt(root)
+    for at in ((-b - root) / a, (-b + root) / a):
+        x, y = px + at * d[0], py + at * d[1]
+        g = gx * x + gy * y
+        n = _add(borders, n, low, high, at, x + gx * g, y + gy * g)
+    return n
+
+
+@kernel
+def _add_line(borders, n, low, high, o, d, x, y, nx, ny):  # type: ignore[no-untyped-def]
+    """Crossing with the straight line through (x, y) with normal (nx, ny)."""
+    rate = nx * d[0] + ny * d[1]
+    if rate == 0.0:
+        return n
+    return _add(borders, n, low, high, (nx * (x - o[0]) + ny * (y - o[1])) / rate, nx, ny)
+
+
+@kernel
+def _add_rivet(borders, n, low, high, o, d, relief, r):  # type: ignore[no-untyped-def]
+    rivet = relief.rivets[r]
+    n = _add_circle(borders, n, low, high, o, d, rivet[R_RING_X], rivet[R_RING_Y], rivet[R_RING_GX],
+                    rivet[R_RING_GY], rivet[R_OUTER])  # fmt: skip
+    if rivet[R_IS_HOLE] > 0.0:
+        return n
+    n = _add_circle(borders, n, low, high, o, d, rivet[R_HEAD_X], rivet[R_HEAD_Y], rivet[R_HEAD_GX],
+                    rivet[R_HEAD_GY], rivet[R_RADIUS])  # fmt: skip
+    for k in range(relief.arcs.shape[1]):
+        if math.isnan(relief.arcs[r, k, 0]):
+            break
+        for e in range(2):
+            angle = relief.arcs[r, k, e]
+            n = _add_line(borders, n, low, high, o, d, rivet[R_RING_X], rivet[R_RING_Y],
+                          -math.sin(angle), math.cos(angle))  # fmt: skip
+    if rivet[R_SLOT_WIDTH] > 0.0:
+        c, s = rivet[R_SLOT_COS], rivet[R_SLOT_SIN]
+        for half in (0.5 * rivet[R_SLOT_LENGTH], 0.5 * rivet[R_SLOT_WIDTH]):
+            for sign in (-1.0, 1.0):
+                x, y = rivet[R_HEAD_X] + sign * half * c, rivet[R_HEAD_Y] + sign * half * s
+                if rivet[R_SLOT_CROSS] > 0.0 or half == 0.5 * rivet[R_SLOT_LENGTH]:
+                    n = _add_line(borders, n, low, high, o, d, x, y, c, s)
+                x, y = rivet[R_HEAD_X] - sign * half * s, rivet[R_HEAD_Y] + sign * half * c
+                if rivet[R_SLOT_CROSS] > 0.0 or half == 0.5 * rivet[R_SLOT_WIDTH]:
+                    n = _add_line(borders, n, low, high, o, d, x, y, -s, c)
+    return n
+
+
+@kernel
+def _add_seam(borders, n, low, high, o, d, relief, s):  # type: ignore[no-untyped-def]
+    """Crossings with a seam's edges, the outer ends of its chamfers and its centre (where crossing seams end)."""
+    seam = relief.seams[s]
+    for k in range(5):
+        sign = -1.0 if k in (1, 3) else 1.0
+        extra = seam[S_CHAMFER] if k in (2, 3) else 0.0
+        if k in (2, 3) and extra <= 0.0:
+            continue
+        if k == 4 and seam[S_CABLE] > 0.0:
+            continue
+        a, b = low, high
+        fa = _offset(relief, s, o, d, a, sign, extra, k == 4)
+        fb = _offset(relief, s, o, d, b, sign, extra, k == 4)
+        if fa * fb > 0.0 or fa == fb:
+            continue
+        # The course is nearly straight over the ray's short part: the secant method converges at once.
+        c = b - fb * (b - a) / (fb - fa)
+        for _ in range(20):
+            fc = _offset(relief, s, o, d, c, sign, extra, k == 4)
+            if abs(fc) < 1e-12:
+                break
+            if fa * fc <= 0.0:
+                b, fb = c, fc
+            else:
+                a, fa = c, fc
+            c = b - fb * (b - a) / (fb - fa)
+        slope = table(relief, s, COURSE, lateral(relief, s, o[0] + c * d[0], o[1] + c * d[1])[1])[1]
+        nx, ny = -seam[S_EY] - slope * seam[S_EX], seam[S_EX] - slope * seam[S_EY]
+        n = _add(borders, n, low, high, c, nx, ny)
+    return n
+
+
+@kernel
+def _offset(relief, s, o, d, at, sign, extra, centre):  # type: ignore[no-untyped-def]
+    """Signed distance of the ray's point at `at` from one of the lines that belong to a seam."""
+    t, xi = lateral(relief, s, o[0] + at * d[0], o[1] + at * d[1])
+    if centre:
+        return t
+    return t - sign * (0.5 * table(relief, s, WIDTH, xi)[0] + extra)
+
+
+@kernel
+def _borders(relief, o, d, low, high, row, column, beside, borders):  # type: ignore[no-untyped-def]
+    """All borders crossed between `low` and `high`, in order, with both ends; returns how many."""
+    n = 1
+    if row >= 0:
+        for k in range(relief.cells.shape[2]):
+            r = relief.cells[row, column, k]
+            if r < 0:
+                break
+            n = _add_rivet(borders, n, low, high, o, d, relief, r)
+    if beside or (row >= 0 and relief.near_seam[row, column]):
+        for s in range(relief.seams.shape[0]):
+            n = _add_seam(borders, n, low, high, o, d, relief, s)
+    if beside:
+        limits = relief.limits
+        n = _add_line(borders, n, low, high, o, d, limits[0], 0.0, 1.0, 0.0)
+        n = _add_line(borders, n, low, high, o, d, limits[1], 0.0, 1.0, 0.0)
+        n = _add_line(borders, n, low, high, o, d, 0.0, limits[2], 0.0, 1.0)
+        n = _add_line(borders, n, low, high, o, d, 0.0, limits[3], 0.0, 1.0)
+    borders[0, 0] = low
+    for i in range(2, n):
+        at, nx, ny = borders[i, 0], borders[i, 1], borders[i, 2]
+        j = i - 1
+        while j > 0 and borders[j, 0] > at:
+            for k in range(3):
+                borders[j + 1, k] = borders[j, k]
+            j -= 1
+        borders[j + 1, 0], borders[j + 1, 1], borders[j + 1, 2] = at, nx, ny
+    borders[n, 0] = high
+    return n + 1
+
+
+@kernel
+def cell_of(relief: Relief, x: float, y: float) -> tuple[int, int]:
+    """Row and column of the cell of (x, y); (−1, −1) outside or where no rivet and no seam is near."""
+    column = int(math.floor(x - relief.origin[0]))
+    row = int(math.floor(y - relief.origin[1]))
+    if row < 0 or column < 0 or row >= relief.cells.shape[0] or column >= relief.cells.shape[1]:
+        return -1, -1
+    if relief.cells[row, column, 0] < 0 and not relief.near_seam[row, column]:
+        return -1, -1
+    return row, column
+
+
+@kernel
+def beside_border(relief: Relief, x: float, y: float) -> bool:
+    """Whether a ray that meets the skin at (x, y) may pass the panel's border."""
+    limits, margin = relief.limits, relief.reach[0] + relief.reach[1] + 1.0
+    inner_x = x > limits[0] + margin and x < limits[1] - margin
+    return not (inner_x and y > limits[2] + margin and y < limits[3] - margin)
+
+
+@kernel
+def _excess(relief, kind, index, sides, o, d, at):  # type: ignore[no-untyped-def]
+    """Height of the ray's point at `at` above a piece."""
+    return o[2] + at * d[2] - piece_height(relief, kind, index, sides, o[0] + at * d[0], o[1] + at * d[1])
+
+
+@kernel
+def _root(relief, kind, index, sides, o, d, a, b, fa, fb):  # type: ignore[no-untyped-def]
+    """Where the ray passes through a piece between a (above) and b (below): Illinois regula falsi."""
+    c = b
+    side = 0
+    for _ in range(100):
+        c = b - fb * (b - a) / (fb - fa)
+        fc = _excess(relief, kind, index, sides, o, d, c)
+        if abs(fc) < 1e-12 or b - a < _TOLERANCE:
+            break
+        if fc > 0.0:
+            a, fa = c, fc
+            if side == 1:
+                fb *= 0.5
+            side = 1
+        else:
+            b, fb = c, fc
+            if side == -1:
+                fa *= 0.5
+            side = -1
+    return c
+
+
+@kernel
+def cast(relief, o, d, borders):  # type: ignore[no-untyped-def]
+    """First meeting of the ray o + λ d (d[2] < 0, from above) with the panel or the background.
+
+    Returns
+    -------
+    λ, kind, index, sides, wall_x, wall_y
+        Kind is the piece behind a wall where the wall normal is not zero.
+    """
+    skin = _meet_skin(relief, o, d, 0.0)
+    x, y = o[0] + skin * d[0], o[1] + skin * d[1]
+    row, column = cell_of(relief, x, y)
+    beside = beside_border(relief, x, y)
+    if row < 0 and not beside:
+        sides = sides_of(relief, x, y)
+        if relief.seams.shape[0] == 0:
+            return skin, PLATE, 0, sides, 0.0, 0.0
+        return _meet_plate(relief, o, d, sides, skin), PLATE, 0, sides, 0.0, 0.0
+    low = _meet_skin(relief, o, d, relief.reach[0])
+    high = (relief.limits[4] - o[2]) / d[2] if beside else _meet_skin(relief, o, d, -relief.reach[1])
+    n = _borders(relief, o, d, low, high + 1e-6, row, column, beside, borders)
+    kind, index, sides = PLATE, 0, 0
+    for i in range(n - 1):
+        a, b = borders[i, 0], borders[i + 1, 0]
+        if b - a < 1e-12:
+            continue
+        middle = 0.5 * (a + b)
+        kind, index, sides = piece_at(relief, row, column, o[0] + middle * d[0], o[1] + middle * d[1])
+        fa = _excess(relief, kind, index, sides, o, d, a)
+        if fa <= 0.0:
+            if fa > -_WALL_TOLERANCE or i == 0:
+                return a, kind, index, sides, 0.0, 0.0
+            wall_x, wall_y = borders[i, 1], borders[i, 2]
+            norm = math.sqrt(wall_x * wall_x + wall_y * wall_y)
+            if wall_x * d[0] + wall_y * d[1] > 0.0:
+                norm = -norm
+            return a, kind, index, sides, wall_x / norm, wall_y / norm
+        fb = _excess(relief, kind, index, sides, o, d, b)
+        if fb <= 0.0:
+            return _root(relief, kind, index, sides, o, d, a, b, fa, fb), kind, index, sides, 0.0, 0.0
+    return high, kind, index, sides, 0.0, 0.0
+
+
+@kernel
+def lit(relief, p, light, borders):  # type: ignore[no-untyped-def]
+    """Whether the point p (just off the surface) sees the point `light` past everything that stands above."""
+    row, column = cell_of(relief, p[0], p[1])
+    beside = beside_border(relief, p[0], p[1])
+    if row < 0 and not beside:
+        return True
+    d = borders[MAX_BORDERS - 1]
+    for k in range(3):
+        d[k] = light[k] - p[k]
+    norm = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    for k in range(3):
+        d[k] /= norm
+    if d[2] <= 0.0:
+        return False
+    high = _meet_skin(relief, p, d, relief.reach[0])
+    if high <= 0.0:
+        return True
+    n = _borders(relief, p, d, 0.0, high, row, column, beside, borders)
+    for i in range(n - 1):
+        a, b = borders[i, 0], borders[i + 1, 0]
+        if b - a < 1e-12:
+            continue
+        middle = 0.5 * (a + b)
+        kind, index, sides = piece_at(relief, row, column, p[0] + middle * d[0], p[1] + middle * d[1])
+        if kind == BACKGROUND:
+            continue
+        for at in (a, middle, b):
+            if _excess(relief, kind, index, sides, p, d, at) < -1e-7:
+                return False
+    return True

@@ -1,0 +1,310 @@
+"""What a simulated panel is made of. Panel frame: x to the right and y up along the skin, z its outward normal; mm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from metrology.errors import SpecError
+
+Point = tuple[float, float]
+
+
+def _require(condition: bool, what: str, found: object, expected: str) -> None:
+    if not condition:
+        raise SpecError(f"{what}: found {found}, expected {expected}")
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The undisturbed skin: a torus patch, optionally wavy.
+
+    Attributes
+    ----------
+    radius_1_mm, radius_2_mm : float
+        Radii of curvature along `direction_deg` and across it; positive is convex towards the rig, inf is flat.
+        Equal radii make a sphere, one infinite radius a cylinder.
+    direction_deg : float
+        Direction of the first radius from +x towards +y.
+    waviness_mm, wavelength_mm, wave_direction_deg, wave_phase_deg : float
+        Amplitude and course of a sine wave on top (0: none).
+    """
+
+    radius_1_mm: float = math.inf
+    radius_2_mm: float = math.inf
+    direction_deg: float = 0.0
+    waviness_mm: float = 0.0
+    wavelength_mm: float = 150.0
+    wave_direction_deg: float = 0.0
+    wave_phase_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("radius_1_mm", "radius_2_mm"):
+            _require(abs(getattr(self, name)) >= 300, name, getattr(self, name), "at least 300 mm, either sign, or inf")
+        _require(self.wavelength_mm > 0, "wavelength_mm", self.wavelength_mm, "a positive length")
+        _require(abs(self.waviness_mm) <= 1, "waviness_mm", self.waviness_mm, "at most 1 mm")
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Screw slot in a head: a groove of `length_mm` × `width_mm`, `depth_mm` deep; `cross` adds a second one."""
+
+    length_mm: float
+    width_mm: float
+    depth_mm: float = 0.5
+    angle_deg: float = 0.0
+    cross: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("length_mm", "width_mm", "depth_mm"):
+            _require(getattr(self, name) > 0, f"slot {name}", getattr(self, name), "a positive length")
+
+
+@dataclass(frozen=True)
+class Rivet:
+    """A countersunk head in its hole.
+
+    Attributes
+    ----------
+    id : str
+    x_mm, y_mm : float
+        Where the skin point under the head's centre lies.
+    diameter_mm : float
+    height_mm : float
+        Mean of the head's distance to the skin's tangent plane at its centre, + proud.
+    tilt_deg, tilt_azimuth_deg : float
+        Angle between the head's and the skin's normal, and the direction in which the head's normal leans.
+    crown_mm : float
+        How far the middle of a domed head stands above its rim.
+    ring_width_mm, ring_depth_mm : float
+        The gap around the head.
+    ring_reflectance, head_reflectance : float
+        Relative to the skin's.
+    arcs_deg : tuple of (start, end), or None
+        Where the ring is open; elsewhere it is filled flush, as under paint. None: all around.
+    slot : Slot or None
+    """
+
+    id: str
+    x_mm: float
+    y_mm: float
+    diameter_mm: float
+    height_mm: float = 0.0
+    tilt_deg: float = 0.0
+    tilt_azimuth_deg: float = 0.0
+    crown_mm: float = 0.0
+    ring_width_mm: float = 0.15
+    ring_depth_mm: float = 0.3
+    ring_reflectance: float = 0.35
+    head_reflectance: float = 1.0
+    arcs_deg: tuple[Point, ...] | None = None
+    slot: Slot | None = None
+
+    def __post_init__(self) -> None:
+        where = f"rivet {self.id}"
+        _require(1 <= self.diameter_mm <= 40, f"{where} diameter_mm", self.diameter_mm, "1 to 40 mm")
+        _require(abs(self.height_mm) <= 5, f"{where} height_mm", self.height_mm, "at most 5 mm either way")
+        _require(0 <= self.tilt_deg <= 15, f"{where} tilt_deg", self.tilt_deg, "0 to 15 degrees")
+        _require(abs(self.crown_mm) <= self.diameter_mm / 4, f"{where} crown_mm", self.crown_mm, "at most d/4")
+        _require(0 < self.ring_width_mm <= 3, f"{where} ring_width_mm", self.ring_width_mm, "above 0, up to 3 mm")
+        _require(0 <= self.ring_depth_mm <= 5, f"{where} ring_depth_mm", self.ring_depth_mm, "0 to 5 mm")
+        for name in ("ring_reflectance", "head_reflectance"):
+            _require(0 <= getattr(self, name) <= 3, f"{where} {name}", getattr(self, name), "0 to 3")
+        for start, end in self.arcs_deg or ():
+            _require(0 < end - start <= 360, f"{where} arcs_deg", (start, end), "start < end, at most a full turn")
+        if self.slot is not None:
+            _require(self.slot.length_mm <= self.diameter_mm, f"{where} slot", self.slot.length_mm, "within the head")
+
+
+@dataclass(frozen=True)
+class Hole:
+    """An open hole without a rivet."""
+
+    x_mm: float
+    y_mm: float
+    diameter_mm: float
+    depth_mm: float = 4.0
+    reflectance: float = 0.1
+
+    def __post_init__(self) -> None:
+        _require(0 < self.diameter_mm <= 40, "hole diameter_mm", self.diameter_mm, "above 0, up to 40 mm")
+        _require(0 < self.depth_mm <= 20, "hole depth_mm", self.depth_mm, "above 0, up to 20 mm")
+
+
+@dataclass(frozen=True)
+class Seam:
+    """A butt joint between two plates.
+
+    Attributes
+    ----------
+    id : str
+    points_mm : tuple of (x, y)
+        Its course, at least two points that advance along the line from the first to the last.
+    course : "smooth" or "polyline"
+        A cubic spline through the points, or straight pieces with corners rounded over ±`CORNER_MM`.
+    width_mm : tuple of float
+        Distance between the two walls at equal intervals along the course, smoothly interpolated.
+    step_mm : tuple of float
+        Height of the plate to the left of the course above the one to its right, likewise.
+    chamfer_mm, chamfer_deg : float
+        Width of the broken edges and their slope against the skin.
+    depth_mm : float
+        Floor below the skin; for a filled seam how far the sealant lies below both edges.
+    filled : bool
+        Sealant that joins both edges, instead of an open gap.
+    floor_reflectance, edge_reflectance : float
+        Of the gap's floor and of the chamfers, relative to the skin's.
+    starts_at, ends_at : str or None
+        Another seam's id where this one begins or ends (a T joint). None: at the panel's border.
+    """
+
+    id: str
+    points_mm: tuple[Point, ...]
+    width_mm: tuple[float, ...]
+    step_mm: tuple[float, ...] = (0.0,)
+    course: Literal["smooth", "polyline"] = "smooth"
+    chamfer_mm: float = 0.0
+    chamfer_deg: float = 45.0
+    depth_mm: float = 3.0
+    filled: bool = False
+    floor_reflectance: float = 0.3
+    edge_reflectance: float = 0.85
+    starts_at: str | None = None
+    ends_at: str | None = None
+
+    def __post_init__(self) -> None:
+        where = f"seam {self.id}"
+        _require(len(self.points_mm) >= 2, f"{where} points_mm", self.points_mm, "at least two points")
+        _require(self.course in ("smooth", "polyline"), f"{where} course", self.course, "smooth or polyline")
+        _require(all(0.05 <= w <= 30 for w in self.width_mm), f"{where} width_mm", self.width_mm, "0.05 to 30 mm each")
+        _require(all(abs(s) <= 10 for s in self.step_mm), f"{where} step_mm", self.step_mm, "at most 10 mm each")
+        _require(bool(self.width_mm and self.step_mm), where, "no width or step", "at least one value of each")
+        _require(0 <= self.chamfer_mm <= 3, f"{where} chamfer_mm", self.chamfer_mm, "0 to 3 mm")
+        _require(0 < self.chamfer_deg <= 75, f"{where} chamfer_deg", self.chamfer_deg, "above 0, up to 75 degrees")
+        _require(0 <= self.depth_mm <= 20, f"{where} depth_mm", self.depth_mm, "0 to 20 mm")
+        _require(self.filled or self.depth_mm > 0, f"{where} depth_mm", self.depth_mm, "above 0 in an open gap")
+        chord = (self.points_mm[-1][0] - self.points_mm[0][0], self.points_mm[-1][1] - self.points_mm[0][1])
+        advance = [
+            (b[0] - a[0]) * chord[0] + (b[1] - a[1]) * chord[1]
+            for a, b in zip(self.points_mm, self.points_mm[1:], strict=False)
+        ]
+        _require(
+            all(a > 0 for a in advance), f"{where} points_mm", self.points_mm, "points that advance along its chord"
+        )
+
+
+@dataclass(frozen=True)
+class Cable:
+    """A cable lying on the skin: something long and dark that is no seam."""
+
+    points_mm: tuple[Point, ...]
+    diameter_mm: float = 2.0
+    reflectance: float = 0.2
+
+    def __post_init__(self) -> None:
+        _require(len(self.points_mm) >= 2, "cable points_mm", self.points_mm, "at least two points")
+        _require(0.2 <= self.diameter_mm <= 6, "cable diameter_mm", self.diameter_mm, "0.2 to 6 mm")
+
+
+@dataclass(frozen=True)
+class Scratch:
+    """A scratch or a painted line: straight, without relief; `contrast` −1 … 1 darkens or brightens."""
+
+    start_mm: Point
+    end_mm: Point
+    width_mm: float
+    contrast: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A patch without relief: a sticker (rectangle), a disc, or a smudge (soft); `contrast` −1 … 1."""
+
+    shape: Literal["rectangle", "disc", "smudge"]
+    x_mm: float
+    y_mm: float
+    size_mm: Point
+    angle_deg: float = 0.0
+    contrast: float = -0.4
+
+    def __post_init__(self) -> None:
+        shapes = ("rectangle", "disc", "smudge")
+        _require(self.shape in shapes, "patch shape", self.shape, "rectangle, disc or smudge")
+        _require(min(self.size_mm) > 0, "patch size_mm", self.size_mm, "two positive lengths")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """How the skin reflects.
+
+    Attributes
+    ----------
+    reflectance : float
+        Matt reflectance of the skin.
+    specular, roughness : float
+        Weight of the mirror-like lobe relative to the matt part (1: aluminium about as it comes) and GGX width α.
+    brushing : float
+        Standard deviation of the fine streaks, relative.
+    brushing_deg, streak_mm, grain_mm : float
+        Their direction, length and width.
+    blotches, blotch_mm : float
+        Standard deviation and size of slow changes.
+    scratches : tuple of Scratch; patches : tuple of Patch
+    random_scratches : int
+        That many more, drawn at random.
+    """
+
+    reflectance: float = 0.5
+    specular: float = 0.0
+    roughness: float = 0.35
+    brushing: float = 0.02
+    brushing_deg: float = 0.0
+    streak_mm: float = 2.0
+    grain_mm: float = 0.25
+    blotches: float = 0.08
+    blotch_mm: float = 35.0
+    scratches: tuple[Scratch, ...] = ()
+    patches: tuple[Patch, ...] = ()
+    random_scratches: int = 0
+
+    def __post_init__(self) -> None:
+        _require(0 < self.reflectance <= 1, "reflectance", self.reflectance, "above 0, up to 1")
+        _require(self.specular >= 0, "specular", self.specular, "0 or more")
+        _require(0.02 <= self.roughness <= 1, "roughness", self.roughness, "0.02 to 1")
+        for name in ("brushing", "blotches"):
+            _require(0 <= getattr(self, name) <= 0.5, name, getattr(self, name), "0 to 0.5")
+        for name in ("streak_mm", "grain_mm", "blotch_mm"):
+            _require(getattr(self, name) > 0, name, getattr(self, name), "a positive length")
+        _require(self.random_scratches >= 0, "random_scratches", self.random_scratches, "0 or more")
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A rectangular panel centred on the origin, with a dull plane `background_mm` behind it."""
+
+    width_mm: float = 300.0
+    height_mm: float = 205.0
+    skin: Skin = field(default_factory=Skin)
+    rivets: tuple[Rivet, ...] = ()
+    seams: tuple[Seam, ...] = ()
+    holes: tuple[Hole, ...] = ()
+    cables: tuple[Cable, ...] = ()
+    surface: Surface = field(default_factory=Surface)
+    background_mm: float = 40.0
+    background_reflectance: float = 0.05
+
+    def __post_init__(self) -> None:
+        _require(min(self.width_mm, self.height_mm) > 10, "panel size", (self.width_mm, self.height_mm), "above 10 mm")
+        _require(self.background_mm >= 25, "background_mm", self.background_mm, "at least 25 mm")
+        _require(len(self.seams) + len(self.cables) <= 20, "seams", len(self.seams), "at most 20 with the cables")
+        for kind, ids in (("rivet", [r.id for r in self.rivets]), ("seam", [s.id for s in self.seams])):
+            _require(len(set(ids)) == len(ids), f"{kind} ids", ids, "each only once")
+        names = {s.id for s in self.seams}
+        for seam in self.seams:
+            for other in (seam.starts_at, seam.ends_at):
+                _require(other is None or (other in names and other != seam.id), f"seam {seam.id}", other,
+                         "the id of another seam")  # fmt: skip
+        for item in (*self.rivets, *self.holes):
+            inside = abs(item.x_mm) < self.width_mm / 2 and abs(item.y_mm) < self.height_mm / 2
+            _require(inside, f"position of {getattr(item, 'id', 'a hole')}", (item.x_mm, item.y_mm), "on the panel")

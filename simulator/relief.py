@@ -1,0 +1,273 @@
+"""The panel as the ray caster sees it: a height field of smooth pieces with vertical walls between them.
+
+Panel frame, millimetres: x and y across the skin, z its outward normal at the origin. Every piece (a plate of skin, a
+rivet head, the floor of a gap …) is a smooth z(x, y); which piece lies at a place is decided in the x-y plane alone.
+A ray that crosses a border between two pieces below the upper one has therefore met a wall.
+
+Kernels only: `simulator.pack` fills the arrays from the panel's dataclasses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.compiled import kernel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# What a piece is.
+PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE, WALL = range(10)
+
+# Rows of Relief.rivets.
+(
+    R_HEAD_X, R_HEAD_Y, R_HEAD_Z, R_HEAD_GX, R_HEAD_GY, R_RADIUS, R_DOME,
+    R_RING_X, R_RING_Y, R_RING_GX, R_RING_GY, R_OUTER, R_RING_DEPTH,
+    R_SLOT_COS, R_SLOT_SIN, R_SLOT_LENGTH, R_SLOT_WIDTH, R_SLOT_DEPTH, R_SLOT_CROSS, R_IS_HOLE,
+    R_HEAD_REFLECTANCE, R_RING_REFLECTANCE, R_SIZE,
+) = range(23)  # fmt: skip
+
+# Rows of Relief.seams.
+(
+    S_X, S_Y, S_EX, S_EY, S_CHAMFER, S_SLOPE, S_DEPTH, S_FILLED, S_CABLE,
+    S_FLOOR_REFLECTANCE, S_EDGE_REFLECTANCE, S_SIZE,
+) = range(12)  # fmt: skip
+
+# Tables along a seam.
+COURSE, WIDTH, STEP = range(3)
+
+
+class Relief(NamedTuple):
+    """A panel packed into arrays.
+
+    Attributes
+    ----------
+    skin : (8,) curvatures k1, k2 (1/mm, + convex), cos and sin of the direction of k1, waviness amplitude (mm), its
+        wave numbers along x and y (rad/mm) and phase.
+    limits : (5,) x_min, x_max, y_min, y_max of the panel, z of the background behind it.
+    rivets : (n, R_SIZE); arcs : (n, k, 2) open arcs of the ring in rad, NaN where unused.
+    seams : (m, S_SIZE); seam_breaks : (m, 3, k+1) and seam_coefficients : (m, 3, k, 4): piecewise cubics of the
+        course, width and step over the distance along the chord; bounds : (m, 2, 2): another seam's index (−1: none)
+        and the side (0 or 1) of it on which this seam exists.
+    cells : (rows, columns, n) indices of the rivets near a cell of 1 mm, −1 where none; near_seam : (rows, columns)
+        whether a seam is; origin : (2,) x, y of the first cell's corner.
+    reach : (2,) the most that anything stands above the skin and lies below it, mm.
+    """
+
+    skin: Floats
+    limits: Floats
+    rivets: Floats
+    arcs: Floats
+    seams: Floats
+    seam_breaks: Floats
+    seam_coefficients: Floats
+    bounds: Ints
+    cells: NDArray[np.int32]
+    near_seam: NDArray[np.bool_]
+    origin: Floats
+    reach: Floats
+
+
+@kernel
+def skin_height(skin: Floats, x: float, y: float) -> float:
+    """Height of the undisturbed skin: a torus with the two radii (sphere, cylinder and plane are its special cases).
+
+    The profile along b is a circular arc of curvature k2, f(b) = −k2 b² / (1 + √(1 − k2² b²)); across it, along a, an
+    arc about the torus's axis, whose radius is 1/k1 + f(b). Written so that a curvature of zero is exact.
+    """
+    a = skin[2] * x + skin[3] * y
+    b = -skin[3] * x + skin[2] * y
+    k1, k2 = skin[0], skin[1]
+    f = -k2 * b * b / (1.0 + math.sqrt(max(1.0 - k2 * k2 * b * b, 0.0)))
+    k = k1 / (1.0 + k1 * f)
+    z = f - k * a * a / (1.0 + math.sqrt(max(1.0 - k * k * a * a, 0.0)))
+    if skin[4] != 0.0:
+        z += skin[4] * math.sin(skin[5] * x + skin[6] * y + skin[7])
+    return z
+
+
+@kernel
+def table(relief: Relief, seam: int, which: int, xi: float) -> tuple[float, float]:
+    """Value and slope of a seam's piecewise cubic (COURSE, WIDTH or STEP) at the distance xi along its chord."""
+    breaks = relief.seam_breaks[seam, which]
+    last = breaks.size - 2
+    i = 0
+    while i < last and xi >= breaks[i + 1]:
+        i += 1
+    c = relief.seam_coefficients[seam, which, i]
+    u = xi - breaks[i]
+    return ((c[0] * u + c[1]) * u + c[2]) * u + c[3], (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
+
+
+@kernel
+def lateral(relief: Relief, seam: int, x: float, y: float) -> tuple[float, float]:
+    """Signed distance from a seam's centre line (+ to the left of its course) and distance along its chord, mm."""
+    s = relief.seams[seam]
+    dx, dy = x - s[S_X], y - s[S_Y]
+    xi = dx * s[S_EX] + dy * s[S_EY]
+    eta = -dx * s[S_EY] + dy * s[S_EX]
+    centre, slope = table(relief, seam, COURSE, xi)
+    return (eta - centre) / math.sqrt(1.0 + slope * slope), xi
+
+
+@kernel
+def sides_of(relief: Relief, x: float, y: float) -> int:
+    """Bit s is set where (x, y) lies to the left of seam s."""
+    sides = 0
+    for s in range(relief.seams.shape[0]):
+        if lateral(relief, s, x, y)[0] > 0.0:
+            sides |= 1 << s
+    return sides
+
+
+@kernel
+def exists(relief: Relief, seam: int, sides: int) -> bool:
+    """Whether a seam exists in the region that `sides` names: one that ends at another does so on one side only."""
+    for k in range(2):
+        other = relief.bounds[seam, k, 0]
+        if other >= 0 and ((sides >> other) & 1) != relief.bounds[seam, k, 1]:
+            return False
+    return True
+
+
+@kernel
+def plate_height(relief: Relief, x: float, y: float, sides: int, without: int) -> float:
+    """Height of a plate of skin, its edges not broken; the seam `without` (−1: none) adds no step."""
+    z = skin_height(relief.skin, x, y)
+    for s in range(relief.seams.shape[0]):
+        if s != without and relief.seams[s, S_CABLE] == 0.0 and exists(relief, s, sides):
+            xi = lateral(relief, s, x, y)[1]
+            half = 0.5 * table(relief, s, STEP, xi)[0]
+            z += half if (sides >> s) & 1 else -half
+    return z
+
+
+@kernel
+def chamfer_cut(relief: Relief, x: float, y: float, sides: int) -> float:
+    """How far the chamfers of the seams lie below the plate, mm."""
+    cut = 0.0
+    for s in range(relief.seams.shape[0]):
+        chamfer = relief.seams[s, S_CHAMFER]
+        if chamfer > 0.0 and exists(relief, s, sides):
+            t, xi = lateral(relief, s, x, y)
+            rest = 0.5 * table(relief, s, WIDTH, xi)[0] + chamfer - abs(t)
+            if rest > 0.0:
+                cut = max(cut, min(rest, chamfer) * relief.seams[s, S_SLOPE])
+    return cut
+
+
+@kernel
+def circle(rivet: Floats, head: bool, x: float, y: float) -> float:
+    """Square of the distance from the axis of a head (or of its ring), measured in its own inclined plane, mm²."""
+    if head:
+        dx, dy = x - rivet[R_HEAD_X], y - rivet[R_HEAD_Y]
+        rise = rivet[R_HEAD_GX] * dx + rivet[R_HEAD_GY] * dy
+    else:
+        dx, dy = x - rivet[R_RING_X], y - rivet[R_RING_Y]
+        rise = rivet[R_RING_GX] * dx + rivet[R_RING_GY] * dy
+    return dx * dx + dy * dy + rise * rise
+
+
+@kernel
+def _in_slot(rivet: Floats, x: float, y: float) -> bool:
+    if rivet[R_SLOT_WIDTH] <= 0.0:
+        return False
+    dx, dy = x - rivet[R_HEAD_X], y - rivet[R_HEAD_Y]
+    a = abs(rivet[R_SLOT_COS] * dx + rivet[R_SLOT_SIN] * dy)
+    b = abs(-rivet[R_SLOT_SIN] * dx + rivet[R_SLOT_COS] * dy)
+    length, width = 0.5 * rivet[R_SLOT_LENGTH], 0.5 * rivet[R_SLOT_WIDTH]
+    if a < length and b < width:
+        return True
+    return rivet[R_SLOT_CROSS] > 0.0 and b < length and a < width
+
+
+@kernel
+def _in_open_arc(relief: Relief, r: int, x: float, y: float) -> bool:
+    angle = math.atan2(y - relief.rivets[r, R_RING_Y], x - relief.rivets[r, R_RING_X])
+    for k in range(relief.arcs.shape[1]):
+        start, end = relief.arcs[r, k, 0], relief.arcs[r, k, 1]
+        if math.isnan(start):
+            break
+        if (angle - start) % (2.0 * math.pi) < end - start:
+            return True
+    return False
+
+
+@kernel
+def piece_at(relief: Relief, row: int, column: int, x: float, y: float) -> tuple[int, int, int]:
+    """Which piece lies at (x, y): its kind, the rivet or seam it belongs to, and the sides of all seams.
+
+    `row`, `column` are the cell whose rivets come into question (row −1: none do).
+    """
+    limits = relief.limits
+    if x < limits[0] or x > limits[1] or y < limits[2] or y > limits[3]:
+        return BACKGROUND, 0, 0
+    sides = sides_of(relief, x, y)
+    if row >= 0:
+        for k in range(relief.cells.shape[2]):
+            r = relief.cells[row, column, k]
+            if r < 0:
+                break
+            rivet = relief.rivets[r]
+            outer = circle(rivet, False, x, y) < rivet[R_OUTER] ** 2
+            if rivet[R_IS_HOLE] > 0.0:
+                if outer:
+                    return HOLE, r, sides
+                continue
+            if circle(rivet, True, x, y) < rivet[R_RADIUS] ** 2:
+                return (SLOT if _in_slot(rivet, x, y) else HEAD), r, sides
+            if outer:
+                return (RING if _in_open_arc(relief, r, x, y) else FILLED_RING), r, sides
+    kind, deepest = PLATE, 0
+    for s in range(relief.seams.shape[0]):
+        if exists(relief, s, sides):
+            t, xi = lateral(relief, s, x, y)
+            if abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0]:
+                if relief.seams[s, S_CABLE] > 0.0:
+                    return CABLE, s, sides
+                if kind == PLATE or relief.seams[s, S_DEPTH] > relief.seams[deepest, S_DEPTH]:
+                    kind, deepest = FLOOR, s
+    return kind, deepest, sides
+
+
+@kernel
+def _head_plane(rivet: Floats, x: float, y: float) -> float:
+    rise = rivet[R_HEAD_GX] * (x - rivet[R_HEAD_X]) + rivet[R_HEAD_GY] * (y - rivet[R_HEAD_Y])
+    return float(rivet[R_HEAD_Z] + rise)
+
+
+@kernel
+def piece_height(relief: Relief, kind: int, index: int, sides: int, x: float, y: float) -> float:
+    """Height of one piece's smooth surface at (x, y), also beyond its own borders."""
+    if kind == BACKGROUND:
+        return relief.limits[4]
+    if kind == PLATE:
+        return plate_height(relief, x, y, sides, -1) - chamfer_cut(relief, x, y, sides)
+    if kind == FLOOR:
+        z = plate_height(relief, x, y, sides, index) - relief.seams[index, S_DEPTH]
+        if relief.seams[index, S_FILLED] > 0.0:
+            t, xi = lateral(relief, index, x, y)
+            z += table(relief, index, STEP, xi)[0] * t / table(relief, index, WIDTH, xi)[0]
+        return z
+    if kind == CABLE:
+        t, xi = lateral(relief, index, x, y)
+        half = 0.5 * table(relief, index, WIDTH, xi)[0]
+        return plate_height(relief, x, y, sides, -1) + math.sqrt(max(half * half - t * t, 0.0))
+    rivet = relief.rivets[index]
+    if kind == HEAD:
+        gx, gy = rivet[R_HEAD_GX], rivet[R_HEAD_GY]
+        crown = rivet[R_DOME] * (1.0 - circle(rivet, True, x, y) / rivet[R_RADIUS] ** 2)
+        return _head_plane(rivet, x, y) + crown * math.sqrt(1.0 + gx * gx + gy * gy)
+    if kind == SLOT:
+        return _head_plane(rivet, x, y) - rivet[R_SLOT_DEPTH]
+    plate = plate_height(relief, x, y, sides, -1)
+    if kind == FILLED_RING:
+        inner = max(math.sqrt(circle(rivet, True, x, y)) - rivet[R_RADIUS], 0.0)
+        outer = max(rivet[R_OUTER] - math.sqrt(circle(rivet, False, x, y)), 0.0)
+        share = inner / max(inner + outer, 1e-12)
+        return (1.0 - share) * _head_plane(rivet, x, y) + share * plate
+    return plate - rivet[R_RING_DEPTH]

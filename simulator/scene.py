@@ -1,0 +1,209 @@
+"""From a specification to rendered scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from metrology.fringe import FringeCode
+from metrology.rig import Rig
+from simulator.lens import moved
+from simulator.pack import pack
+from simulator.projection import project_image, project_stripes, receive_image, receive_stripes
+from simulator.relief import Relief
+from simulator.rig import aim_frame, virtual_rig, warmed
+from simulator.spec import Placement, SimulationSpec
+from simulator.texture import paint
+from simulator.trace import Float32, Hits, Light, ReflectanceMap, trace
+from simulator.truth import Pose, Truth, truth
+
+Frames = NDArray[np.uint8] | NDArray[np.uint16]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class SimulatedScene:
+    """One rendered scan.
+
+    Attributes
+    ----------
+    name : str
+        Unique within the specification; a folder name.
+    aircraft_serial, panel, station, captured_at, operator : str
+        Keys of scene.json.
+    rig : Rig
+        The calibration the scan is to be inspected with.
+    fringe : FringeCode
+    exposures : tuple of float
+    left, right : (exposures, frames, h, w) uint8 or uint16
+    pose : Pose
+    truth : dict
+        As truth.json has it.
+    """
+
+    name: str
+    aircraft_serial: str
+    panel: str
+    station: str
+    captured_at: str
+    operator: str | None
+    rig: Rig
+    fringe: FringeCode
+    exposures: tuple[float, ...]
+    left: Frames
+    right: Frames
+    pose: Pose
+    truth: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A panel set up before a rig: everything that does not depend on the projected image or the noise.
+
+    Attributes
+    ----------
+    rig : Rig
+        As it really stands.
+    pose : Pose
+    relief : Relief
+    left, right : Hits
+    truth : Truth
+    """
+
+    rig: Rig
+    pose: Pose
+    relief: Relief
+    left: Hits
+    right: Hits
+    truth: Truth
+
+
+def place(rig: Rig, placement: Placement) -> Pose:
+    """Where the panel stands: facing the rig at its aim point, then turned and moved in its own frame."""
+    R, t = aim_frame(rig)
+    turn = Rotation.from_euler("xyz", placement.rotation_deg, degrees=True).as_matrix()
+    return Pose(R @ turn, t + R @ np.array(placement.offset_mm))
+
+
+def set_up(spec: SimulationSpec, rig: Rig, placement: Placement, progress: Progress | None = None) -> Stage:
+    """Trace both cameras' views of the panel."""
+    pose = place(rig, placement)
+    relief = pack(spec.panel)
+    reflectance = paint(spec.panel, np.random.default_rng([spec.seed, 1]))
+    views = []
+    for k, side in enumerate(("left", "right")):
+
+        def report(done: float, k: int = k, side: str = side) -> None:
+            if progress:
+                progress(0.5 * (k + done), f"{side} camera: tracing")
+
+        views.append(_view(spec, rig, side, pose, relief, reflectance, report))
+    return Stage(rig, pose, relief, views[0], views[1], truth(spec.panel, relief, rig, pose))
+
+
+def _view(
+    spec: SimulationSpec, rig: Rig, side: str, pose: Pose, relief: Relief, reflectance: ReflectanceMap,
+    progress: Callable[[float], None],
+) -> Hits:  # fmt: skip
+    light = Light(
+        spec.light.brightness, float(np.linalg.norm(rig.projector.centre - aim_frame(rig)[1])), spec.light.ambient,
+        spec.panel.surface.specular, spec.panel.surface.roughness, spec.panel.background_reflectance,
+        spec.light.wall_reflectance,
+    )  # fmt: skip
+    camera, projector = moved(getattr(rig, side), pose.R, pose.t), moved(rig.projector, pose.R, pose.t)
+    return trace(relief, reflectance, light, camera, projector, spec.camera.blur_px, spec.camera.samples, progress)
+
+
+def fringe_light(spec: SimulationSpec, stage: Stage, rng: np.random.Generator) -> dict[str, Float32]:
+    """Light on both cameras in all fringe frames, (frames, h, w) grey levels at exposure 1, with the disturbances."""
+    projector = stage.rig.projector
+    stripes = project_stripes(spec.fringe, projector.width, projector.height, spec.projector)
+    shifts = rng.normal(0, 1, spec.fringe.frames) * spec.disturbances.vibration_px
+    drift = np.linspace(-0.5, 0.5, spec.fringe.frames) * spec.disturbances.ambient_drift
+    light = {}
+    for side in ("left", "right"):
+        hits: Hits = getattr(stage, side)
+        light[side] = receive_stripes(hits, stripes, shifts, 1 + drift)
+    return light
+
+
+def expose(spec: SimulationSpec, light: Float32, rng: np.random.Generator) -> Frames:
+    """(exposures, frames, h, w) what the sensor makes of (frames, h, w) light."""
+    return np.stack([
+        np.stack([spec.camera.sensor.capture(frame, exposure, rng) for frame in light]) for exposure in spec.camera.exposures
+    ])  # fmt: skip
+
+
+def look_at_image(stage: Stage, spec: SimulationSpec, image: NDArray[np.generic]) -> dict[str, Float32]:
+    """What both cameras see of an image shown on the panel, without noise.
+
+    Parameters
+    ----------
+    image : (h, w) or (h, w, channels) at the projector's resolution, uint8 or float in [0, 1]
+
+    Returns
+    -------
+    {"left": …, "right": …} of (h, w) or (h, w, channels) float32, grey levels at exposure 1.
+    """
+    values = image / 255.0 if image.dtype == np.uint8 else np.asarray(image, float)
+    layers = values[..., None] if values.ndim == 2 else values
+    tables = [project_image(layers[..., k], spec.projector) for k in range(layers.shape[-1])]
+    seen = {}
+    for side in ("left", "right"):
+        hits: Hits = getattr(stage, side)
+        stack = np.stack([receive_image(hits, table) for table in tables], axis=-1) + np.float32(
+            spec.camera.sensor.offset
+        )
+        seen[side] = stack[..., 0] if values.ndim == 2 else stack
+    return seen
+
+
+def make_rig(spec: SimulationSpec) -> Rig:
+    """The rig of a specification, as calibrated."""
+    return virtual_rig(np.random.default_rng(spec.rig.seed), spec.rig.design, spec.rig.id, spec.rig.calibrated_at)
+
+
+def simulate(spec: SimulationSpec, progress: Progress | None = None) -> Iterator[SimulatedScene]:
+    """Render a specification's scenes one after the other: every placement, every repeat.
+
+    Parameters
+    ----------
+    spec : SimulationSpec
+    progress : callable, optional
+        Called with the share done (0 … 1) and what is being done.
+    """
+    rig = make_rig(spec)
+    scenes = len(spec.placements) * spec.repeats
+    captured = datetime.fromisoformat(spec.scene.captured_at).astimezone(UTC)
+    done = 0
+    for k, placement in enumerate(spec.placements):
+
+        def report(share: float, what: str, done: int = done) -> None:
+            if progress:
+                progress((done + 0.9 * share) / scenes, what)
+
+        stage = set_up(spec, warmed(rig, spec.disturbances.warming_k), placement, report)
+        light: dict[str, Float32] | None = None
+        for repeat in range(spec.repeats):
+            rng = np.random.default_rng([spec.seed, 2, k, repeat])
+            # Only a shaking projector makes a difference between repeats before the sensor.
+            if light is None or spec.disturbances.vibration_px:
+                light = fringe_light(spec, stage, rng)
+            frames = {side: expose(spec, light[side], rng) for side in ("left", "right")}
+            station = placement.station or spec.scene.station
+            at = captured + timedelta(minutes=spec.scene.interval_min * done)
+            done += 1
+            if progress:
+                progress(done / scenes, "frames")
+            yield SimulatedScene(
+                name=f"{station}-{at:%Y%m%dT%H%M%SZ}", aircraft_serial=spec.scene.aircraft_serial,
+                panel=spec.scene.panel, station=station, captured_at=f"{at:%Y-%m-%dT%H:%M:%SZ}",
+                operator=spec.scene.operator, rig=rig, fringe=spec.fringe, exposures=spec.camera.exposures,
+                left=frames["left"], right=frames["right"], pose=stage.pose, truth=stage.truth.as_dict(),
+            )  # fmt: skip

@@ -1,0 +1,429 @@
+"""What each pixel of a camera sees: points of the panel, where the projector's light comes from, and how bright.
+
+Each pixel gathers samples spread like its point-spread function, so that pixels astride an edge mix what lies on both
+sides as a lens does: few samples where the surface is smooth, many near borders of any kind.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from metrology.rig import Device
+from simulator import cast as _cast
+from simulator import lens as _lens
+from simulator import relief as _relief
+from simulator.cast import MAX_BORDERS, beside_border, cast, cell_of, lit
+from simulator.compiled import entry, fingerprint, kernel
+from simulator.lens import pack_device, pixel, ray
+from simulator.relief import (
+    BACKGROUND,
+    CABLE,
+    FLOOR,
+    HEAD,
+    HOLE,
+    PLATE,
+    R_HEAD_REFLECTANCE,
+    R_IS_HOLE,
+    R_OUTER,
+    R_RADIUS,
+    R_RING_DEPTH,
+    R_RING_REFLECTANCE,
+    RING,
+    S_CHAMFER,
+    S_DEPTH,
+    S_EDGE_REFLECTANCE,
+    S_FILLED,
+    S_FLOOR_REFLECTANCE,
+    SLOT,
+    WIDTH,
+    Floats,
+    Relief,
+    circle,
+    exists,
+    lateral,
+    piece_height,
+    table,
+)  # fmt: skip
+
+Float32 = NDArray[np.float32]
+_BAND = 32  # rows per piece of work
+_OFF = 1e-6  # mm off the surface, where its shadow rays start
+
+
+class Light(NamedTuple):
+    """What the shading needs.
+
+    brightness : grey levels of a white matt surface facing the projector at `distance_mm`, at exposure 1.
+    ambient : grey levels of a white matt surface in the ambient light alone.
+    specular, roughness : weight and width (GGX α) of the lobe.
+    background, wall : reflectances of what lies behind the panel and of the walls of gaps.
+    """
+
+    brightness: float
+    distance_mm: float
+    ambient: float
+    specular: float
+    roughness: float
+    background: float
+    wall: float
+
+
+class ReflectanceMap(NamedTuple):
+    """Reflectance painted on the panel's x-y plane: (rows, columns) values, origin x, y and texel size in mm."""
+
+    values: Float32
+    origin: Floats
+    texel_mm: float
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What a camera's pixels see, independent of the image that is projected.
+
+    Pixel i (row-major) owns the samples first[i] … first[i+1]−1, all of equal weight.
+
+    Attributes
+    ----------
+    height, width : int
+    first : (height·width + 1,) int64
+    column, row : (n,) float64
+        Projector coordinates of the sample, centres at integers.
+    direct : (n,) float32
+        Grey levels at exposure 1 under full projector light; 0 in shadow.
+    ambient : (n,) float32
+        Grey levels at exposure 1 of the ambient light.
+    """
+
+    height: int
+    width: int
+    first: NDArray[np.int64]
+    column: Floats
+    row: Floats
+    direct: Float32
+    ambient: Float32
+
+
+@kernel
+def _reflectance(values, origin, texel, x, y):  # type: ignore[no-untyped-def]
+    """Bilinear look-up, clamped at the rim."""
+    u = min(max((x - origin[0]) / texel, 0.0), values.shape[1] - 1.001)
+    v = min(max((y - origin[1]) / texel, 0.0), values.shape[0] - 1.001)
+    i, j = int(v), int(u)
+    a, b = v - i, u - j
+    top = (1.0 - b) * values[i, j] + b * values[i, j + 1]
+    bottom = (1.0 - b) * values[i + 1, j] + b * values[i + 1, j + 1]
+    return (1.0 - a) * top + a * bottom
+
+
+@kernel
+def _paint(relief, light, kind, index, sides, wall, x, y):  # type: ignore[no-untyped-def]
+    """How a piece's own reflectance compares with the skin's."""
+    if wall:
+        return light.wall
+    if kind == BACKGROUND:
+        return light.background
+    if kind in (HEAD, SLOT):
+        return relief.rivets[index, R_HEAD_REFLECTANCE]
+    if kind in (RING, HOLE):
+        return relief.rivets[index, R_RING_REFLECTANCE]
+    if kind in (FLOOR, CABLE):
+        return relief.seams[index, S_FLOOR_REFLECTANCE]
+    if kind == PLATE:
+        for s in range(relief.seams.shape[0]):
+            if relief.seams[s, S_CHAMFER] > 0.0 and exists(relief, s, sides):
+                t, xi = lateral(relief, s, x, y)
+                if abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0] + relief.seams[s, S_CHAMFER]:
+                    return relief.seams[s, S_EDGE_REFLECTANCE]
+    return 1.0
+
+
+@kernel
+def _sky(relief, kind, index, x, y):  # type: ignore[no-untyped-def]
+    """Share of the ambient light that reaches the floor of a gap: view factor of a long slot's opening."""
+    if kind == FLOOR and relief.seams[index, S_FILLED] == 0.0:
+        t, xi = lateral(relief, index, x, y)
+        half, depth = 0.5 * table(relief, index, WIDTH, xi)[0], relief.seams[index, S_DEPTH]
+        a, b = half - t, half + t
+        return 0.5 * (a / math.hypot(a, depth) + b / math.hypot(b, depth))
+    if kind == RING:
+        rivet = relief.rivets[index]
+        a = max(math.sqrt(circle(rivet, True, x, y)) - rivet[R_RADIUS], 0.0)
+        b = max(rivet[R_OUTER] - math.sqrt(circle(rivet, False, x, y)), 0.0)
+        depth = rivet[R_RING_DEPTH]
+        return 0.5 * (a / math.hypot(a, depth) + b / math.hypot(b, depth)) if depth > 0.0 else 1.0
+    return 1.0
+
+
+@kernel
+def _normal(relief, kind, index, sides, x, y, out):  # type: ignore[no-untyped-def]
+    """Unit normal of a piece by central differences (a few micrometres: exact to 1e-9 on smooth skin)."""
+    h = 2e-3
+    gx = piece_height(relief, kind, index, sides, x + h, y) - piece_height(relief, kind, index, sides, x - h, y)
+    gy = piece_height(relief, kind, index, sides, x, y + h) - piece_height(relief, kind, index, sides, x, y - h)
+    gx, gy = gx / (2.0 * h), gy / (2.0 * h)
+    norm = 1.0 / math.sqrt(gx * gx + gy * gy + 1.0)
+    out[0], out[1], out[2] = -gx * norm, -gy * norm, norm
+
+
+@kernel
+def _lobe(cos_light, cos_view, cos_half, roughness):  # type: ignore[no-untyped-def]
+    """GGX lobe relative to a matt white surface: π D G / (4 cos_light cos_view) (Walter et al. 2007)."""
+    a2 = roughness * roughness
+    bottom = cos_half * cos_half * (a2 - 1.0) + 1.0
+    distribution = a2 / (math.pi * bottom * bottom)
+    g_light = 2.0 * cos_light / (cos_light + math.sqrt(a2 + (1.0 - a2) * cos_light * cos_light))
+    g_view = 2.0 * cos_view / (cos_view + math.sqrt(a2 + (1.0 - a2) * cos_view * cos_view))
+    return math.pi * distribution * g_light * g_view / (4.0 * cos_light * cos_view)
+
+
+@kernel
+def _shade(relief, light, hit, d, source, p, n, borders):  # type: ignore[no-untyped-def]
+    """Direct and ambient grey levels of a hit at `p` on a skin of reflectance 1; its normal goes into `n`."""
+    _, kind, index, sides, wall_x, wall_y = hit
+    wall = wall_x != 0.0 or wall_y != 0.0
+    if wall:
+        n[0], n[1], n[2] = wall_x, wall_y, 0.0
+    else:
+        _normal(relief, kind, index, sides, p[0], p[1], n)
+    reflectance = _paint(relief, light, kind, index, sides, wall, p[0], p[1])
+    ambient = light.ambient * reflectance * _sky(relief, kind, index, p[0], p[1])
+    if wall:
+        ambient *= 0.5
+    lx, ly, lz = source[0] - p[0], source[1] - p[1], source[2] - p[2]
+    r = math.sqrt(lx * lx + ly * ly + lz * lz)
+    lx, ly, lz = lx / r, ly / r, lz / r
+    cos_light = n[0] * lx + n[1] * ly + n[2] * lz
+    cos_view = -(n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
+    if cos_light <= 1e-6 or cos_view <= 1e-6:
+        return 0.0, ambient
+    for k in range(3):
+        p[k] += _OFF * n[k]
+    bright = lit(relief, p, source, borders)
+    for k in range(3):
+        p[k] -= _OFF * n[k]
+    if not bright:
+        return 0.0, ambient
+    direct = 1.0
+    if light.specular > 0.0 and kind not in (BACKGROUND, HOLE):
+        hx, hy, hz = lx - d[0], ly - d[1], lz - d[2]
+        cos_half = (n[0] * hx + n[1] * hy + n[2] * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
+        direct += light.specular * _lobe(cos_light, cos_view, cos_half, light.roughness)
+    falloff = (light.distance_mm / r) ** 2
+    return light.brightness * reflectance * cos_light * falloff * direct, ambient
+
+
+@kernel
+def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
+    """Whether a border lies within `tolerance` mm of (x, y)."""
+    limits = relief.limits
+    if beside_border(relief, x, y):
+        for k in range(2):
+            if abs(x - limits[k]) < tolerance or abs(y - limits[2 + k]) < tolerance:
+                return True
+    row, column = cell_of(relief, x, y)
+    if row < 0:
+        return False
+    for k in range(relief.cells.shape[2]):
+        r = relief.cells[row, column, k]
+        if r < 0:
+            break
+        rivet = relief.rivets[r]
+        if abs(math.sqrt(circle(rivet, False, x, y)) - rivet[R_OUTER]) < tolerance:
+            return True
+        if rivet[R_IS_HOLE] == 0.0:
+            rho = math.sqrt(circle(rivet, True, x, y))
+            if abs(rho - rivet[R_RADIUS]) < tolerance:
+                return True
+            if rivet[_relief.R_SLOT_WIDTH] > 0.0 and rho < rivet[R_RADIUS]:
+                return True
+    if relief.near_seam[row, column]:
+        for s in range(relief.seams.shape[0]):
+            t, xi = lateral(relief, s, x, y)
+            edge = 0.5 * table(relief, s, WIDTH, xi)[0]
+            if abs(abs(t) - edge) < tolerance or abs(abs(t) - edge - relief.seams[s, S_CHAMFER]) < tolerance:
+                return True
+    return False
+
+
+def _build(source_fingerprint: int) -> tuple[Any, Any]:
+    """The two entry kernels; the fingerprint only serves the cache's key (see `simulator.compiled`)."""
+
+    @entry
+    def look(relief, camera, centre, source, tolerance, borders, d, p, top, codes, distances, near):  # type: ignore[no-untyped-def]
+        """One ray per pixel: which piece it meets how far away, lit or not, and whether a border is near."""
+        if source_fingerprint == 0:
+            return
+        for i in range(codes.shape[0]):
+            for j in range(codes.shape[1]):
+                ray(camera, float(j), float(top + i), d)
+                hit = cast(relief, centre, d, borders)
+                lam, kind, index, sides, wall_x, wall_y = hit
+                for k in range(3):
+                    p[k] = centre[k] + lam * d[k]
+                wall = wall_x != 0.0 or wall_y != 0.0
+                # On a wall the pixel and its neighbours need all their rays.
+                near[i, j] = wall or _near_edge(relief, p[0], p[1], tolerance)
+                distances[i, j] = lam
+                p[0], p[1] = p[0] + _OFF * wall_x, p[1] + _OFF * wall_y
+                p[2] += 0.0 if wall else _OFF
+                bright = 1 if lit(relief, p, source, borders) else 0
+                codes[i, j] = ((sides * 512 + index) * 16 + kind) * 2 + bright
+
+    @entry
+    def gather(relief, light, values, origin, texel, camera, centre, projector, source, few, many, borders, d, p, n,
+               busy, codes, distances, top, first, column, row, direct, ambient):  # type: ignore[no-untyped-def]  # fmt: skip
+        """All samples of some rows. Within a smooth pixel the surface is its tangent plane (to 0.05 µm)."""
+        if source_fingerprint == 0:
+            return
+        width = busy.shape[1]
+        bright, dim = 0.0, 0.0
+        for i in range(busy.shape[0]):
+            for j in range(width):
+                at = first[i * width + j] - first[0]
+                spread = many if busy[i, j] else few
+                reach = 0.0
+                if not busy[i, j]:
+                    ray(camera, float(j), float(top + i), d)
+                    for m in range(3):
+                        p[m] = centre[m] + distances[i, j] * d[m]
+                    code = codes[i, j] >> 1
+                    hit = distances[i, j], code & 15, (code >> 4) & 511, code >> 13, 0.0, 0.0
+                    bright, dim = _shade(relief, light, hit, d, source, p, n, borders)
+                    for m in range(3):
+                        reach += n[m] * (p[m] - centre[m])
+                for k in range(spread.shape[0]):
+                    ray(camera, j + spread[k, 0], top + i + spread[k, 1], d)
+                    if busy[i, j]:
+                        hit = cast(relief, centre, d, borders)
+                        for m in range(3):
+                            p[m] = centre[m] + hit[0] * d[m]
+                        bright, dim = _shade(relief, light, hit, d, source, p, n, borders)
+                        kind = hit[1]
+                    else:
+                        lam = reach / (n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
+                        for m in range(3):
+                            p[m] = centre[m] + lam * d[m]
+                        kind = (codes[i, j] >> 1) & 15
+                    column[at + k], row[at + k] = pixel(projector, p)
+                    reflectance = 1.0 if kind == BACKGROUND else _reflectance(values, origin, texel, p[0], p[1])
+                    direct[at + k], ambient[at + k] = reflectance * bright, reflectance * dim
+
+    return look, gather
+
+
+_look, _gather = _build(fingerprint(_relief, _cast, _lens))
+
+
+def spread(samples: int, sigma_px: float) -> Floats:
+    """(samples, 2) offsets in pixels that stand for a Gaussian of `sigma_px` along each axis.
+
+    A rank-1 lattice (Korobov, golden section) carried over by the normal distribution: its projection onto any axis is
+    evenly spread, so edges in any direction fall on fine and even coverage levels.
+    """
+    k = np.arange(samples)
+    uniform = np.stack([(k + 0.5) / samples, (k * (np.sqrt(5.0) - 1.0) / 2.0 + 0.5) % 1.0], axis=1)
+    offsets = ndtri(uniform)
+    offsets -= offsets.mean(axis=0)
+    covariance = offsets.T @ offsets / samples
+    return np.asarray(offsets @ np.linalg.inv(np.linalg.cholesky(covariance)).T * sigma_px)
+
+
+def four(sigma_px: float) -> Floats:
+    """(4, 2) offsets with the mean and second moments of the same Gaussian: exact for quadratic brightness."""
+    return sigma_px * np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+
+
+def trace(
+    relief: Relief, reflectance: ReflectanceMap, light: Light, camera: Device, projector: Device,
+    blur_px: float, samples: int, progress: Callable[[float], None],
+) -> Hits:  # fmt: skip
+    """Everything a camera sees of the panel.
+
+    Parameters
+    ----------
+    camera, projector : Device
+        Posed in the panel's frame (`simulator.lens.moved`).
+    blur_px : float
+        Standard deviation of the camera's point-spread function, pixel area included.
+    samples : int
+        Rays per pixel near borders.
+    progress : called with the share done, 0 … 1.
+    """
+    height, width = camera.height, camera.width
+    packed, beam = pack_device(camera), pack_device(projector)
+    centre, source = camera.centre, projector.centre
+    pixel_mm = abs(centre[2]) / camera.K[0, 0]
+    codes, near = np.empty((height, width), np.int64), np.empty((height, width), np.bool_)
+    distances = np.empty((height, width))
+    bands = [slice(top, min(top + _BAND, height)) for top in range(0, height, _BAND)]
+
+    def look(rows: slice) -> None:
+        _look(relief, packed, centre, source, 0.75 * pixel_mm, *_memory(2), rows.start, codes[rows],
+              distances[rows], near[rows])  # fmt: skip
+
+    _share(look, bands, lambda done: progress(0.2 * done))
+    busy = _widened(near | _changes(codes), 3.2 * blur_px + 0.7)
+    few, many = four(blur_px), spread(samples, blur_px)
+    first = np.concatenate([[0], np.cumsum(np.where(busy.ravel(), len(many), len(few)))]).astype(np.int64)
+    total = int(first[-1])
+    hits = Hits(height, width, first, np.empty(total), np.empty(total), np.empty(total, np.float32),
+                np.empty(total, np.float32))  # fmt: skip
+
+    def gather(rows: slice) -> None:
+        begin, end = rows.start * width, rows.stop * width
+        own = first[begin : end + 1]
+        part = slice(int(own[0]), int(own[-1]))
+        _gather(relief, light, reflectance.values, reflectance.origin, reflectance.texel_mm, packed, centre, beam,
+                source, few, many, *_memory(3), busy[rows], codes[rows], distances[rows], rows.start, own,
+                hits.column[part], hits.row[part], hits.direct[part], hits.ambient[part])  # fmt: skip
+
+    _share(gather, bands, lambda done: progress(0.2 + 0.8 * done))
+    return hits
+
+
+def _memory(vectors: int) -> tuple[Floats, ...]:
+    """Working memory of one thread: borders, and some vectors."""
+    return np.empty((MAX_BORDERS, 3)), *(np.empty(3) for _ in range(vectors))
+
+
+def _changes(codes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Pixels whose right, lower or diagonal neighbour sees another piece, and that neighbour."""
+    change = np.zeros(codes.shape, bool)
+    for here, there in (
+        ((slice(None), slice(0, -1)), (slice(None), slice(1, None))),
+        ((slice(0, -1), slice(None)), (slice(1, None), slice(None))),
+    ):
+        differ = codes[here] != codes[there]
+        change[here] |= differ
+        change[there] |= differ
+    return change
+
+
+def _widened(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
+    """The mask grown by a disc."""
+    n = int(math.ceil(radius_px))
+    y, x = np.mgrid[-n : n + 1, -n : n + 1]
+    disc = (x * x + y * y <= radius_px * radius_px).astype(np.uint8)
+    return cv2.dilate(mask.astype(np.uint8), disc).astype(bool)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _share(work: Callable[[slice], None], bands: list[slice], progress: Callable[[float], None]) -> None:
+    """Do the bands on several threads; the first one alone, since it compiles the kernel."""
+    work(bands[0])
+    with ThreadPoolExecutor(_cores()) as pool:
+        for done, _ in enumerate(pool.map(work, bands[1:]), 2):
+            progress(done / len(bands))

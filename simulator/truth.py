@@ -1,0 +1,270 @@
+"""What is true of a rendered scene, by the paper's definitions, computed from the panel's exact geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.rig import Rig
+from simulator import relief as r
+from simulator.pack import evaluate, head_pose
+from simulator.panel import Panel, Rivet, Seam
+from simulator.relief import Floats, Ints, Relief
+from simulator.survey import plate_heights, plate_normals, seen, sides_at, survey
+
+STATION_MM = 1.0
+_CLEAR_MM = 1.0  # a station nearer than that to a border or to another seam's edge is not counted as visible
+_LIFT = 1e-6  # mm above the surface, where sight lines start
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the panel stands: panel coordinates p are at R p + t in the rig frame (mm)."""
+
+    R: Floats
+    t: Floats
+
+    def to_rig(self, points: Floats) -> Floats:
+        """(..., 3) points in the rig frame."""
+        return np.asarray(points @ self.R.T + self.t)
+
+    def to_panel(self, points: Floats) -> Floats:
+        """(..., 3) points of the rig frame in the panel's."""
+        return np.asarray((points - self.t) @ self.R)
+
+
+@dataclass(frozen=True)
+class TrueRivet:
+    """One rivet.
+
+    Attributes
+    ----------
+    xyz_mm : head centre (at its mean height) in the rig frame; uv_px : its image in the left camera.
+    height_mean_mm : distance of the head to the skin's tangent plane at its centre, + proud, mean over the head.
+    head_edge_rise_mm : how far the rim rises and falls about that by the tilt alone.
+    visible : inside both images and the projector's field, and not hidden.
+    """
+
+    id: str
+    xyz_mm: list[float]
+    uv_px: list[float]
+    diameter_mm: float
+    visible: bool
+    height_mean_mm: float
+    head_edge_rise_mm: float
+    tilt_deg: float
+    dome_mm: float
+
+
+@dataclass(frozen=True)
+class TrueSeam:
+    """One seam, station by station (about every millimetre along its course).
+
+    Attributes
+    ----------
+    xyz_mm, uv_px : midpoint of the ideal edges D′ and G′ in the rig frame and the left image.
+    step_mm : height of side B minus side A, eqs 6–8 with their signs.
+    width_mm : eqs 9–11.
+    chamfer_mm : width of the broken edges.
+    visible : both edges and some skin beside them are in both images, lit, and clear of borders and other seams.
+    """
+
+    id: str
+    visible: list[bool]
+    uv_px: list[list[float]]
+    xyz_mm: list[list[float]]
+    step_mm: list[float]
+    width_mm: list[float]
+    chamfer_mm: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """All that is true of a scene."""
+
+    rivets: tuple[TrueRivet, ...]
+    seams: tuple[TrueSeam, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """As truth.json has it."""
+        return {"rivets": [asdict(v) for v in self.rivets], "seams": [asdict(v) for v in self.seams]}
+
+
+def truth(panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> Truth:
+    """The truth of one scene.
+
+    Parameters
+    ----------
+    panel : Panel
+    relief : Relief
+        The same panel, packed.
+    rig : Rig
+        The rig as it really is.
+    pose : Pose
+    """
+    rivets = tuple(_rivet(rivet, relief, rig, pose) for rivet in panel.rivets)
+    return Truth(rivets, tuple(_seam(k, seam, panel, relief, rig, pose) for k, seam in enumerate(panel.seams)))
+
+
+def _in_all_fields(rig: Rig, points: Floats) -> NDArray[np.bool_]:
+    """Whether rig-frame points are in both images and the projector's field."""
+    devices = (rig.left, rig.right, rig.projector)
+    return np.logical_and.reduce([d.inside(d.project(points)) for d in devices])
+
+
+def _unhidden(relief: Relief, rig: Rig, pose: Pose, points: Floats) -> NDArray[np.bool_]:
+    """Whether panel-frame points are seen by both cameras and lit by the projector."""
+    eyes = [pose.to_panel(d.centre) for d in (rig.left, rig.right, rig.projector)]
+    return np.logical_and.reduce([seen(relief, points, eye) for eye in eyes])
+
+
+def _rivet(rivet: Rivet, relief: Relief, rig: Rig, pose: Pose) -> TrueRivet:
+    point, normal = survey(relief, rivet.x_mm, rivet.y_mm)
+    offset, _ = head_pose(rivet, rivet.height_mm, normal)
+    centre = pose.to_rig(point + offset)
+    angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (rivet.diameter_mm / 2)
+    surface = (point + offset + (abs(rivet.crown_mm) + _LIFT) * normal)[None]
+    shown = _in_all_fields(rig, pose.to_rig(point + around)).all() and _unhidden(relief, rig, pose, surface).all()
+    rise = rivet.diameter_mm / 2 * math.sin(math.radians(rivet.tilt_deg))
+    return TrueRivet(
+        rivet.id, centre.tolist(), rig.left.project(centre).tolist(), rivet.diameter_mm, bool(shown),
+        rivet.height_mm, rise, rivet.tilt_deg, rivet.crown_mm,
+    )  # fmt: skip
+
+
+def stations(seam: int, relief: Relief, panel: Panel) -> Floats:
+    """Distances along a seam's chord about STATION_MM of arc apart, from end to end within the panel."""
+    row = relief.seams[seam]
+    fine = np.linspace(-20.0, _length(panel.seams[seam]) + 20.0, 8001)
+    x, y = _on_course(relief, seam, fine, np.zeros_like(fine))
+    limits = relief.limits
+    on = (x > limits[0]) & (x < limits[1]) & (y > limits[2]) & (y < limits[3])
+    on &= (fine >= 0) & (fine <= _length(panel.seams[seam]))
+    sides = sides_at(relief, x, y)
+    for other, side in relief.bounds[seam]:
+        if other >= 0:
+            on &= ((sides >> other) & 1) == side
+    fine, x, y = fine[on], x[on], y[on]
+    if len(fine) < 2 or row.size == 0:
+        return np.empty(0)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    count = int(arc[-1] / STATION_MM)
+    return np.interp(np.arange(count + 1) * STATION_MM + 0.5 * (arc[-1] - count * STATION_MM), arc, fine)
+
+
+def _length(seam: Seam) -> float:
+    (x0, y0), (x1, y1) = seam.points_mm[0], seam.points_mm[-1]
+    return math.hypot(x1 - x0, y1 - y0)
+
+
+def _on_course(relief: Relief, seam: int, xi: Floats, t: Floats) -> tuple[Floats, Floats]:
+    """x, y at the distances xi along the chord and t to the left of the centre line."""
+    row = relief.seams[seam]
+    slope = evaluate(relief, seam, r.COURSE, xi, 1)
+    scale = np.sqrt(1 + slope**2)
+    along = xi - t * slope / scale
+    across = evaluate(relief, seam, r.COURSE, xi) + t / scale
+    return (row[r.S_X] + along * row[r.S_EX] - across * row[r.S_EY],
+            row[r.S_Y] + along * row[r.S_EY] + across * row[r.S_EX])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """One side of a seam at all stations, panel frame: skin point above the wall, D, D′, and the skin's directions."""
+
+    skin: Floats
+    inflection: Floats
+    ideal: Floats
+    normal: Floats
+    across: Floats
+
+
+def _edge(relief: Relief, seam: int, xi: Floats, t: Floats, sides: Ints, along: Floats) -> _Edge:
+    """The edge whose wall stands at t. D is the chamfer's lower end, D′ its foot on the skin line (paper, Fig. 8)."""
+    x, y = _on_course(relief, seam, xi, t)
+    skin = np.stack([x, y, plate_heights(relief, x, y, sides)], axis=1)
+    across = np.cross(plate_normals(relief, x, y, sides), along)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    normal = np.cross(along, across)
+    row = relief.seams[seam]
+    inflection = skin - np.array([0.0, 0.0, row[r.S_CHAMFER] * row[r.S_SLOPE]])
+    ideal = skin + np.sum((inflection - skin) * across, axis=1, keepdims=True) * across
+    return _Edge(skin, inflection, ideal, normal, across)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.sum(a * b, axis=1))
+
+
+def section(relief: Relief, seam: int, xi: Floats) -> tuple[_Edge, _Edge, Floats, Floats]:
+    """Both edges, step (left above right) and width of a seam, eqs 6–11, at distances along its chord."""
+    h = 1e-3
+    middle = [np.stack(_on_course(relief, seam, xi + d, np.zeros_like(xi)), axis=1) for d in (-h, 0.0, h)]
+    on_left = sides_at(relief, middle[1][:, 0], middle[1][:, 1]) | (1 << seam)
+    on_right = on_left & ~(1 << seam)
+    heights = [0.5 * (plate_heights(relief, m[:, 0], m[:, 1], on_left)
+                      + plate_heights(relief, m[:, 0], m[:, 1], on_right)) for m in middle]  # fmt: skip
+    along = np.column_stack([middle[2] - middle[0], heights[2] - heights[0]])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    half = 0.5 * evaluate(relief, seam, r.WIDTH, xi)
+    left = _edge(relief, seam, xi, half, on_left, along)
+    right = _edge(relief, seam, xi, -half, on_right, along)
+    # Eqs 7 and 8 with signs: each ideal edge above the other side's line; the skin's curvature cancels in the mean.
+    step = 0.5 * (_dot(left.ideal - right.ideal, right.normal) - _dot(right.ideal - left.ideal, left.normal))
+    # Eqs 10 and 11: each inflection point's distance from the other side's normal through its ideal edge.
+    width = 0.5 * (np.abs(_dot(left.inflection - right.ideal, right.across))
+                   + np.abs(_dot(right.inflection - left.ideal, left.across)))  # fmt: skip
+    return left, right, step, width
+
+
+def _seam(index: int, seam: Seam, panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> TrueSeam:
+    xi = stations(index, relief, panel)
+    if not len(xi):
+        return TrueSeam(seam.id, [], [], [], [], [], seam.chamfer_mm)
+    left, right, step, width = section(relief, index, xi)
+    middle = pose.to_rig(0.5 * (left.ideal + right.ideal))
+    uv = rig.left.project(middle)
+    # Side B is the one at larger u of a seam nearer to vertical in the left image, at larger v otherwise.
+    run = uv[-1] - uv[0] if len(uv) > 1 else np.array([0.0, 1.0])
+    axis = 0 if abs(run[1]) > abs(run[0]) else 1
+    towards = rig.left.project(pose.to_rig(left.skin)) - rig.left.project(pose.to_rig(right.skin))
+    sign = 1.0 if np.median(towards[:, axis]) > 0 else -1.0
+    return TrueSeam(
+        seam.id, _visible(index, xi, panel, relief, rig, pose).tolist(), uv.tolist(), middle.tolist(),
+        (sign * step).tolist(), width.tolist(), seam.chamfer_mm,
+    )  # fmt: skip
+
+
+def _visible(index: int, xi: Floats, panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> NDArray[np.bool_]:
+    half = 0.5 * evaluate(relief, index, r.WIDTH, xi) + relief.seams[index, r.S_CHAMFER]
+    visible = np.ones(len(xi), bool)
+    for sign in (-1.0, 1.0):
+        x, y = _on_course(relief, index, xi, sign * (half + 0.5))
+        sides = sides_at(relief, x, y)
+        points = np.stack([x, y, plate_heights(relief, x, y, sides) + _LIFT], axis=1)
+        limits = relief.limits
+        visible &= (x > limits[0] + _CLEAR_MM) & (x < limits[1] - _CLEAR_MM)
+        visible &= (y > limits[2] + _CLEAR_MM) & (y < limits[3] - _CLEAR_MM)
+        visible &= _in_all_fields(rig, pose.to_rig(points)) & _unhidden(relief, rig, pose, points)
+        for other in range(len(panel.seams)):
+            if other != index:
+                visible &= _clear_of(relief, other, x, y, sides)
+    return visible
+
+
+def _clear_of(relief: Relief, seam: int, x: Floats, y: Floats, sides: Ints) -> NDArray[np.bool_]:
+    """Whether places are off another seam's gap and chamfers."""
+    row = relief.seams[seam]
+    dx, dy = x - row[r.S_X], y - row[r.S_Y]
+    xi, eta = dx * row[r.S_EX] + dy * row[r.S_EY], -dx * row[r.S_EY] + dy * row[r.S_EX]
+    t = (eta - evaluate(relief, seam, r.COURSE, xi)) / np.sqrt(1 + evaluate(relief, seam, r.COURSE, xi, 1) ** 2)
+    clear = np.abs(t) > 0.5 * evaluate(relief, seam, r.WIDTH, xi) + row[r.S_CHAMFER] + _CLEAR_MM
+    for other, side in relief.bounds[seam]:
+        if other >= 0:
+            clear |= ((sides >> other) & 1) != side
+    return np.asarray(clear)
