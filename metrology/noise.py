@@ -12,17 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
 
 from metrology.fringe import FringeCode
 from metrology.jit import kernel
 
 _BINS = 64
-_PAIRS_OF_ROWS = 40
+_PAIRS_OF_ROWS = 20
+_COLUMN_STRIDE = 2
 _LEAST_PIXELS_PER_BIN = 200
 # A sample counts if its squared residual is below this many variances; a normal deviate beyond 5 sigma is 1 in 1.7e6.
 _CLIP = 25.0
-# Rounding to whole grey levels: no camera is quieter.
+# Rounding to whole grey levels: no camera is quieter …
 _QUANTISATION = 1.0 / 12.0
+# … but where the light's own noise is below half a level, rounding hides it rather than adds to it.
+_ROUNDING_ADDS_NOISE = 0.25
+_REWEIGHTINGS = 5
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
     squares = np.zeros(_BINS)
     levels = np.zeros(_BINS)
     limit = np.full(_BINS, np.inf)
-    for _ in range(3):
+    for _ in range(2):
         counts[:] = squares[:] = levels[:] = 0
         arguments = (np.cos(steps), np.sin(steps), float(saturation), stride, limit)
         _bin_residuals(planes, len(code.counts), *arguments, counts, squares, levels)
@@ -82,23 +87,28 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
     used = counts >= _LEAST_PIXELS_PER_BIN
     if not used.any():
         return NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
-    return _fit_line(levels[used] / counts[used], squares[used] / counts[used], counts[used])
+    level, variance = levels[used] / counts[used], squares[used] / counts[used]
+    fine = variance >= _ROUNDING_ADDS_NOISE
+    if fine.any():
+        return _fit_line(level[fine], variance[fine], counts[used][fine])
+    return NoiseModel(_ROUNDING_ADDS_NOISE, 0.0)
 
 
 def _fit_line(level: NDArray, variance: NDArray, weight: NDArray) -> NoiseModel:
-    """Weighted line through (level, variance); each variance's own spread is proportional to itself."""
-    scale = np.sqrt(weight) / variance
-    design = np.column_stack([np.ones_like(level), level]) * scale[:, None]
-    if level.size > 1:
-        read, gain = np.linalg.lstsq(design, variance * scale, rcond=None)[0]
-        if gain >= 0 and read >= _QUANTISATION:
-            return NoiseModel(float(read), float(gain))
-        if read < _QUANTISATION and gain > 0:
-            slope = scale * level
-            gain = slope @ ((variance - _QUANTISATION) * scale) / (slope @ slope)
-            return NoiseModel(_QUANTISATION, max(float(gain), 0.0))
-    mean = float(np.average(variance, weights=weight))
-    return NoiseModel(max(mean, _QUANTISATION), 0.0)
+    """Line through (level, variance), read variance at least that of rounding.
+
+    The spread of a bin's variance is proportional to the variance itself: that of the line, taken anew, since weights
+    from the bins' own values would favour those that came out low.
+    """
+    read, gain = float(np.average(variance, weights=weight)), 0.0
+    for _ in range(_REWEIGHTINGS):
+        scale = np.sqrt(weight) / (read + gain * level)
+        design = np.column_stack([scale, scale * level])
+        read, gain = (float(value) for value in nnls(design, scale * variance)[0])
+        if read < _QUANTISATION:
+            read = _QUANTISATION
+            gain = max(0.0, float(design[:, 1] @ (scale * (variance - read)) / (design[:, 1] @ design[:, 1])))
+    return NoiseModel(read, gain)
 
 
 @kernel
@@ -113,7 +123,7 @@ def _bin_residuals(planes, n_counts, cosines, sines, saturation, stride, limit, 
     difference = np.empty(n)
     for e in range(exposures):
         for row in range(0, height - 1, stride):
-            for x in range(width):
+            for x in range(0, width, _COLUMN_STRIDE):
                 previous = 0.0
                 for k in range(n_counts):
                     mean = 0.0

@@ -1,8 +1,13 @@
 """Fused kernels: fringe frames of one camera to projector coordinate, its standard deviation, modulation and texture.
 
-For each count the sinusoid ``I_i = A + B cos(φ + 2π(i−1)/N)`` is fitted as a phasor ``B e^{jφ}`` (paper eq 4 for N = 4),
-exposures are added by inverse variance, wrapped phases are unwrapped and fused. All in one pass over the frames, row by
-row, so that what passes between the stages stays in the processor's cache.
+For each count the sinusoid ``I_i = A + B cos(φ + 2π(i−1)/N)`` is fitted as a phasor ``B e^{jφ}`` (paper eq 4 for
+N = 4), exposures are added by inverse variance, wrapped phases are unwrapped and fused: one pass over the frames, in
+chunks of a row whose intermediate values stay in the processor's first cache.
+
+The usual scan (three counts of four steps, one exposure) has a kernel of its own that keeps everything in registers.
+In the general one all intermediate values of a chunk lie in one scratch array, each in a slot of
+`_CHUNK` pixels: first the slots of the whole pixel, then a block of slots for every fringe count, at last a block for
+the exposure at hand.
 """
 
 from __future__ import annotations
@@ -18,15 +23,31 @@ _LOW_MODULATION = int(PixelFlag.LOW_MODULATION)
 _ORDER_RESIDUAL = int(PixelFlag.ORDER_RESIDUAL)
 _SATURATED_SAMPLES = int(PixelFlag.SATURATED_SAMPLES)
 
+# Pixels per chunk: with three counts the 33 slots take 33 kB. Sizes and indices are unsigned: a negative index would
+# count from the end, and to look for one keeps the compiler from using vectors.
+_U = np.uintp
+_CHUNK = _U(256)
+# Slots of the whole pixel …
+_TEXTURE, _TEXTURE_INFO, _PARTIAL, _TOP, _BOTTOM, _POWER, _WEAKEST, _MISFIT, _DISTANCE = (
+    _CHUNK * _U(slot) for slot in range(9)
+)
+_FRONT = _CHUNK * _U(9)
+# … and those of a count's block: phasor, its information 1/var, phase in turns, sum and largest of the samples.
+_C, _S, _INFO, _Q, _SUM, _PEAK = (_CHUNK * _U(slot) for slot in range(6))
+_BLOCK = _CHUNK * _U(6)
+
 _TURN = np.float32(2 * np.pi)
-_F0, _F1, _HALF, _QUARTER = np.float32(0), np.float32(1), np.float32(0.5), np.float32(0.25)
+_F0, _F1, _TWO = np.float32(0), np.float32(1), np.float32(2)
+_HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
 _TINY = np.float32(1e-12)
-# Least-maximum-error odd polynomial of atan(t)/2π on [0, 1]; error below 6e-9 turns before rounding.
+_INFINITE = np.float32(np.inf)
+_NAN = np.float32(np.nan)
+# Least-maximum-error odd polynomial of atan(t)/2π on [0, 1]; error below 4e-8 turns before rounding.
 _ATAN = tuple(
     np.float32(a)
     for a in (
-        0.1591548373, -0.05304612096, 0.03174594521, -0.02213627143,
-        0.01534603364, -0.008898723142, 0.003479597787, -0.0006453044062,
+        0.1591543242, -0.05302623816, 0.03152511756, -0.02106151798,
+        0.01267250087, -0.005348277659, 0.001084130523,
     )
 )  # fmt: skip
 # A fit from unsaturated samples counts if its normal matrix is at least this far from singular, relative to a full one.
@@ -40,8 +61,7 @@ def _turns(s, c):  # type: ignore[no-untyped-def]
     b = abs(c)
     t = min(a, b) / max(max(a, b), _TINY)
     u = t * t
-    p = _ATAN[7]
-    p = p * u + _ATAN[6]
+    p = _ATAN[6]
     p = p * u + _ATAN[5]
     p = p * u + _ATAN[4]
     p = p * u + _ATAN[3]
@@ -54,55 +74,158 @@ def _turns(s, c):  # type: ignore[no-untyped-def]
     return _F1 - r if s < _F0 else r
 
 
+@njit(inline="always")
+def _unwrap_three(q0, q1, q2, lattice):  # type: ignore[no-untyped-def]
+    """Three wrapped phases in turns less the nearest wrap-count lattice point.
+
+    What is left is, but for noise, a multiple of the count vector.
+    Rounding the lattice coordinates and trying the other corners of the cell finds the nearest point exactly.
+    """
+    d00, d01, d02, d10, d11, d12, b00, b01, b10, b11, b20, b21, g00, g01, g11 = lattice
+    t0 = d00 * q0 + d01 * q1 + d02 * q2
+    t1 = d10 * q0 + d11 * q1 + d12 * q2
+    n0 = np.rint(t0)
+    n1 = np.rint(t1)
+    u = t0 - n0
+    v = t1 - n1
+    su = _F1 if u >= _F0 else -_F1
+    sv = _F1 if v >= _F0 else -_F1
+    # Squared distance of the cell's other corners less that of the rounded one.
+    along = g00 * (_F1 - _TWO * abs(u)) - g01 * v * su
+    aside = g11 * (_F1 - _TWO * abs(v)) - g01 * u * sv
+    both = along + aside + g01 * su * sv
+    n0 = n0 + su if min(along, both) < min(_F0, aside) else n0
+    n1 = n1 + sv if min(aside, both) < min(_F0, along) else n1
+    return q0 - b00 * n0 - b01 * n1, q1 - b10 * n0 - b11 * n1, q2 - b20 * n0 - b21 * n1
+
+
+@njit(inline="always")
+def _numbers_of_three(lattice):  # type: ignore[no-untyped-def]
+    """The lattice's arrays as plain numbers, which stay in registers."""
+    basis, to_lattice, gram = lattice
+    return (
+        to_lattice[0, 0], to_lattice[0, 1], to_lattice[0, 2], to_lattice[1, 0], to_lattice[1, 1], to_lattice[1, 2],
+        basis[0, 0], basis[0, 1], basis[1, 0], basis[1, 1], basis[2, 0], basis[2, 1],
+        gram[0, 0], gram[0, 1] + gram[1, 0], gram[1, 1],
+    )  # fmt: skip
+
+
 @kernel
-def _sums(frames, first_frame, row, cosines, sines, c, s, total, peak):  # type: ignore[no-untyped-def]
-    """Phasor (×N/2), sum and largest sample of one count of one exposure, for a row."""
-    width = frames.shape[2]
+def _decode_usual(frames, exposure, sensor, counts, lattice, limits, size, first, end, out, mend):  # type: ignore[no-untyped-def]
+    """Three counts of four steps, one exposure; `mend` (h,) becomes True for rows with a saturated sample."""
+    saturation, read, gain = sensor
+    snr2, least2, chi2, far2, torn2 = limits
+    coordinates, sigmas, modulations, textures, flagses = out
+    f0, f1, f2 = counts[0], counts[1], counts[2]
+    three = _numbers_of_three(lattice)
+    read32 = np.float32(read)
+    gain32 = np.float32(gain)
+    scale = size / _TURN
+    chi2_turns = chi2 / (_TURN * _TURN)
+    # The phasors stay doubled (differences of samples): twice the variance of a sample each, power four times B².
+    least_power = np.float32(12) * least2 * np.float32(exposure * exposure)
+    to_modulation = np.float32(np.sqrt(1.0 / 12.0) / exposure)
+    to_texture = np.float32(1.0 / exposure)
+    per_sample = np.float32(1.0 / 12.0)
+    limit = np.int32(np.ceil(saturation))
+    for row in range(first, end):
+        a1, a2, a3, a4 = frames[0, row], frames[1, row], frames[2, row], frames[3, row]
+        b1, b2, b3, b4 = frames[4, row], frames[5, row], frames[6, row], frames[7, row]
+        c1, c2, c3, c4 = frames[8, row], frames[9, row], frames[10, row], frames[11, row]
+        coordinate, sigma, flags = coordinates[row], sigmas[row], flagses[row]
+        modulation, texture = modulations[row], textures[row]
+        for x in range(frames.shape[2]):
+            i1, i2, i3, i4 = np.int32(a1[x]), np.int32(a2[x]), np.int32(a3[x]), np.int32(a4[x])
+            j1, j2, j3, j4 = np.int32(b1[x]), np.int32(b2[x]), np.int32(b3[x]), np.int32(b4[x])
+            k1, k2, k3, k4 = np.int32(c1[x]), np.int32(c2[x]), np.int32(c3[x]), np.int32(c4[x])
+            peak = max(max(max(i1, i2), max(i3, i4)), max(max(j1, j2), max(j3, j4)))
+            peak = max(peak, max(max(k1, k2), max(k3, k4)))
+            mean = np.float32((i1 + i2 + i3 + i4) + (j1 + j2 + j3 + j4) + (k1 + k2 + k3 + k4)) * per_sample
+            ca, sa = np.float32(i1 - i3), np.float32(i4 - i2)
+            cb, sb = np.float32(j1 - j3), np.float32(j4 - j2)
+            cc, sc = np.float32(k1 - k3), np.float32(k4 - k2)
+            q0, q1, q2 = _unwrap_three(_turns(sa, ca), _turns(sb, cb), _turns(sc, cc), three)
+            power0 = ca * ca + sa * sa
+            power1 = cb * cb + sb * sb
+            power2 = cc * cc + sc * sc
+            weight0 = power0 * f0
+            weight1 = power1 * f1
+            weight2 = power2 * f2
+            bottom = weight0 * f0 + weight1 * f1 + weight2 * f2 + _TINY
+            position = (weight0 * q0 + weight1 * q1 + weight2 * q2) / bottom
+            e0 = q0 - f0 * position
+            e1 = q1 - f1 * position
+            e2 = q2 - f2 * position
+            distance = e0 * e0 + e1 * e1 + e2 * e2
+            misfit = power0 * e0 * e0 + power1 * e1 * e1 + power2 * e2 * e2
+            variance = np.float32(2) * (read32 + gain32 * mean)
+            power = power0 + power1 + power2
+            faint = (min(min(power0, power1), power2) < snr2 * variance) | (power < least_power)
+            torn = ((misfit > chi2_turns * variance) & (distance > far2)) | (distance > torn2)
+            bad = faint | torn
+            coordinate[x] = _NAN if bad else (position - np.floor(position)) * size - _HALF
+            sigma[x] = _NAN if bad else scale * np.sqrt(variance / bottom)
+            modulation[x] = to_modulation * np.sqrt(power)
+            texture[x] = to_texture * mean
+            why = np.int32((_LOW_MODULATION if faint else _ORDER_RESIDUAL) if bad else 0)
+            flags[x] = np.uint16(why | np.int32(_SATURATED_SAMPLES if peak >= limit else 0))
+        saturated = np.uint16(0)
+        for x in range(frames.shape[2]):
+            saturated |= flags[x]
+        mend[row] = saturated & _SATURATED_SAMPLES != 0
+
+
+@kernel
+def _sums(frames, first_frame, row, left, m, cosines, sines, w, block):  # type: ignore[no-untyped-def]
+    """Phasor (×N/2), sum and largest sample of one count of one exposure into a block of the scratch array."""
     n = cosines.size
+    right = left + int(m)
     if n == 4:
-        i1 = frames[first_frame, row]
-        i2 = frames[first_frame + 1, row]
-        i3 = frames[first_frame + 2, row]
-        i4 = frames[first_frame + 3, row]
-        for x in range(width):
+        i1 = frames[first_frame, row, left:right]
+        i2 = frames[first_frame + 1, row, left:right]
+        i3 = frames[first_frame + 2, row, left:right]
+        i4 = frames[first_frame + 3, row, left:right]
+        for x in range(m):
             a1 = np.int32(i1[x])
             a2 = np.int32(i2[x])
             a3 = np.int32(i3[x])
             a4 = np.int32(i4[x])
-            c[x] = np.float32(a1 - a3)
-            s[x] = np.float32(a4 - a2)
-            total[x] = np.float32(a1 + a2 + a3 + a4)
-            peak[x] = np.float32(max(max(a1, a2), max(a3, a4)))
+            w[block + _C + x] = np.float32(a1 - a3)
+            w[block + _S + x] = np.float32(a4 - a2)
+            w[block + _SUM + x] = np.float32(a1 + a2 + a3 + a4)
+            w[block + _PEAK + x] = np.float32(max(max(a1, a2), max(a3, a4)))
         return
-    c[:] = _F0
-    s[:] = _F0
-    total[:] = _F0
-    peak[:] = _F0
     for j in range(n):
-        samples = frames[first_frame + j, row]
+        samples = frames[first_frame + j, row, left:right]
         cosine = cosines[j]
         sine = sines[j]
-        for x in range(width):
+        # The first step starts the sums.
+        keep = _F0 if j == 0 else _F1
+        if j == 0:
+            w[block : block + _BLOCK] = _F0
+        for x in range(m):
             value = np.float32(samples[x])
-            c[x] += value * cosine
-            s[x] -= value * sine
-            total[x] += value
-            peak[x] = max(peak[x], value)
+            w[block + _C + x] = keep * w[block + _C + x] + value * cosine
+            w[block + _S + x] = keep * w[block + _S + x] - value * sine
+            w[block + _SUM + x] = keep * w[block + _SUM + x] + value
+            w[block + _PEAK + x] = max(keep * w[block + _PEAK + x], value)
 
 
 @kernel
-def _solve_unsaturated(frames, k, row, x, exposures, cosines, sines, saturation, read, gain):  # type: ignore[no-untyped-def]
-    """Phasor of one pixel from its unsaturated samples of all exposures, each exposure with an offset of its own.
+def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s, info):  # type: ignore[no-untyped-def]
+    """Add to one pixel's phasor the unsaturated samples of those exposures that have saturated ones as well.
 
-    Returns C, S (grey levels at exposure 1), the information 1/var of the component across the phasor (which is what
-    the phase depends on), the mean level and its weight; all 0 where the samples do not determine the phasor.
+    Each exposure has an offset of its own. Takes the phasor (c, s) and its information 1/var from the whole exposures and
+    returns them anew; the information is that of the component across the phasor, which is what the phase depends on;
+    0 where the samples do not determine the phasor.
     """
+    saturation, read, gain = sensor
     n = cosines.size
-    m00 = 0.0
+    m00 = info
     m01 = 0.0
-    m11 = 0.0
-    r0 = 0.0
-    r1 = 0.0
+    m11 = info
+    r0 = info * c
+    r1 = info * s
     for e in range(exposures.size):
         time = exposures[e]
         used = 0
@@ -116,22 +239,22 @@ def _solve_unsaturated(frames, k, row, x, exposures, cosines, sines, saturation,
                 mean += value
                 mean_c += cosines[j]
                 mean_s -= sines[j]
-        if used < 2:
+        if used < 2 or used == n:
             continue
         mean /= used
         mean_c /= used
         mean_s /= used
-        weight = 1.0 / (read + gain * mean)
+        weight = time / (read + gain * mean)
         for j in range(n):
             value = float(frames[e, k * n + j, row, x])
             if value < saturation:
                 dc = cosines[j] - mean_c
                 ds = -sines[j] - mean_s
-                m00 += weight * time * time * dc * dc
-                m01 += weight * time * time * dc * ds
-                m11 += weight * time * time * ds * ds
-                r0 += weight * time * dc * (value - mean)
-                r1 += weight * time * ds * (value - mean)
+                m00 += weight * time * dc * dc
+                m01 += weight * time * dc * ds
+                m11 += weight * time * ds * ds
+                r0 += weight * dc * (value - mean)
+                r1 += weight * ds * (value - mean)
     determinant = m00 * m11 - m01 * m01
     trace = m00 + m11
     if trace <= 0.0 or determinant < _LEAST_DETERMINANT * trace * trace:
@@ -144,67 +267,73 @@ def _solve_unsaturated(frames, k, row, x, exposures, cosines, sines, saturation,
 
 
 @kernel
-def _fit_row(frames, row, exposures, cosines, sines, saturation, read, gain, c, s, info, texture, flags, work):  # type: ignore[no-untyped-def]
-    """Phasors (n_counts, w), their information 1/var, the mean level and the saturation flags of one row."""
-    n_counts, width = c.shape
+def _fit_exposures(frames, row, left, m, n_counts, exposures, cosines, sines, sensor, w):  # type: ignore[no-untyped-def]
+    """Phasors, their information 1/var and the mean level of a chunk; True if a sample of it is saturated.
+
+    A count's exposures are added by inverse variance, those left out in which one of its samples is saturated.
+    """
+    saturation, read, gain = sensor
     n = cosines.size
     step_info = np.float32(0.5 * n)
     per_sample = np.float32(1.0 / n)
-    e_c, e_s, e_total, e_peak, texture_info, partial = work
-    single = exposures.size == 1
-    texture[:] = _F0
-    texture_info[:] = _F0
-    partial[:] = _F0
     limit = np.float32(saturation)
     read32 = np.float32(read)
     gain32 = np.float32(gain)
+    spare = _FRONT + _U(n_counts) * _BLOCK
+    w[:spare] = _F0
+    some_partial = 0
     for k in range(n_counts):
+        block = _FRONT + _U(k) * _BLOCK
         for e in range(exposures.size):
             time = np.float32(exposures[e])
-            _sums(frames[e], k * n, row, cosines, sines, e_c, e_s, e_total, e_peak)
-            scale = _F1 / (step_info * time)
-            first = e == 0
-            for x in range(width):
-                mean = e_total[x] * per_sample
-                weight = time * time / (read32 + gain32 * mean)
-                good = e_peak[x] < limit
-                partial[x] = partial[x] if good else _F1
-                weight = weight if good else _F0
-                texture[x] += weight * mean / time
-                texture_info[x] += weight
-                if single:
-                    c[k, x] = scale * e_c[x]
-                    s[k, x] = scale * e_s[x]
-                    info[k, x] = weight * step_info
-                else:
-                    held = _F0 if first else info[k, x]
-                    c[k, x] = (_F0 if first else c[k, x]) + weight * scale * e_c[x]
-                    s[k, x] = (_F0 if first else s[k, x]) + weight * scale * e_s[x]
-                    info[k, x] = held + weight
-        if not single:
-            for x in range(width):
-                inverse = _F1 / max(info[k, x], _TINY)
-                c[k, x] *= inverse
-                s[k, x] *= inverse
-                info[k, x] *= step_info
-    for x in range(width):
-        texture[x] /= max(texture_info[x], _TINY)
-        flags[x] = 0
-        if partial[x] > _F0:
-            flags[x] = _SATURATED_SAMPLES
-    if not partial.any():
-        return
-    for x in range(width):
-        if partial[x] > _F0:
-            if texture_info[x] == _F0:
-                texture[x] = _clipped_texture(frames, row, x, exposures)
-            for k in range(n_counts):
-                solved = _solve_unsaturated(frames, k, row, x, exposures, cosines, sines, saturation, read, gain)
-                c[k, x] = solved[0]
-                s[k, x] = solved[1]
-                info[k, x] = solved[2]
-                if solved[2] == 0.0:
-                    flags[x] |= _SATURATED
+            inverse_time = _F1 / time
+            scale = inverse_time / step_info
+            _sums(frames[e], k * n, row, left, m, cosines, sines, w, spare)
+            for x in range(m):
+                mean = w[spare + _SUM + x] * per_sample
+                good = w[spare + _PEAK + x] < limit
+                weight = time * time / (read32 + gain32 * mean) if good else _F0
+                partial = _F0 if good else _F1
+                some_partial += np.int32(partial)
+                w[_PARTIAL + x] = max(w[_PARTIAL + x], partial)
+                w[_TEXTURE + x] += weight * mean * inverse_time
+                w[_TEXTURE_INFO + x] += weight
+                w[spare + _INFO + x] = weight
+            for x in range(m):
+                weight = w[spare + _INFO + x]
+                w[block + _C + x] += weight * scale * w[spare + _C + x]
+                w[block + _S + x] += weight * scale * w[spare + _S + x]
+                w[block + _INFO + x] += weight
+        for x in range(m):
+            inverse = _F1 / max(w[block + _INFO + x], _TINY)
+            w[block + _C + x] *= inverse
+            w[block + _S + x] *= inverse
+            w[block + _INFO + x] *= step_info
+    for x in range(m):
+        w[_TEXTURE + x] /= max(w[_TEXTURE_INFO + x], _TINY)
+    return some_partial > 0
+
+
+@kernel
+def _mend_saturated(frames, row, left, m, n_counts, exposures, cosines, sines, sensor, w, flags):  # type: ignore[no-untyped-def]
+    """Use what unsaturated samples there are beside saturated ones, and set the flags."""
+    for x in range(m):
+        if w[_PARTIAL + x] == _F0:
+            continue
+        flags[x] |= _SATURATED_SAMPLES
+        if w[_TEXTURE_INFO + x] == _F0:
+            w[_TEXTURE + x] = _clipped_texture(frames, row, left + int(x), exposures)
+        for k in range(n_counts):
+            block = _FRONT + _U(k) * _BLOCK
+            solved = _add_unsaturated(
+                frames, k, row, left + int(x), exposures, cosines, sines, sensor,
+                float(w[block + _C + x]), float(w[block + _S + x]), float(w[block + _INFO + x]),
+            )  # fmt: skip
+            w[block + _C + x] = solved[0]
+            w[block + _S + x] = solved[1]
+            w[block + _INFO + x] = solved[2]
+            if solved[2] == 0.0:
+                flags[x] |= _SATURATED
 
 
 @kernel
@@ -218,88 +347,61 @@ def _clipped_texture(frames, row, x, exposures):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _lattice_row(q, basis, to_lattice, gram):  # type: ignore[no-untyped-def]
-    """Take the nearest wrap-count lattice point off the wrapped phases q (n, w), in turns, in place.
+def _wrap(m, n, w):  # type: ignore[no-untyped-def]
+    """Wrapped phases in turns (paper eq 4) from the phasors."""
+    for k in range(n):
+        block = _FRONT + _U(k) * _BLOCK
+        for x in range(m):
+            w[block + _Q + x] = _turns(w[block + _S + x], w[block + _C + x])
 
-    What is left is, but for noise, a multiple of the count vector. Rounding the lattice coordinates and trying the other
-    corners of the cell finds the nearest point (exactly in one and two dimensions with a reduced basis).
-    """
-    n, width = q.shape
-    m = n - 1
-    if m == 2:
-        _lattice_row_3(q, basis, to_lattice, gram)
+
+@kernel
+def _unwrap_lattice(m, n, lattice, w):  # type: ignore[no-untyped-def]
+    """Take the nearest wrap-count lattice point off the wrapped phases, in place (see `_unwrap_three`)."""
+    if n == 3:
+        three = _numbers_of_three(lattice)
+        for x in range(m):
+            at0 = _FRONT + _Q + x
+            at1 = at0 + _BLOCK
+            at2 = at1 + _BLOCK
+            w[at0], w[at1], w[at2] = _unwrap_three(w[at0], w[at1], w[at2], three)
         return
-    near = np.empty(m, np.float32)
-    off = np.empty(m, np.float32)
-    for x in range(width):
-        for i in range(m):
+    basis, to_lattice, gram = lattice
+    near = np.empty(n - 1, np.float32)
+    off = np.empty(n - 1, np.float32)
+    for x in range(m):
+        for i in range(n - 1):
             t = _F0
             for k in range(n):
-                t += to_lattice[i, k] * q[k, x]
+                t += to_lattice[i, k] * w[_FRONT + _U(k) * _BLOCK + _Q + x]
             near[i] = np.rint(t)
             off[i] = t - near[i]
-        best = np.float32(np.inf)
+        best = _INFINITE
         chosen = 0
-        for corner in range(1 << m):
+        for corner in range(1 << (n - 1)):
             distance = _F0
-            for i in range(m):
+            for i in range(n - 1):
                 di = off[i] - (np.copysign(_F1, off[i]) if (corner >> i) & 1 else _F0)
-                for j in range(m):
+                for j in range(n - 1):
                     dj = off[j] - (np.copysign(_F1, off[j]) if (corner >> j) & 1 else _F0)
                     distance += gram[i, j] * di * dj
             if distance < best:
                 best = distance
                 chosen = corner
-        for i in range(m):
+        for i in range(n - 1):
             step = near[i] + (np.copysign(_F1, off[i]) if (chosen >> i) & 1 else _F0)
             for k in range(n):
-                q[k, x] -= basis[k, i] * step
+                w[_FRONT + _U(k) * _BLOCK + _Q + x] -= basis[k, i] * step
 
 
 @kernel
-def _lattice_row_3(q, basis, to_lattice, gram):  # type: ignore[no-untyped-def]
-    """`_lattice_row` for three counts, written out so that it runs in the processor's vector units."""
-    d00, d01, d02 = to_lattice[0, 0], to_lattice[0, 1], to_lattice[0, 2]
-    d10, d11, d12 = to_lattice[1, 0], to_lattice[1, 1], to_lattice[1, 2]
-    b00, b10, b20 = basis[0, 0], basis[1, 0], basis[2, 0]
-    b01, b11, b21 = basis[0, 1], basis[1, 1], basis[2, 1]
-    g00 = gram[0, 0]
-    g01 = np.float32(2) * gram[0, 1]
-    g11 = gram[1, 1]
-    q0, q1, q2 = q[0], q[1], q[2]
-    for x in range(q.shape[1]):
-        t0 = d00 * q0[x] + d01 * q1[x] + d02 * q2[x]
-        t1 = d10 * q0[x] + d11 * q1[x] + d12 * q2[x]
-        n0 = np.rint(t0)
-        n1 = np.rint(t1)
-        u = t0 - n0
-        v = t1 - n1
-        su = _F1 if u >= _F0 else -_F1
-        sv = _F1 if v >= _F0 else -_F1
-        uu = u - su
-        vv = v - sv
-        here = g00 * u * u + g01 * u * v + g11 * v * v
-        along = g00 * uu * uu + g01 * uu * v + g11 * v * v
-        aside = g00 * u * u + g01 * u * vv + g11 * vv * vv
-        both = g00 * uu * uu + g01 * uu * vv + g11 * vv * vv
-        step_u = min(along, both) < min(here, aside)
-        step_v = min(aside, both) < min(here, along)
-        n0 = n0 + su if step_u else n0
-        n1 = n1 + sv if step_v else n1
-        q0[x] -= b00 * n0 + b01 * n1
-        q1[x] -= b10 * n0 + b11 * n1
-        q2[x] -= b20 * n0 + b21 * n1
-
-
-@kernel
-def _heterodyne_row(q, counts, beats):  # type: ignore[no-untyped-def]
-    """Unwrap the phases q (n, w), in turns, in place, from the coarsest beat down (multi-frequency heterodyne)."""
-    n, width = q.shape
+def _unwrap_heterodyne(m, n, counts, beats, w):  # type: ignore[no-untyped-def]
+    """Unwrap the phases in place from the coarsest beat down (multi-frequency heterodyne)."""
     level = np.empty(n, np.float32)
     first = np.empty(n, np.float32)
-    for x in range(width):
+    for x in range(m):
         for k in range(n):
-            level[k] = q[k, x]
+            level[k] = w[_FRONT + _U(k) * _BLOCK + _Q + x]
         first[0] = level[0]
         for depth in range(1, n):
             for k in range(n - depth):
@@ -312,57 +414,71 @@ def _heterodyne_row(q, counts, beats):  # type: ignore[no-untyped-def]
             wraps = np.rint(beats[depth] * position - first[depth])
             position = (first[depth] + wraps) / beats[depth]
         for k in range(n):
-            q[k, x] += np.rint(counts[k] * position - q[k, x])
+            at = _FRONT + _U(k) * _BLOCK + _Q + x
+            w[at] += np.rint(counts[k] * position - w[at])
 
 
 @kernel
-def _fuse_row(q, c, s, info, counts, size, snr2, least2, chi2, far2, coordinate, sigma, modulation, flags, work):  # type: ignore[no-untyped-def]
-    """Maximum-likelihood position from the unwrapped phases q (n, w), weights ∝ (N·B)²/var; flags of what failed.
+def _fuse(m, n, counts, w):  # type: ignore[no-untyped-def]
+    """Maximum-likelihood position from the unwrapped phases, weights ∝ (N·B)²/var, and how far they miss it."""
+    for x in range(m):
+        w[_TOP + x] = _F0
+        w[_BOTTOM + x] = _TINY
+        w[_POWER + x] = _F0
+        w[_WEAKEST + x] = _INFINITE
+        w[_MISFIT + x] = _F0
+        w[_DISTANCE + x] = _F0
+    for k in range(n):
+        f = counts[k]
+        block = _FRONT + _U(k) * _BLOCK
+        for x in range(m):
+            power = w[block + _C + x] * w[block + _C + x] + w[block + _S + x] * w[block + _S + x]
+            snr = power * w[block + _INFO + x]
+            w[block + _C + x] = snr
+            w[_TOP + x] += snr * f * w[block + _Q + x]
+            w[_BOTTOM + x] += snr * f * f
+            w[_POWER + x] += power
+            w[_WEAKEST + x] = min(w[_WEAKEST + x], snr)
+    for x in range(m):
+        w[_TOP + x] /= w[_BOTTOM + x]
+    for k in range(n):
+        f = counts[k]
+        block = _FRONT + _U(k) * _BLOCK
+        for x in range(m):
+            e = w[block + _Q + x] - f * w[_TOP + x]
+            w[_MISFIT + x] += w[block + _C + x] * e * e
+            w[_DISTANCE + x] += e * e
 
-    A pixel fails as ORDER_RESIDUAL where its phases miss a common position by far more than noise explains
-    (chi2, far2 = chi-square limit and squared distance in turns²), or by nearly half a lattice step (far2[1]).
+
+@kernel
+def _judge(m, n, size, limits, w):  # type: ignore[no-untyped-def]
+    """Coordinate, σ and modulation into the slots top, bottom and power; flags as numbers into the slot misfit.
+
+    Phases contradict each other where they miss a common position by more than noise explains (chi-square limit) and
+    by more than the first distance, or by more than the second one, close to half a lattice step.
     """
-    n, width = q.shape
-    top, bottom, amplitude2, weakest, misfit, distance = work
-    top[:] = _F0
-    bottom[:] = _TINY
-    amplitude2[:] = _F0
-    weakest[:] = np.float32(np.inf)
-    misfit[:] = _F0
-    distance[:] = _F0
-    for k in range(n):
-        f = counts[k]
-        for x in range(width):
-            b2 = c[k, x] * c[k, x] + s[k, x] * s[k, x]
-            snr = b2 * info[k, x]
-            top[x] += snr * f * q[k, x]
-            bottom[x] += snr * f * f
-            amplitude2[x] += b2
-            weakest[x] = min(weakest[x], snr)
-            c[k, x] = snr
-    for x in range(width):
-        top[x] /= bottom[x]
-    for k in range(n):
-        f = counts[k]
-        for x in range(width):
-            e = q[k, x] - f * top[x]
-            misfit[x] += c[k, x] * e * e
-            distance[x] += e * e
+    snr2, least2, chi2, far2, torn2 = limits
     per_count = _F1 / np.float32(n)
     scale = size / _TURN
-    nan = np.float32(np.nan)
-    for x in range(width):
-        b2 = amplitude2[x] * per_count
-        faint = (weakest[x] < snr2) | (b2 < least2)
-        torn = ((misfit[x] * (_TURN * _TURN) > chi2) & (distance[x] > far2[0])) | (distance[x] > far2[1])
-        bits = np.uint16(_LOW_MODULATION if faint else 0)
-        bits |= np.uint16(_ORDER_RESIDUAL if torn & (not faint) else 0)
-        flags[x] |= bits
-        good = not (faint | torn)
-        modulation[x] = np.sqrt(b2)
-        position = top[x] - np.floor(top[x])
-        coordinate[x] = position * size - _HALF if good else nan
-        sigma[x] = scale / np.sqrt(bottom[x]) if good else nan
+    chi2_turns = chi2 / (_TURN * _TURN)
+    for x in range(m):
+        power = w[_POWER + x] * per_count
+        faint = (w[_WEAKEST + x] < snr2) | (power < least2)
+        distance = w[_DISTANCE + x]
+        torn = ((w[_MISFIT + x] > chi2_turns) & (distance > far2)) | (distance > torn2)
+        top = w[_TOP + x]
+        bad = faint | torn
+        w[_TOP + x] = _NAN if bad else (top - np.floor(top)) * size - _HALF
+        w[_BOTTOM + x] = _NAN if bad else scale / np.sqrt(w[_BOTTOM + x])
+        w[_POWER + x] = np.sqrt(power)
+        why = np.float32(_LOW_MODULATION) if faint else np.float32(_ORDER_RESIDUAL)
+        w[_MISFIT + x] = why if bad else _F0
+
+
+@kernel
+def _store(m, w, slot, target):  # type: ignore[no-untyped-def]
+    for x in range(m):
+        target[x] = w[slot + x]
 
 
 @kernel
@@ -376,37 +492,40 @@ def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, limits, size,
     cosines, sines : (steps,) float32 of the phase steps
     sensor : (saturation, read variance, gain), floats in grey levels
     unwrap : (heterodyne?, counts, beats, basis, to_lattice, gram), arrays float32
-    limits : (least squared signal-to-noise, least squared modulation, chi-square limit, (2,) squared distances)
-    size : float, projector pixels along the fringe axis
+    limits : (least squared signal-to-noise, least squared modulation, chi-square limit, two squared distances in
+        turns²), float32
+    size : float32, projector pixels along the fringe axis
     out : (coordinate, sigma, modulation, texture, flags), arrays (h, w)
     """
-    saturation, read, gain = sensor
     heterodyne, counts, beats, basis, to_lattice, gram = unwrap
-    snr2, least2, chi2, far2 = limits
+    lattice = (basis, to_lattice, gram)
     coordinate, sigma, modulation, texture, flags = out
     width = frames.shape[3]
     n = counts.size
-    c = np.empty((n, width), np.float32)
-    s = np.empty((n, width), np.float32)
-    info = np.empty((n, width), np.float32)
-    q = np.empty((n, width), np.float32)
-    w = np.empty((6, width), np.float32)
-    work = (w[0], w[1], w[2], w[3], w[4], w[5])
-    row_flags = np.empty(width, np.uint16)
+    w = np.zeros(_FRONT + _U(n + 1) * _BLOCK, np.float32)
+    to_do = np.ones(end, np.bool_)
+    if n == 3 and cosines.size == 4 and exposures.size == 1 and not heterodyne:
+        _decode_usual(frames[0], exposures[0], sensor, counts, lattice, limits, size, first, end, out, to_do)
     for row in range(first, end):
-        _fit_row(
-            frames, row, exposures, cosines, sines, saturation, read, gain,
-            c, s, info, texture[row], row_flags, work,
-        )  # fmt: skip
-        for k in range(n):
-            for x in range(width):
-                q[k, x] = _turns(s[k, x], c[k, x])
-        if heterodyne:
-            _heterodyne_row(q, counts, beats)
-        else:
-            _lattice_row(q, basis, to_lattice, gram)
-        _fuse_row(
-            q, c, s, info, counts, size, snr2, least2, chi2, far2,
-            coordinate[row], sigma[row], modulation[row], row_flags, work,
-        )  # fmt: skip
-        flags[row] = row_flags
+        if not to_do[row]:
+            continue
+        for left in range(0, width, int(_CHUNK)):
+            right = min(left + int(_CHUNK), width)
+            m = _U(right - left)
+            bits = flags[row, left:right]
+            bits[:] = 0
+            if _fit_exposures(frames, row, left, m, n, exposures, cosines, sines, sensor, w):
+                _mend_saturated(frames, row, left, m, n, exposures, cosines, sines, sensor, w, bits)
+            _wrap(m, n, w)
+            if heterodyne:
+                _unwrap_heterodyne(m, n, counts, beats, w)
+            else:
+                _unwrap_lattice(m, n, lattice, w)
+            _fuse(m, n, counts, w)
+            _judge(m, n, size, limits, w)
+            _store(m, w, _TOP, coordinate[row, left:right])
+            _store(m, w, _BOTTOM, sigma[row, left:right])
+            _store(m, w, _POWER, modulation[row, left:right])
+            _store(m, w, _TEXTURE, texture[row, left:right])
+            for x in range(m):
+                bits[x] |= np.uint16(np.int32(w[_MISFIT + x]))
