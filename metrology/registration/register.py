@@ -1,0 +1,193 @@
+"""Recognising a scan in its panel's pattern.
+
+The placement of the rig is searched among all ways in which pairs of found rivets can be pairs of the nominal pattern
+(`search`), refined by a robust rigid fit on rivets, skin directions and seams (`fit`), and the most probable one is
+taken (`hypothesis`). Its log-probability counts expected rivets that were not found, found ones that nobody expected,
+how far each lies from its nominal place, and how far the rig would have moved from the station's nominal placement:
+that last term resolves patterns that look alike after a turn or a shift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.panel import PanelLayout, Placement
+from metrology.registration.hypothesis import Hypothesis, Matcher, Scan
+from metrology.registration.relabel import Recognised, relabel_rivets, relabel_stations
+from metrology.registration.rows import has_position, positions
+from metrology.registration.search import PointPattern, estimated_normals, motion
+from metrology.registration.settings import RegistrationSettings
+from metrology.results import Rivet, SeamStation
+from metrology.skin_normal import skin_normal
+
+Array = NDArray[np.float64]
+Status = Literal["recognised", "enrolled", "not recognised"]
+
+_NORMAL_REACH = 1.5  # in diameters of the head
+_COURSE_POINTS = 24
+# Placements whose probabilities differ by less than a factor of twenty cannot be told apart with 95 % confidence.
+_AMBIGUOUS = float(np.log(20.0))
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A scan in terms of its panel.
+
+    Attributes
+    ----------
+    status : "recognised", "enrolled" or "not recognised"
+    placement : Placement or None
+        Rig frame to panel frame.
+    rivets, stations : tuple
+        With the panel's ids, zones and panel coordinates; rows for what is missing included. As measured where the scan
+        was not recognised.
+    matched, missing, unlisted : tuple of str
+        Rivet ids: recognised; expected in view and not found; found and in no pattern.
+    rms_mm : float or None
+        Of the recognised rivets' distances from their nominal places.
+    shift_mm, turn_deg : float or None
+        How far the rig stands from the station's nominal placement.
+    warnings : tuple of str
+    enrolled : PanelLayout or None
+        The pattern whose first scan this one is.
+    """
+
+    status: Status
+    placement: Placement | None
+    rivets: tuple[Rivet, ...]
+    stations: tuple[SeamStation, ...]
+    matched: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    unlisted: tuple[str, ...] = ()
+    rms_mm: float | None = None
+    shift_mm: float | None = None
+    turn_deg: float | None = None
+    warnings: tuple[str, ...] = ()
+    enrolled: PanelLayout | None = None
+
+
+def register(
+    rivets: Sequence[Rivet],
+    stations: Sequence[SeamStation],
+    reconstruction: Reconstruction,
+    layout: PanelLayout,
+    station: str,
+    settings: RegistrationSettings | None = None,
+) -> Registration:
+    """Recognise a scan's rivets and seams in a panel's nominal pattern.
+
+    Parameters
+    ----------
+    rivets, stations
+        As measured, with ids of the scan's own.
+    reconstruction : Reconstruction
+        Gives the rig (what is in view) and the skin's direction.
+    layout : PanelLayout
+    station : str
+        Which nominal placement the rig is near; where the layout has none by that name, the whole pattern is searched.
+    """
+    settings = settings or RegistrationSettings()
+    prior = layout.stations.get(station)
+    rows = [k for k, rivet in enumerate(rivets) if has_position(rivet)]
+    scan = _scan([rivets[k] for k in rows], stations, reconstruction)
+    if len(scan.rivets) == 0 and not scan.seams:
+        return _unrecognised(rivets, stations, "found no rivet and no seam")
+    matcher = Matcher(scan, _pattern(layout, prior), layout, prior, reconstruction.rig, settings)
+    ranked = matcher.ranked()
+    if not ranked or not matcher.convincing(ranked[0]):
+        found = f"found at best {int((ranked[0].partner >= 0).sum()) if ranked else 0} of {len(rows)} rivets in it"
+        return _unrecognised(rivets, stations, found)
+    best = ranked[0]
+    partner = {row: int(k) for row, k in zip(rows, best.partner, strict=True) if k >= 0}
+    absent = matcher.expected(best.placement)
+    absent[list(partner.values())] = False
+    known = Recognised(
+        best.placement,
+        {row: layout.rivets[k] for row, k in partner.items()},
+        [layout.rivets[k] for k in np.flatnonzero(absent)],
+        best.seams,
+    )
+    distances = matcher.distances(best)
+    shift, turn = (None, None) if prior is None else motion(best.placement, prior, scan.middle)
+    turn_deg = None if turn is None else float(np.degrees(turn))
+    named = relabel_rivets(rivets, known, reconstruction)
+    listed = {rivet.rivet_id for rivet in layout.rivets}
+    return Registration(
+        "recognised",
+        best.placement,
+        tuple(named),
+        tuple(relabel_stations(stations, known, reconstruction, layout.seams, settings.gap_mm)),
+        matched=tuple(rivet.rivet_id for rivet in known.rivets.values()),
+        missing=tuple(rivet.rivet_id for rivet in known.missing),
+        unlisted=tuple(rivet.rivet_id for rivet in named if rivet.rivet_id not in listed),
+        rms_mm=float(np.sqrt((distances**2).mean())) if len(distances) else None,
+        shift_mm=shift,
+        turn_deg=turn_deg,
+        warnings=tuple(_warnings(ranked, shift, turn_deg, known.missing, settings)),
+    )
+
+
+def _scan(rivets: Sequence[Rivet], stations: Sequence[SeamStation], reconstruction: Reconstruction) -> Scan:
+    """The rivets and stations that have positions, as points."""
+    places = positions(rivets)
+    normals = np.full(places.shape, np.nan)
+    for k, rivet in enumerate(rivets):
+        normal = skin_normal(reconstruction, rivet.u_px, rivet.v_px, _NORMAL_REACH * rivet.major_px)
+        if normal is not None:
+            normals[k] = normal
+    diameters = np.array([rivet.diameter_mm for rivet in rivets], float)
+    seams: dict[str, list[SeamStation]] = {}
+    for station in stations:
+        if has_position(station):
+            seams.setdefault(station.seam_id, []).append(station)
+    courses = {name: _thinned(positions(members)) for name, members in seams.items()}
+    return Scan(PointPattern(places, normals, diameters), courses)
+
+
+def _thinned(course: Array) -> Array:
+    """At most _COURSE_POINTS of a seam's stations, evenly: its course is smooth."""
+    return course[np.linspace(0, len(course) - 1, min(len(course), _COURSE_POINTS)).round().astype(int)]
+
+
+def _pattern(layout: PanelLayout, prior: Placement | None) -> PointPattern:
+    """The nominal rivets as points; normals that are not given are estimated, facing the rig where it is known."""
+    places = np.array([rivet.position for rivet in layout.rivets], float).reshape(-1, 3)
+    normals = estimated_normals(places)
+    if prior is not None:
+        normals *= np.where(((prior.t - places) * normals).sum(1) < 0, -1.0, 1.0)[:, None]
+    for k, rivet in enumerate(layout.rivets):
+        if rivet.normal is not None:
+            normals[k] = np.array(rivet.normal) / np.linalg.norm(rivet.normal)
+    diameters = np.array([rivet.diameter_mm for rivet in layout.rivets], float)
+    return PointPattern(places, normals, diameters)
+
+
+def _unrecognised(rivets: Sequence[Rivet], stations: Sequence[SeamStation], found: str) -> Registration:
+    warning = f"panel's pattern not recognised: {found}, expected most; ids are this scan's own"
+    return Registration("not recognised", None, tuple(rivets), tuple(stations), warnings=(warning,))
+
+
+def _warnings(
+    ranked: Sequence[Hypothesis], shift: float | None, turn: float | None, missing: Sequence[object],
+    settings: RegistrationSettings,
+) -> list[str]:  # fmt: skip
+    warnings = []
+    if len(ranked) > 1 and ranked[0].score - ranked[1].score < _AMBIGUOUS:
+        warnings.append(
+            "panel's pattern fits in two ways almost alike, expected one: ids may be shifted; "
+            "see to the station's nominal placement"
+        )
+    if shift is not None and turn is not None and (shift > settings.shift_mm or turn > settings.turn_deg):
+        warnings.append(
+            f"rig found {shift:.1f} mm and {turn:.1f}° from the station's nominal placement, expected at most "
+            f"{settings.shift_mm:g} mm and {settings.turn_deg:g}°"
+        )
+    if missing:
+        warnings.append(f"{len(missing)} rivets of the panel's pattern are in view but were not found")
+    return warnings

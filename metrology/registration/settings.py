@@ -1,0 +1,46 @@
+"""Settings of registration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from metrology.errors import UsageError
+
+
+@dataclass(frozen=True)
+class RegistrationSettings:
+    """How a scan is recognised.
+
+    Attributes
+    ----------
+    tolerance_mm : float
+        A rivet further than this from its nominal place is another one. Rivets of one panel type differ by some tenths
+        of a millimetre from aircraft to aircraft.
+    seam_tolerance_mm : float
+        The same for the median distance of a seam from its nominal course.
+    shift_mm, turn_deg : float
+        How far the rig may usually stand from the station's nominal placement; half as far again is searched.
+    missing_rate, false_rate : float
+        Usual shares of nominal rivets that are not found, and of found rivets that are none.
+    least_share : float
+        Share of the expected rivets that must be recognised for the scan to count as one of this pattern.
+    gap_mm : float
+        A nominal seam that is in view but not found over more than this length gets a row that says so.
+    """
+
+    tolerance_mm: float = 2.0
+    seam_tolerance_mm: float = 4.0
+    shift_mm: float = 15.0
+    turn_deg: float = 5.0
+    missing_rate: float = 0.1
+    false_rate: float = 0.05
+    least_share: float = 0.6
+    gap_mm: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name in ("tolerance_mm", "seam_tolerance_mm", "shift_mm", "turn_deg", "gap_mm"):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"registration {name}: found {getattr(self, name):g}, expected a positive number")
+        for name in ("missing_rate", "false_rate", "least_share"):
+            if not 0 < getattr(self, name) < 1:
+                raise UsageError(f"registration {name}: found {getattr(self, name):g}, expected a share from 0 to 1")
