@@ -9,12 +9,15 @@ beyond the serious limits. The decision also looks at the value's expanded uncer
     fail               outside by more than U95
 
 What was not measured is its own state and never a pass; what has no limit is judged neither way.
+
+A seam's step may have limits of its own into the wind (the downstream side stands higher) and out of it. Where the
+air's direction across the seam is not known, the step must meet both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import get_args
 
 from metrology.errors import SpecError
@@ -98,12 +101,34 @@ class Limit:
 
 @dataclass(frozen=True)
 class Zone:
-    """A tolerance zone of a panel: the limits that hold for the features in it."""
+    """A tolerance zone of a panel: the limits that hold for the features in it.
+
+    Attributes
+    ----------
+    height_mm, tilt_deg, width_mm : Limit or None
+    step_mm : Limit or None
+        Of the step in either direction.
+    step_into_wind_mm, step_out_of_wind_mm : Limit or None
+        Upper limits of the step's amount where the downstream side stands higher, and where it stands lower.
+    """
 
     height_mm: Limit | None = None
     tilt_deg: Limit | None = None
     step_mm: Limit | None = None
     width_mm: Limit | None = None
+    step_into_wind_mm: Limit | None = None
+    step_out_of_wind_mm: Limit | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("step_into_wind_mm", "step_out_of_wind_mm"):
+            limit = getattr(self, name)
+            if limit is None:
+                continue
+            if limit.lower is not None or limit.serious_lower is not None or limit.upper is None or limit.upper < 0:
+                raise SpecError(f"{name}: found {limit}, expected an upper limit of the step's amount alone")
+
+
+DEFAULT_ZONE = "default"
 
 
 @dataclass(frozen=True)
@@ -114,9 +139,12 @@ class PanelSpec:
     revision: str
     zones: Mapping[str, Zone] = field(default_factory=dict)
 
-    def zone(self, name: str = "default") -> Zone:
-        """The zone of that name; one without limits where the specification has none."""
-        return self.zones.get(name, Zone())
+    def zone(self, name: str | None = None) -> Zone:
+        """The zone of that name; what it leaves open is as in the zone "default"."""
+        default = self.zones.get(DEFAULT_ZONE, Zone())
+        zone = self.zones.get(name or DEFAULT_ZONE, default)
+        given = {f.name: getattr(zone, f.name) for f in fields(Zone) if getattr(zone, f.name) is not None}
+        return replace(default, **given)
 
 
 @dataclass(frozen=True)
@@ -142,6 +170,37 @@ def _judge(name: str, unit: str, value: float | None, u95: float | None, limit: 
     return _Verdict(severity, decision, f"{name} {value:+.3f} ± {u95:.3f} {unit} {words} {limit}; {RULE}")
 
 
+def _judge_wind(station: SeamStation, zone: Zone) -> _Verdict:
+    """The step against its limits into and out of the wind, as one range of the signed step."""
+    into, out = zone.step_into_wind_mm, zone.step_out_of_wind_mm
+    if into is None and out is None:
+        return _judge("step", "mm", None, None, None)
+    if station.step_into_wind_mm is not None:
+        limit, name, step = _either_way(out, into), "step into the wind", station.step_into_wind_mm
+        return _judge(name, "mm", step, station.step_u95_mm, limit)
+    amount = None if station.step_mm is None else abs(station.step_mm)
+    name = "step (wind direction unknown)"
+    return _gravest([_judge(name, "mm", amount, station.step_u95_mm, limit) for limit in (into, out)], None)
+
+
+def _either_way(out: Limit | None, into: Limit | None) -> Limit:
+    """Limits of the step counted positive into the wind, from the amounts allowed either way."""
+    origins = [(limit.source, limit.revision) for limit in (out, into) if limit is not None]
+    sources, revisions = (" / ".join(dict.fromkeys(parts)) for parts in zip(*origins, strict=True))
+
+    def mirrored(amount: float | None) -> float | None:
+        return None if amount is None else -amount
+
+    return Limit(
+        lower=mirrored(out.upper) if out else None,
+        serious_lower=mirrored(out.serious_upper) if out else None,
+        upper=into.upper if into else None,
+        serious_upper=into.serious_upper if into else None,
+        source=sources,
+        revision=revisions,
+    )
+
+
 def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
     decision = max((v.decision for v in verdicts), key=_DECISIONS.index)
     colours = [v.severity for v in verdicts if v.severity is not None]
@@ -150,14 +209,14 @@ def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
         colours = [c for c in colours if c != "green"]
     severity = max(colours, key=_SEVERITIES.index) if colours else None
     reasons = [reason, *(v.reason for v in verdicts)]
-    return _Verdict(severity, decision, "; ".join(r for r in reasons if r) or None)
+    return _Verdict(severity, decision, "; ".join(dict.fromkeys(r for r in reasons if r)) or None)
 
 
 def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
     """The rivets with severity, decision and the reason for anything short of a pass."""
-    zone = spec.zone()
     judged = []
     for rivet in rivets:
+        zone = spec.zone(rivet.zone)
         verdict = _gravest(
             [
                 _judge("height", "mm", rivet.height_mean_mm, rivet.height_u95_mm, zone.height_mm),
@@ -171,12 +230,13 @@ def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
 
 def judge_stations(stations: Sequence[SeamStation], spec: PanelSpec) -> list[SeamStation]:
     """The seam stations with severity, decision and the reason for anything short of a pass."""
-    zone = spec.zone()
     judged = []
     for station in stations:
+        zone = spec.zone(station.zone)
         verdict = _gravest(
             [
                 _judge("step", "mm", station.step_mm, station.step_u95_mm, zone.step_mm),
+                _judge_wind(station, zone),
                 _judge("width", "mm", station.width_mm, station.width_u95_mm, zone.width_mm),
             ],
             station.reason,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from metrology.errors import SpecError
-from metrology.results import Rivet
-from metrology.tolerance import Limit, PanelSpec, Zone, judge_rivets
+from metrology.results import Rivet, SeamStation
+from metrology.tolerance import Limit, PanelSpec, Zone, judge_rivets, judge_stations
 
 LIMIT = Limit(lower=-0.1, upper=0.1, serious_lower=-0.2, serious_upper=0.2, source="DS-1", revision="B")
 
@@ -66,3 +68,58 @@ def test_limits_out_of_order_are_refused() -> None:
         Limit(lower=0.2, upper=0.1)
     with pytest.raises(SpecError, match="neither"):
         Limit(serious_upper=1)
+
+
+def station(step: float, into_wind: float | None = None, zone: str | None = None) -> SeamStation:
+    return SeamStation(
+        "S01", 0, 0, 0, 700, 10, 10, step, 0.01, 2.0, 0.05, step_into_wind_mm=into_wind, zone=zone
+    )  # fmt: skip
+
+
+def test_each_feature_is_judged_by_its_own_zone_and_by_the_default_where_that_is_silent() -> None:
+    tight = Limit(lower=-0.01, upper=0.01)
+    zones = {"default": Zone(height_mm=LIMIT, tilt_deg=Limit(upper=0.05)), "nose": Zone(height_mm=tight)}
+    spec = PanelSpec("P", "1", zones)
+    nose, wing = judge_rivets([replace(rivet(0.05), zone="nose"), replace(rivet(0.05), tilt_deg=0.0)], spec)
+    assert (nose.decision, wing.decision) == ("fail", "pass")
+    assert "tilt" in (nose.reason or "")
+
+
+WIND = Zone(
+    step_into_wind_mm=Limit(upper=0.1, serious_upper=0.2, source="DS-7", revision="C"),
+    step_out_of_wind_mm=Limit(upper=0.3, source="DS-8", revision="A"),
+)
+
+
+@pytest.mark.parametrize(
+    ("step", "into_wind", "severity", "decision"),
+    [
+        (-0.05, 0.05, "green", "pass"),
+        (0.15, 0.15, "blue", "fail"),
+        (-0.15, 0.15, "blue", "fail"),
+        (0.25, 0.25, "red", "fail"),
+        (0.25, -0.25, "green", "pass"),
+        (0.295, -0.295, "green", "conditional pass"),
+        (0.35, -0.35, "blue", "fail"),
+        # Which way the air flows is not known: the stricter limit holds.
+        (-0.15, None, "blue", "fail"),
+        (0.05, None, "green", "pass"),
+    ],
+)
+def test_steps_are_judged_by_where_the_wind_comes_from(
+    step: float, into_wind: float | None, severity: str, decision: str
+) -> None:
+    judged = judge_stations([station(step, into_wind)], PanelSpec("P", "1", {"default": WIND}))[0]
+    assert (judged.severity, judged.decision) == (severity, decision)
+    if decision == "fail":
+        assert "DS-" in (judged.reason or "")
+
+
+def test_limits_of_a_step_by_wind_are_of_its_amount() -> None:
+    with pytest.raises(SpecError, match="amount"):
+        Zone(step_into_wind_mm=Limit(lower=-0.1, upper=0.1))
+
+
+def test_reasons_name_rule_source_and_revision() -> None:
+    judged = judge_rivets([rivet(0.15)], PanelSpec("P", "1", {"default": Zone(height_mm=LIMIT)}))[0]
+    assert judged.reason == "height +0.150 ± 0.010 mm outside -0.100 … +0.100 (DS-1 B); ISO 14253-1, guard band U95"
