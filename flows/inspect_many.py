@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error, unexpected
 from flows.inspect_scene import Inspected, Job, inspect_scene
 from flows.prefect_server import answers, configured_api
+from flows.progress import progress_bar
 from metrology.errors import FlushlineError, UsageError
 from metrology.results import Rivet, SeamStation
 from storage.archive import Store
@@ -50,14 +48,12 @@ class Inputs:
 def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) -> int:
     """Inspect scenes one after the other; returns the command's exit code."""
     jobs = _jobs(inputs)
-    sound = [
-        job for job in jobs if _passes(lambda job=job: steps.load(job.folder, job.rig_path, job.store), job, debug)
-    ]
+    sound = [job for job in jobs if _passes(partial(steps.load, job.folder, job.rig_path, job.store), job, debug)]
     if not sound:
         return EXIT_BAD_INPUT
     run = _way_to_run(inputs, use_server)
     done = 0
-    with _progress() as progress:
+    with progress_bar() as progress:
         bar = progress.add_task("", total=len(sound))
 
         def inspect(job: Job) -> None:
@@ -136,19 +132,6 @@ def _passes(work: Callable[[], object], job: Job, debug: bool) -> bool:
         print_error(f"{job.folder}: {unexpected(problem)}; --debug shows where")
         return False
     return True
-
-
-def _progress() -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    )
 
 
 def _number(count: int, thing: str) -> str:

@@ -217,6 +217,7 @@ def write_scene(
     }
     manifest = folder / MANIFEST
     validate(SceneModel, document, manifest, SceneError)
+    manifest.unlink(missing_ok=True)
     for camera, stack in (("left", left), ("right", right)):
         (folder / camera).mkdir(parents=True, exist_ok=True)
         for exposure_names, frames in zip(names[camera], stack, strict=True):
