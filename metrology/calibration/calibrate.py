@@ -15,6 +15,7 @@ from metrology.calibration.distortion_model import PINHOLE, USUAL, Evidence, cho
 from metrology.calibration.eccentricity import eccentricity
 from metrology.calibration.initial import LEAST_POSES, start_values, to_board
 from metrology.calibration.observations import DeviceName, Sighting
+from metrology.calibration.prediction import FieldUncertainty, field_uncertainty
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.errors import CalibrationError
 from metrology.rig import Rig
@@ -30,6 +31,8 @@ _BAD_PART = 0.3  # of a picture's features being outliers: the picture itself is
 _BAD_RMS_TIMES = 4.0
 _ROUNDS = 3
 _ENOUGH_POSES = 6
+_NOTABLE_FOCAL_U95 = 1e-3  # of the focal length
+_NOTABLE_CENTRE_U95_PX = 3.0
 _NOTABLE_RMS_PX = {"left": 0.1, "right": 0.1, "projector": 0.5}
 
 
@@ -71,6 +74,8 @@ class Calibration:
         Distortion terms of each device.
     evidence : tuple of Evidence
     poses : tuple of PoseUse
+    field : FieldUncertainty or None
+        What the covariance means for measurements; None without a right camera and a projector.
     rms_px : dict of str to float
         Root mean square reprojection distance by device, of both coordinates together as OpenCV has it; that of the
         projector in its own pixels.
@@ -82,6 +87,7 @@ class Calibration:
     terms: Terms
     evidence: tuple[Evidence, ...]
     poses: tuple[PoseUse, ...]
+    field: FieldUncertainty | None
     rms_px: dict[DeviceName, float]
     warnings: tuple[str, ...]
 
@@ -108,6 +114,12 @@ class Calibration:
             "reprojection_rms_px": dict(self.rms_px),
             "parameters": list(self.adjusted.names),
             "covariance": self.adjusted.covariance.tolist(),
+            "health_sigma_px": {
+                "epipolar": self.field.epipolar_sigma_px,
+                "projector": self.field.projector_sigma_px,
+            }
+            if self.field
+            else {},
             "distortion_terms": {name: list(terms) for name, terms in self.terms.items()},
             "poses": [
                 {
@@ -172,7 +184,9 @@ def calibrate_sightings(
     _check(adjusted)
     uses = _pose_uses(everything, sightings, adjusted, notes)
     rms = {name: _rms(sightings, adjusted, name) for name in start.devices}
-    return Calibration(adjusted, tuple(sightings), terms, tuple(evidence), uses, rms, _warnings(uses, rms))
+    warnings = (*_warnings(uses, rms), *_uncertain(adjusted))
+    field = field_uncertainty(adjusted)
+    return Calibration(adjusted, tuple(sightings), terms, tuple(evidence), uses, field, rms, warnings)
 
 
 def sightings_of(detections: Sequence[Detection], board: Board, pattern: ProjectedDots | None) -> list[Sighting]:
@@ -386,3 +400,19 @@ def _warnings(uses: Sequence[PoseUse], rms: Mapping[DeviceName, float]) -> tuple
         if value > _NOTABLE_RMS_PX[device]:
             warnings.append(f"{device}: reprojection RMS {value:.3f} px, expected at most {_NOTABLE_RMS_PX[device]} px")
     return tuple(warnings)
+
+
+def _uncertain(adjusted: Adjusted) -> list[str]:
+    """Devices that the poses leave uncertain, whatever their residuals."""
+    sigma = dict(zip(adjusted.names, np.sqrt(np.diag(adjusted.covariance)), strict=True))
+    warnings = []
+    for name, device in adjusted.state.devices.items():
+        focal = 2 * sigma[f"{name}.fx"] / device.K[0, 0]
+        centre = 2 * max(sigma[f"{name}.cx"], sigma[f"{name}.cy"])
+        if focal > _NOTABLE_FOCAL_U95 or centre > _NOTABLE_CENTRE_U95_PX:
+            warnings.append(
+                f"{name}: the poses leave the focal length uncertain by ±{focal:.2%} and the principal point by "
+                f"±{centre:.1f} px (95 %), expected at most ±{_NOTABLE_FOCAL_U95:.1%} and ±{_NOTABLE_CENTRE_U95_PX:g} px: "
+                "more poses, tilted in different ways, nearer and farther"
+            )
+    return warnings

@@ -1,0 +1,242 @@
+"""Whether the rig still is what its calibration says, told from any scan.
+
+Two observables, which between them see every way that one device can move or zoom against the others:
+
+- *across the epipolar line*: how far off its epipolar line the right camera sees the skin's texture. Moves with a pitch
+  or roll between the cameras and with either camera's focal length.
+- *the projector as a third view*: the projector column (row, for fringes of axis y) that was decoded at a point against
+  the one the rig projects it to. Moves with what the first is blind to (a yaw between the cameras, both focal lengths
+  alike) and with the projector itself. The ripple that the projector's gamma leaves averages out over a block.
+
+What counts is the systematic part, which averaging does not remove; it is compared with what noise and the
+calibration's own uncertainty allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.errors import RigError
+from metrology.fringe import Axis
+from metrology.results import Rivet, RivetDetection
+from metrology.rig import Rig
+from metrology.texture_offset import TextureOffsets, measure_offsets
+
+Array = NDArray[np.float64]
+Verdict = Literal["ok", "warning", "refused"]
+
+
+@dataclass(frozen=True)
+class HealthSettings:
+    """What is measured and judged.
+
+    Attributes
+    ----------
+    patch_spacing_px : int
+        Distance between texture patches.
+    block_px : int
+        Side of the blocks over which the third view is averaged; wider than a fringe.
+    sigmas : float
+        Standard deviations (noise and calibration together) that a systematic deviation must exceed to be warned of.
+    epipolar_floor_px, projector_floor_px : float
+        Systematic deviations that are not warned of however small the noise: what registration of the skin's changing
+        sheen, and the projector's gamma, leave after averaging.
+    refuse_px : float
+        Systematic deviation of either kind from which the rig is refused: several times what a sound calibration leaves.
+    """
+
+    patch_spacing_px: int = 80
+    block_px: int = 64
+    sigmas: float = 5.0
+    epipolar_floor_px: float = 0.05
+    projector_floor_px: float = 0.02
+    refuse_px: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.patch_spacing_px < 8 or self.block_px < 16:
+            raise RigError(
+                f"health check: found patches every {self.patch_spacing_px} px and blocks of {self.block_px} px, expected "
+                "at least 8 and 16"
+            )
+        if not (self.sigmas > 0 and 0 < self.epipolar_floor_px < self.refuse_px > self.projector_floor_px > 0):
+            raise RigError("health check: found limits that are not positive and rising, expected floor below refusal")
+
+
+@dataclass(frozen=True)
+class RigHealth:
+    """How well a rig fits a scan.
+
+    Attributes
+    ----------
+    epipolar_rms_px : float or None
+        Root mean square distance of texture patches from their epipolar lines in the right image, noise included; None
+        where the skin has too little texture.
+    epipolar_drift_px : float or None
+        Root mean square of its systematic part over the field.
+    n : int
+        Patches.
+    projector_rms_px : float or None
+        Root mean square over blocks of decoded minus projected coordinate, projector pixels.
+    projector_n : int
+        Blocks.
+    verdict : "ok", "warning" or "refused"
+    reason : str or None
+        What does not fit.
+    """
+
+    epipolar_rms_px: float | None
+    epipolar_drift_px: float | None
+    n: int
+    projector_rms_px: float | None
+    projector_n: int
+    verdict: Verdict
+    reason: str | None
+
+
+_LEAST_PATCHES = 12
+_LEAST_BLOCKS = 12
+_LEAST_BLOCK_PART = 0.1
+_OUTLIER_MADS = 4.0
+_MAD_TO_SIGMA = 1.4826
+
+
+def epipolar_health(
+    reconstruction: Reconstruction,
+    rivets: Sequence[Rivet | RivetDetection] = (),
+    axis: Axis = "x",
+    settings: HealthSettings | None = None,
+) -> RigHealth:
+    """Judge the rig of a reconstruction by the reconstruction itself.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+    rivets : sequence of Rivet or RivetDetection
+        Their rims join the texture's patches.
+    axis : "x" or "y"
+        Of the fringes.
+    settings : HealthSettings, optional
+    """
+    settings = settings or HealthSettings()
+    allowed = _calibration_sigma(reconstruction.rig)
+    offsets = measure_offsets(reconstruction, _patch_centres(reconstruction, rivets, settings))
+    epipolar = _epipolar(offsets, reconstruction.rig)
+    projector = _third_view(reconstruction, axis, settings)
+    findings = []
+    if epipolar is not None:
+        limit = max(settings.epipolar_floor_px, settings.sigmas * float(np.hypot(epipolar.sigma, allowed[0])))
+        findings.append(_judge("texture lies off the epipolar lines by", epipolar.drift, limit, settings))
+    if projector is not None:
+        limit = max(settings.projector_floor_px, settings.sigmas * float(np.hypot(projector.sigma, allowed[1])))
+        findings.append(_judge("the decoded projector coordinate is off by", projector.drift, limit, settings))
+    if not findings:
+        findings.append(("warning", "too few textured patches and too few points to tell whether the rig still fits"))
+    order: dict[Verdict, int] = {"ok": 0, "warning": 1, "refused": 2}
+    verdict = max((found for found, _ in findings), key=lambda found: order[found])
+    reason = "; ".join(text for _, text in findings if text) or None
+    return RigHealth(
+        epipolar_rms_px=epipolar.rms if epipolar else None,
+        epipolar_drift_px=epipolar.drift if epipolar else None,
+        n=epipolar.count if epipolar else 0,
+        projector_rms_px=projector.rms if projector else None,
+        projector_n=projector.count if projector else 0,
+        verdict=verdict,
+        reason=reason,
+    )
+
+
+@dataclass(frozen=True)
+class _Deviation:
+    """rms: of all values; drift: of their systematic part; sigma: the drift that noise alone would show."""
+
+    rms: float
+    drift: float
+    sigma: float
+    count: int
+
+
+def _judge(what: str, drift: float, limit: float, settings: HealthSettings) -> tuple[Verdict, str | None]:
+    if drift <= limit:
+        return "ok", None
+    verdict: Verdict = "refused" if drift > max(settings.refuse_px, limit) else "warning"
+    return verdict, f"{what} {drift:.3f} px RMS, expected at most {limit:.3f} px: calibrate the rig again"
+
+
+def _calibration_sigma(rig: Rig) -> tuple[float, float]:
+    """Deviations (epipolar, projector; px) that the calibration's covariance predicts; 0 where the file does not tell."""
+    calibration = rig.extra.get("calibration")
+    told = calibration.get("health_sigma_px", {}) if isinstance(calibration, dict) else {}
+    return float(told.get("epipolar", 0.0)), float(told.get("projector", 0.0))
+
+
+def _patch_centres(
+    reconstruction: Reconstruction, rivets: Sequence[Rivet | RivetDetection], settings: HealthSettings
+) -> NDArray[np.int64]:
+    height, width = reconstruction.left.texture.shape
+    half = settings.patch_spacing_px // 2
+    grid = np.meshgrid(
+        np.arange(half, width, settings.patch_spacing_px), np.arange(half, height, settings.patch_spacing_px)
+    )
+    # Above and below a rivet's centre its rim runs along the epipolar line.
+    rims = [(r.u_px, r.v_px + side * r.major_px / 2) for r in rivets for side in (-1, 1)]
+    extra = np.rint(np.array(rims).reshape(-1, 2)).astype(np.int64)
+    return np.concatenate([np.stack(grid, -1).reshape(-1, 2), extra])
+
+
+def _epipolar(offsets: TextureOffsets, rig: Rig) -> _Deviation | None:
+    """The systematic part is a quadratic over the field: offset, roll and zoom are its linear, yaw its product term."""
+    if len(offsets.across_px) < _LEAST_PATCHES:
+        return None
+    size = np.array([rig.left.width, rig.left.height]) / 2
+    x, y = ((offsets.left_px - size) / size[0]).T
+    terms = np.column_stack([np.ones_like(x), x, y, x * y, x * x, y * y])
+    design = terms[:, : max(1, min(terms.shape[1], len(x) // 8))]
+    value, keep = offsets.across_px, np.ones(len(x), bool)
+    # The patches' own sigmas know the camera's noise, not the sheen that differs between the views.
+    weight = 1 / (offsets.sigma_px**2 + np.median(offsets.sigma_px) ** 2)
+    for _ in range(5):
+        root = np.sqrt(weight * keep)
+        solution = np.linalg.lstsq(design * root[:, None], value * root, rcond=None)[0]
+        residual = value - design @ solution
+        scatter = _MAD_TO_SIGMA * float(np.median(np.abs(residual[keep]))) + 1e-6
+        keep = np.abs(residual) < _OUTLIER_MADS * scatter
+    design, value, root = design[keep], value[keep], np.sqrt(weight[keep])
+    fitted = design @ solution
+    pseudo = np.linalg.pinv(design * root[:, None])
+    spread = (design @ (pseudo * root)) * (value - fitted)[None]
+    sigma = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))
+    return _Deviation(
+        rms=float(np.sqrt(np.mean(value**2))),
+        drift=float(np.sqrt(np.mean(fitted**2))),
+        sigma=sigma,
+        count=int(keep.sum()),
+    )
+
+
+def _third_view(reconstruction: Reconstruction, axis: Axis, settings: HealthSettings) -> _Deviation | None:
+    good = reconstruction.valid & (reconstruction.flags == 0)
+    v, u = np.nonzero(good)
+    if len(v) == 0:
+        return None
+    projected = reconstruction.rig.projector.project(reconstruction.points[good])[:, 0 if axis == "x" else 1]
+    off = reconstruction.left.coordinate[good] - projected
+    block = (v // settings.block_px) * (good.shape[1] // settings.block_px + 1) + u // settings.block_px
+    order = np.argsort(block, kind="stable")
+    starts = np.flatnonzero(np.diff(block[order], prepend=-1))
+    least = _LEAST_BLOCK_PART * settings.block_px**2
+    blocks = [values for values in np.split(off[order], starts[1:]) if len(values) > least]
+    if len(blocks) < _LEAST_BLOCKS:
+        return None
+    middle = np.array([np.median(values) for values in blocks])
+    scatter = np.array([np.median(np.abs(values - m)) for values, m in zip(blocks, middle, strict=True)])
+    count = np.array([len(values) for values in blocks])
+    # A median of n normal values scatters by 1.2533 σ / √n; neighbouring pixels share little noise.
+    sigma = 1.2533 * _MAD_TO_SIGMA * scatter / np.sqrt(count)
+    rms = float(np.sqrt(np.mean(middle**2)))
+    return _Deviation(rms=rms, drift=rms, sigma=float(np.sqrt(np.mean(sigma**2))), count=len(blocks))
