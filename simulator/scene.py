@@ -19,7 +19,7 @@ from simulator.projection import project_image, project_stripes, receive_image, 
 from simulator.relief import Relief
 from simulator.rig import aim_frame, virtual_rig, warmed
 from simulator.spec import Placement, SimulationSpec
-from simulator.texture import paint
+from simulator.paint import paint
 from simulator.trace import Float32, Hits, Light, ReflectanceMap, trace
 from simulator.truth import Pose, Truth, truth
 

@@ -1,0 +1,130 @@
+"""Paints the reflectance of a panel's skin: brushing, blotches, scratches, stickers and smudges, none with relief."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from simulator.panel import Panel, Patch, Scratch
+from simulator.relief import Floats
+from simulator.trace import Float32, ReflectanceMap
+
+TEXEL_MM = 0.1  # about half a camera pixel
+
+
+def paint(panel: Panel, rng: np.random.Generator) -> ReflectanceMap:
+    """The panel's reflectance map, rows along +y."""
+    surface = panel.surface
+    shape = (math.ceil(panel.height_mm / TEXEL_MM) + 3, math.ceil(panel.width_mm / TEXEL_MM) + 3)
+    origin = np.array([-panel.width_mm / 2 - TEXEL_MM, -panel.height_mm / 2 - TEXEL_MM])
+    values = np.ones(shape, np.float32)
+    if surface.blotches:
+        values += np.float32(surface.blotches) * _clouds(shape, surface.blotch_mm, rng)
+    if surface.brushing:
+        streaks = _streaks(shape, surface.streak_mm, surface.grain_mm, math.radians(surface.brushing_deg), rng)
+        values += np.float32(surface.brushing) * streaks
+    for scratch in (*surface.scratches, *_random_scratches(panel, rng)):
+        _draw_scratch(values, origin, scratch)
+    for patch in surface.patches:
+        _draw_patch(values, origin, patch)
+    values *= np.float32(surface.reflectance)
+    return ReflectanceMap(np.clip(values, 0.01, 1.0).astype(np.float32), origin, TEXEL_MM)
+
+
+def _clouds(shape: tuple[int, int], size_mm: float, rng: np.random.Generator) -> Float32:
+    """Smooth random field of unit variance whose features are `size_mm` large."""
+    cell = max(1.0, size_mm / 2 / TEXEL_MM)
+    coarse = (int(shape[0] / cell) + 8, int(shape[1] / cell) + 8)
+    field = cv2.GaussianBlur(rng.standard_normal(coarse).astype(np.float32), (0, 0), 1.0)
+    field /= field.std()
+    fine = cv2.resize(field, (int(coarse[1] * cell), int(coarse[0] * cell)), interpolation=cv2.INTER_CUBIC)
+    row, column = rng.integers(0, int(2 * cell), 2)
+    return np.asarray(fine[row : row + shape[0], column : column + shape[1]], np.float32)
+
+
+def _streaks(
+    shape: tuple[int, int], length_mm: float, grain_mm: float, angle: float, rng: np.random.Generator
+) -> Float32:
+    """Brushing: noise drawn out along one direction, unit variance."""
+    side = math.ceil(math.hypot(*shape)) if angle else max(shape)
+    noise = rng.standard_normal((side if angle else shape[0], side if angle else shape[1])).astype(np.float32)
+    along, across = length_mm / TEXEL_MM / 2, grain_mm / TEXEL_MM / 2
+    field = cv2.GaussianBlur(noise, (0, 0), sigmaX=along, sigmaY=max(across, 0.3))
+    # A part of coarser streaks among the fine ones, as a brush leaves them.
+    field = field / field.std() + 0.6 * _unit(cv2.GaussianBlur(noise, (0, 0), sigmaX=4 * along, sigmaY=2 * across))
+    if angle:
+        middle = (side / 2, side / 2)
+        turn = cv2.getRotationMatrix2D(middle, -math.degrees(angle), 1.0)
+        field = cv2.warpAffine(field, turn, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        top, left = (side - shape[0]) // 2, (side - shape[1]) // 2
+        field = field[top : top + shape[0], left : left + shape[1]]
+    return _unit(field)
+
+
+def _unit(field: Float32) -> Float32:
+    return np.asarray((field - field.mean()) / field.std(), np.float32)
+
+
+def _random_scratches(panel: Panel, rng: np.random.Generator) -> list[Scratch]:
+    """Straight scratches in all directions: most of them faint and thin, dark or bright."""
+    scratches = []
+    for _ in range(panel.surface.random_scratches):
+        x, y = rng.uniform(-0.5, 0.5, 2) * (panel.width_mm, panel.height_mm)
+        length, angle = rng.uniform(8, 70), rng.uniform(0, math.pi)
+        dx, dy = 0.5 * length * math.cos(angle), 0.5 * length * math.sin(angle)
+        contrast = rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.35)
+        scratches.append(Scratch((x - dx, y - dy), (x + dx, y + dy), rng.uniform(0.05, 0.25), contrast))
+    return scratches
+
+
+def _window(values: Float32, origin: Floats, low: Floats, high: Floats) -> tuple[slice, slice, Floats, Floats] | None:
+    """The part of the map between two corners (mm), with its x and y; None where it lies outside."""
+    first = np.maximum(np.floor((low - origin) / TEXEL_MM).astype(int), 0)
+    last = np.minimum(np.ceil((high - origin) / TEXEL_MM).astype(int) + 1, [values.shape[1], values.shape[0]])
+    if (last <= first).any():
+        return None
+    x = origin[0] + TEXEL_MM * np.arange(first[0], last[0])[None, :]
+    y = origin[1] + TEXEL_MM * np.arange(first[1], last[1])[:, None]
+    return slice(first[1], last[1]), slice(first[0], last[0]), x, y
+
+
+def _soft(distance: Floats) -> Floats:
+    """Coverage of a texel at a signed distance (mm) outside an outline."""
+    return np.clip(0.5 - distance / TEXEL_MM, 0.0, 1.0)
+
+
+def _draw_scratch(values: Float32, origin: Floats, scratch: Scratch) -> None:
+    a, b = np.array(scratch.start_mm), np.array(scratch.end_mm)
+    window = _window(
+        values, origin, np.minimum(a, b) - scratch.width_mm - 0.2, np.maximum(a, b) + scratch.width_mm + 0.2
+    )
+    if window is None:
+        return
+    rows, columns, x, y = window
+    along = b - a
+    share = np.clip(((x - a[0]) * along[0] + (y - a[1]) * along[1]) / (along @ along), 0.0, 1.0)
+    distance = np.hypot(x - a[0] - share * along[0], y - a[1] - share * along[1]) - scratch.width_mm / 2
+    # A line thinner than a texel covers its share of it.
+    cover = _soft(distance) * min(1.0, scratch.width_mm / TEXEL_MM)
+    values[rows, columns] *= (1.0 + scratch.contrast * cover).astype(np.float32)
+
+
+def _draw_patch(values: Float32, origin: Floats, patch: Patch) -> None:
+    centre, size = np.array([patch.x_mm, patch.y_mm]), np.array(patch.size_mm)
+    reach = np.full(2, np.hypot(*size) * (1.5 if patch.shape == "smudge" else 0.5) + 0.2)
+    window = _window(values, origin, centre - reach, centre + reach)
+    if window is None:
+        return
+    rows, columns, x, y = window
+    c, s = math.cos(math.radians(patch.angle_deg)), math.sin(math.radians(patch.angle_deg))
+    u, v = c * (x - centre[0]) + s * (y - centre[1]), -s * (x - centre[0]) + c * (y - centre[1])
+    if patch.shape == "rectangle":
+        cover = _soft(np.maximum(np.abs(u) - size[0] / 2, np.abs(v) - size[1] / 2))
+    elif patch.shape == "disc":
+        rho = np.hypot(u / size[0], v / size[1]) * 2
+        cover = _soft((rho - 1) * min(size) / 2)
+    else:
+        cover = np.exp(-2 * ((u / size[0]) ** 2 + (v / size[1]) ** 2) * 4)
+    values[rows, columns] *= (1.0 + patch.contrast * cover).astype(np.float32)
