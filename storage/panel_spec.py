@@ -1,23 +1,27 @@
-"""Panel specifications (TOML): tolerance zones, and the nominal pattern of rivets and seams where it is known."""
+"""Panel specifications (`flushline-panel/1`, TOML): tolerance zones, and the nominal pattern of rivets and seams.
+
+A pattern enrolled from a scan is a file of the same format with a pattern of one station and no zones.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from metrology.errors import SpecError
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
-from metrology.tolerance import Limit, PanelSpec, Zone
-from storage.documents import read_toml
+from metrology.tolerance import DEFAULT_ZONE, Limit, PanelSpec, Zone
+from storage.documents import check_format, read_toml
 from storage.models import Identifier, StrictModel, validate
 
+FORMAT = "flushline-panel/1"
 DEFAULT_SPEC = Path(__file__).with_name("default_panel.toml")
-DEFAULT_ZONE = "default"
 
 Vector3 = tuple[float, float, float]
 FeatureName = Annotated[str, Field(min_length=1, max_length=64)]
@@ -35,12 +39,14 @@ class LimitModel(StrictModel):
 
 
 class ZoneModel(StrictModel):
-    """Limits that hold for the features of a zone."""
+    """Limits that hold for the features of a zone; what it leaves open is as in the zone `default`."""
 
     height_mm: LimitModel | None = None
     tilt_deg: LimitModel | None = None
     step_mm: LimitModel | None = None
     width_mm: LimitModel | None = None
+    step_into_wind_mm: LimitModel | None = None
+    step_out_of_wind_mm: LimitModel | None = None
 
 
 class RivetModel(StrictModel):
@@ -70,11 +76,17 @@ class StationModel(StrictModel):
 
 
 class PanelSpecModel(StrictModel):
-    """A panel specification."""
+    """A panel specification.
 
+    `example` marks limits that are nobody's requirement; `enrolled_from` the scan that a pattern was taken from.
+    """
+
+    format: Literal["flushline-panel/1"]
     panel: Identifier
     revision: Annotated[str, Field(min_length=1)]
-    zones: dict[str, ZoneModel]
+    example: bool = False
+    enrolled_from: str | None = None
+    zones: dict[FeatureName, ZoneModel] = Field(default_factory=dict)
     rivets: tuple[RivetModel, ...] = ()
     seams: tuple[SeamModel, ...] = ()
     stations: dict[Identifier, StationModel] = Field(default_factory=dict)
@@ -83,7 +95,7 @@ class PanelSpecModel(StrictModel):
     def _zones_exist(self) -> PanelSpecModel:
         for kind, features in (("rivet", self.rivets), ("seam", self.seams)):
             for feature in features:
-                if feature.zone not in self.zones:
+                if feature.zone not in self.zones and feature.zone != DEFAULT_ZONE:
                     raise ValueError(
                         f"found zone {feature.zone!r} in {kind} {feature.id}, expected one of {', '.join(self.zones)}"
                     )
@@ -101,26 +113,66 @@ class PanelSpecification:
         Empty where the file gives no pattern.
     document : mapping
         The file's content, for traceability.
+    example : bool
+        Whether its limits are an example and nobody's requirement.
     """
 
     limits: PanelSpec
     layout: PanelLayout
     document: Mapping[str, Any]
+    example: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.limits.panel} {self.limits.revision}"
 
 
 def load_panel_spec(path: Path | None = None) -> PanelSpecification:
     """Read a panel specification; the example that ships with Flushline where none is given."""
     path = Path(path) if path else DEFAULT_SPEC
     document = read_toml(path, SpecError)
+    check_format(document, FORMAT, path, SpecError)
     model = validate(PanelSpecModel, document, path, SpecError)
     try:
         zones = {
             name: Zone(**{q: _limit(f"zones.{name}.{q}", getattr(zone, q)) for q in ZoneModel.model_fields})
             for name, zone in model.zones.items()
         }
-        return PanelSpecification(PanelSpec(model.panel, model.revision, zones), _layout(model), document)
+        limits = PanelSpec(model.panel, model.revision, zones)
+        return PanelSpecification(limits, _layout(model), document, model.example)
     except SpecError as problem:
         raise SpecError(f"{path}: {problem}") from None
+
+
+def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: str) -> str:
+    """A panel's pattern as a specification without limits, to be kept or to be completed by hand."""
+    lines = [
+        "# Pattern enrolled from a scan; positions in mm, z outward, x to the right and y up for a viewer outside.",
+        f"format = {_toml(FORMAT)}",
+        f"panel = {_toml(panel)}",
+        f"revision = {_toml(revision)}",
+        f"enrolled_from = {_toml(enrolled_from)}",
+    ]
+    for name, placement in layout.stations.items():
+        lines += ["", f"[stations.{_toml(name)}]", f"R = {_toml(placement.R)}", f"t_mm = {_toml(placement.t)}"]
+    for rivet in layout.rivets:
+        lines += ["", "[[rivets]]", f"id = {_toml(rivet.rivet_id)}", f"position_mm = {_toml(rivet.position)}"]
+        lines += [f"diameter_mm = {_toml(rivet.diameter_mm)}"] if rivet.diameter_mm is not None else []
+        lines += [f"zone = {_toml(rivet.zone)}"] if rivet.zone != DEFAULT_ZONE else []
+        lines += [f"normal = {_toml(rivet.normal)}"] if rivet.normal is not None else []
+    for seam in layout.seams:
+        lines += ["", "[[seams]]", f"id = {_toml(seam.seam_id)}", f"course_mm = {_toml(seam.course)}"]
+        lines += [f"zone = {_toml(seam.zone)}"] if seam.zone != DEFAULT_ZONE else []
+        lines += [f"airflow = {_toml(seam.airflow)}"] if seam.airflow is not None else []
+    return "\n".join([*lines, ""])
+
+
+def _toml(value: str | float | Iterable[Any]) -> str:
+    """A value as TOML has it; nanometres and ten digits of a direction are enough."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, (int, float)):
+        return repr(round(float(value), 10))
+    return f"[{', '.join(_toml(item) for item in value)}]"
 
 
 def _limit(place: str, model: LimitModel | None) -> Limit | None:

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from metrology.errors import SpecError
-from storage.panel_spec import load_panel_spec
+from storage.panel_spec import load_panel_spec, pattern_toml
 
 SPEC = """
+format = "flushline-panel/1"
 panel = "LH-F12"
 revision = "B"
 [zones.default.height_mm]
@@ -49,7 +50,9 @@ def test_a_specification_is_read(tmp_path: Path) -> None:
 
 
 def test_the_example_says_that_it_is_one() -> None:
-    zone = load_panel_spec().limits.zone()
+    spec = load_panel_spec()
+    assert spec.example
+    zone = spec.limits.zone()
     for limit in (zone.height_mm, zone.tilt_deg, zone.step_mm, zone.width_mm):
         assert limit is not None
         assert "example" in limit.source
@@ -61,6 +64,7 @@ def test_the_example_says_that_it_is_one() -> None:
         ('source = "drawing 4711"\n', "", "no key 'zones.default.height_mm.source'"),
         ("upper = 0.1\n", "", "zones.default.height_mm: limits: found neither"),
         ("upper = 0.05", "upper = -0.5", "zones.nose.step_mm: limits: found"),
+        ("flushline-panel/1", "flushline-scene/1", 'expected "flushline-panel/1"'),
         ("upper = 0.1\n", "uper = 0.1\n", "unknown key 'zones.default.height_mm.uper'"),
         ('zone = "nose"', 'zone = "tail"', "found zone 'tail' in seam M1"),
         ("upper = 0.1\n", "upper = nan\n", "finite number"),
@@ -75,3 +79,19 @@ def test_a_wrong_specification_is_named(tmp_path: Path, old: str, new: str, said
         load_panel_spec(path)
     assert said in str(caught.value)
     assert "panel.toml" in str(caught.value)
+
+
+def test_a_pattern_is_written_as_it_is_read(tmp_path: Path) -> None:
+    path, again = tmp_path / "panel.toml", tmp_path / "again.toml"
+    path.write_text(SPEC + "[stations.S4]\nR = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]\nt_mm = [0.1, 1e-7, 3]\n")
+    layout = load_panel_spec(path).layout
+    again.write_text(
+        pattern_toml(layout, "LH-F12", "1", 'a "scan"').replace('[stations."S3"]', "[zones.nose]\n[stations.S3]")
+    )
+    written = load_panel_spec(again)
+    assert written.layout.rivets == layout.rivets
+    assert written.layout.seams == layout.seams
+    for name, placement in layout.stations.items():
+        assert (written.layout.stations[name].R == placement.R).all()
+        assert (written.layout.stations[name].t == placement.t).all()
+    assert written.document["enrolled_from"] == 'a "scan"'
