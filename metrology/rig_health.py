@@ -48,7 +48,8 @@ class HealthSettings:
         Systematic deviations that are not warned of however small the noise: what registration of the skin's changing
         sheen, and the projector's gamma, leave after averaging.
     refuse_px : float
-        Systematic deviation of either kind from which the rig is refused: several times what a sound calibration leaves.
+        Systematic deviation of either kind from which the rig is refused: several times what a sound calibration
+        leaves.
     """
 
     patch_spacing_px: int = 80
@@ -61,8 +62,8 @@ class HealthSettings:
     def __post_init__(self) -> None:
         if self.patch_spacing_px < 8 or self.block_px < 16:
             raise RigError(
-                f"health check: found patches every {self.patch_spacing_px} px and blocks of {self.block_px} px, expected "
-                "at least 8 and 16"
+                f"health check: found patches every {self.patch_spacing_px} px and blocks of {self.block_px} px, "
+                "expected at least 8 and 16"
             )
         if not (self.sigmas > 0 and 0 < self.epipolar_floor_px < self.refuse_px > self.projector_floor_px > 0):
             raise RigError("health check: found limits that are not positive and rising, expected floor below refusal")
@@ -169,7 +170,7 @@ def _judge(what: str, drift: float, limit: float, settings: HealthSettings) -> t
 
 
 def _calibration_sigma(rig: Rig) -> tuple[float, float]:
-    """Deviations (epipolar, projector; px) that the calibration's covariance predicts; 0 where the file does not tell."""
+    """Deviations (epipolar, projector; px) that the calibration's covariance predicts; 0 where none is kept."""
     calibration = rig.extra.get("calibration")
     told = calibration.get("health_sigma_px", {}) if isinstance(calibration, dict) else {}
     return float(told.get("epipolar", 0.0)), float(told.get("projector", 0.0))

@@ -1,8 +1,8 @@
 """Where the skin's own texture is seen by the right camera, against where equal phase puts it.
 
-Fringe matching finds the counterpart of a left pixel along the epipolar line that the rig predicts; were that line wrong,
-equal phase would still be found on it. Texture (grain, scratches, rims) does not know of the rig: a patch around the left
-pixel, registered onto the right image, tells how far the true counterpart lies off the line.
+Fringe matching finds the counterpart of a left pixel along the epipolar line that the rig predicts; were that line
+wrong, equal phase would still be found on it. Texture (grain, scratches, rims) does not know of the rig: a patch around
+the left pixel, registered onto the right image, tells how far the true counterpart lies off the line.
 """
 
 from __future__ import annotations

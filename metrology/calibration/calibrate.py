@@ -412,7 +412,7 @@ def _uncertain(adjusted: Adjusted) -> list[str]:
         if focal > _NOTABLE_FOCAL_U95 or centre > _NOTABLE_CENTRE_U95_PX:
             warnings.append(
                 f"{name}: the poses leave the focal length uncertain by ±{focal:.2%} and the principal point by "
-                f"±{centre:.1f} px (95 %), expected at most ±{_NOTABLE_FOCAL_U95:.1%} and ±{_NOTABLE_CENTRE_U95_PX:g} px: "
-                "more poses, tilted in different ways, nearer and farther"
+                f"±{centre:.1f} px (95 %), expected at most ±{_NOTABLE_FOCAL_U95:.1%} and ±{_NOTABLE_CENTRE_U95_PX:g} "
+                "px: more poses, tilted in different ways, nearer and farther"
             )
     return warnings

@@ -1,4 +1,4 @@
-"""What a calibration's covariance means for the measurements: heights, positions, overlay, and the check of its health."""
+"""What a calibration's covariance means for the measurements: heights, positions, overlay, check of its health."""
 
 from __future__ import annotations
 
