@@ -4,6 +4,7 @@ flushline-store.json           marks the folder as a store
 archive.duckdb                 link to the published index: what people, the dashboard and SQL open
 bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth
 rigs/RIG.json                  calibrations, found by the id that a scene names
+panels/PANEL/                  panel specifications in all their versions, and patterns enrolled from scans
 parquet/                       link to the compacted tables for other engines
 .staging/                      runs being written
 .index/                        the working index, its published generations, the lock
@@ -51,6 +52,11 @@ class Layout:
     def rigs(self) -> Path:
         """Calibrations."""
         return self.root / "rigs"
+
+    @property
+    def panels(self) -> Path:
+        """Panel specifications and enrolled patterns."""
+        return self.root / "panels"
 
     @property
     def parquet(self) -> Path:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from metrology.inspection import InspectionResult
     from metrology.rig import Rig
+    from storage.archive.panels import Panels
     from storage.cloud import StoredCloud
 
 
@@ -61,6 +62,13 @@ class Store:
         """The store's folder."""
         return self.layout.root
 
+    @property
+    def panels(self) -> Panels:
+        """Panel specifications and enrolled patterns."""
+        from storage.archive.panels import Panels
+
+        return Panels(self.layout.panels)
+
     def check_usable(self) -> None:
         """Refuse a folder that holds something else than a store, before any work is done for it."""
         root = self.root
@@ -85,9 +93,8 @@ class Store:
         """
         from storage.archive.bundle import write_bundle
 
-        self.check_usable()
         try:
-            self._prepare()
+            self.prepare()
             scene = self.layout.scene(result.key)
             with self._staging(scene) as (run_id, staging):
                 final = scene / run_id
@@ -201,13 +208,13 @@ class Store:
         path = self.layout.rigs / f"{rig.id}.json"
         if path.exists():
             return False
-        self.check_usable()
-        self._prepare()
+        self.prepare()
         save_rig(rig, path)
         return True
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
         """Make what every store has."""
+        self.check_usable()
         self.root.mkdir(parents=True, exist_ok=True)
         for folder in (self.layout.bundles, self.layout.rigs, self.layout.staging, self.layout.index):
             folder.mkdir(exist_ok=True)
