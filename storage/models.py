@@ -74,7 +74,8 @@ def validate(model: type[Model], document: Mapping[str, Any], path: Path, error:
 
 def first_problem(problem: ValidationError, keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
     """The first complaint of pydantic in Flushline's words; how many follow is said in brackets."""
-    first = problem.errors(include_url=False)[0]
+    # A key that nobody knows is more telling than the one that is missing because of it.
+    first = min(problem.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     place = first["loc"]
     more = problem.error_count() - 1
     tail = f" (and {more} more like this)" if more else ""

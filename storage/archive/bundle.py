@@ -99,6 +99,7 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
         "rig": result.reconstruction.rig.id,
         "settings": result.settings,
         "panel_spec": result.panel_spec,
+        "registration": result.registration,
         "versions": result.versions,
         "seconds": result.seconds,
         "warnings": list(result.warnings),
@@ -163,7 +164,8 @@ def result_tables(result: InspectionResult, run_id: str, bundle_path: str) -> di
 def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[str, Any]:
     valid = result.reconstruction.valid
     sigma = result.reconstruction.sigma_z[valid]
-    spec = result.panel_spec
+    spec, registration = result.panel_spec, result.registration
+    missing, unlisted = registration.get("missing", ()), registration.get("unlisted", ())
     return {
         "run_id": run_id,
         "rig_id": result.reconstruction.rig.id,
@@ -179,9 +181,15 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[
         "valid_fraction": float(valid.mean()),
         "sigma_z_median_mm": float(np.median(sigma)) if sigma.size else None,
         "epipolar_rms_px": result.epipolar_rms_px,
-        "n_rivets": len(result.rivets),
+        "n_rivets": len(result.rivets) - len(missing),
         "n_seams": len({station.seam_id for station in result.stations}),
         "n_stations": len(result.stations),
+        "registration": registration.get("status"),
+        "n_missing": len(missing),
+        "n_unlisted": len(unlisted),
+        "registration_rms_mm": registration.get("rms_mm"),
+        "rig_shift_mm": registration.get("shift_mm"),
+        "rig_turn_deg": registration.get("turn_deg"),
         **{f"seconds_{step}": result.seconds.get(step) for step in STEPS},
         "seconds_total": result.seconds.get("total"),
         "bundle_path": bundle_path,

@@ -16,6 +16,7 @@ STEPS = (
     "detect_seams",
     "measure_rivets",
     "measure_seams",
+    "register",
     "judge",
     "overlay",
 )
@@ -103,6 +104,12 @@ epipolar_rms_px DOUBLE how far features seen by both cameras lie from their epip
 n_rivets INTEGER rivets found
 n_seams INTEGER seams found
 n_stations INTEGER positions measured along seams
+registration VARCHAR whether the panel's pattern was recognised, enrolled from this scene, or not recognised
+n_missing INTEGER rivets of the pattern that are in view but were not found
+n_unlisted INTEGER rivets found that are in no pattern
+registration_rms_mm DOUBLE RMS distance of the recognised rivets from their nominal places, mm
+rig_shift_mm DOUBLE how far the rig stood from the station's nominal placement, mm
+rig_turn_deg DOUBLE how far the rig was turned from the station's nominal placement, degrees
 """)
     + tuple(Column(f"seconds_{step}", "DOUBLE", f"wall time of the step {step}, s") for step in STEPS)
     + _columns("""
@@ -119,7 +126,7 @@ RIVETS = Table(
     "One row per rivet of each scene. What could not be measured is NULL and reason says why",
     KEY
     + _columns("""
-rivet_id VARCHAR name of the rivet within the scene
+rivet_id VARCHAR name of the rivet in the panel's pattern, the same on every scan of the station; X… is in no pattern
 x_mm DOUBLE centre of the head in the rig frame (left camera), to the right, mm
 y_mm DOUBLE centre of the head in the rig frame, down, mm
 z_mm DOUBLE centre of the head in the rig frame, away from the rig, mm
@@ -158,8 +165,8 @@ SEAM_STATIONS = Table(
     "One row per position along a seam of each scene. What could not be measured is NULL and reason says why",
     KEY
     + _columns("""
-seam_id VARCHAR name of the seam within the scene
-s_mm DOUBLE position along the seam (arc length), mm
+seam_id VARCHAR name of the seam in the panel's pattern, the same on every scan of the station; XS… is in no pattern
+s_mm DOUBLE position along the seam (arc length from the nominal seam's start), mm
 x_mm DOUBLE middle between the ideal edges in the rig frame (left camera), to the right, mm
 y_mm DOUBLE middle between the ideal edges in the rig frame, down, mm
 z_mm DOUBLE middle between the ideal edges in the rig frame, away from the rig, mm

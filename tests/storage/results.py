@@ -50,10 +50,19 @@ def small_result(key: SceneKey | None = None, height_mm: float = 0.05, rivets: i
     flags[:10, :5] = PixelFlag.UNMATCHED
     points[flags != 0] = np.nan
     sigma = np.where(flags == 0, np.float32(0.006), np.float32(np.nan))
-    blank = np.zeros((HEIGHT, WIDTH), np.float32)
-    view = DecodedView(blank, blank, blank, blank, flags)
+    grey = np.full((HEIGHT, WIDTH), 90, np.float32)
+    column = rig.projector.project(points)[..., 0].astype(np.float32)
+    view = DecodedView(column, grey, grey, grey, flags)
     rivet = Rivet("R1", 1.0, 2.0, 700.0, 10.0, 12.0, None, None, 8.0, 20.0, 18.0, 5.0, 0.9)
-    measured = replace(rivet, height_mean_mm=height_mm, height_u95_mm=0.004, severity="green", decision="pass")
+    measured = replace(
+        rivet,
+        height_mean_mm=height_mm,
+        height_u95_mm=0.004,
+        tilt_deg=0.3,
+        tilt_u95_deg=0.05,
+        severity="green",
+        decision="pass",
+    )
     station = SeamStation("M1", 0.0, 1.0, 2.0, 700.0, 10.0, 12.0, 0.1, 0.01, 2.4, 0.05, 90, 95, "blue", "fail", "step")
     unmeasured = SeamStation("M1", 2.0, None, None, None, 11.0, 13.0, decision="not measured", reason="over a rivet")
     return InspectionResult(

@@ -80,6 +80,7 @@ def test_other_image_formats_hold_the_same(scene_folder: Path, suffix: str) -> N
     ("change", "said"),
     [
         (lambda d: d.update(exposure=[1]), "unknown key 'exposure', expected 'exposures'"),
+        (lambda d: d.update(exposure=d.pop("exposures")), "unknown key 'exposure', expected 'exposures'"),
         (lambda d: d["fringe"].update(step=4), "unknown key 'fringe.step', expected 'steps'"),
         (lambda d: d.pop("panel"), "no key 'panel'"),
         (lambda d: d.update(format="flushline-scene/2"), 'found format "flushline-scene/2"'),

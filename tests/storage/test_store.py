@@ -49,7 +49,7 @@ def test_what_is_published_is_read_back(store: Store) -> None:
     rivets = store.query("SELECT * FROM rivets ORDER BY rivet_id").to_pylist()
     assert rivets[0]["height_mean_mm"] == 0.05
     assert rivets[0]["captured_at"] == result.key.captured_at
-    assert rivets[0]["tilt_deg"] is None
+    assert rivets[0]["u_right_px"] is None
     scene = store.query("SELECT * FROM scenes").to_pylist()[0]
     assert (scene["run_id"], scene["rig_id"], scene["status"]) == (run, "rig-a", "ok")
     assert scene["n_points"] == result.reconstruction.valid.sum()

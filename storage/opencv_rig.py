@@ -1,0 +1,174 @@
+"""Stereo calibrations in OpenCV's FileStorage (XML, YAML or JSON): intrinsics and extrinsics in one file or two.
+
+OpenCV's own samples write M1, D1, M2, D2 and R, T; other names in use are understood, too. The projector is M3, D3, R3, T3
+(x₃ = R3 x₁ + T3), Flushline's own addition. Such files know neither units nor, mostly, the images' size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.errors import RigError
+from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
+from storage.documents import check_regular_file
+
+Array = NDArray[np.float64]
+Size = tuple[int, int]
+
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+_ALIASES: dict[str, tuple[str, ...]] = {
+    "M1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "cameraMatrixL", "left_camera_matrix"),
+    "D1": ("D1", "distCoeffs1", "distortion_coefficients_1", "distCoeffsL", "left_distortion_coefficients"),
+    "M2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "cameraMatrixR", "right_camera_matrix"),
+    "D2": ("D2", "distCoeffs2", "distortion_coefficients_2", "distCoeffsR", "right_distortion_coefficients"),
+    "R": ("R", "rotation", "Rotation"),
+    "T": ("T", "translation", "Translation"),
+    "M3": ("M3", "K3", "projector_matrix"),
+    "D3": ("D3", "projector_distortion"),
+    "R3": ("R3", "projector_rotation"),
+    "T3": ("T3", "projector_translation"),
+    "size": ("image_size", "imageSize", "img_size"),
+    "size3": ("projector_size",),
+}
+_NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
+_PROJECTOR = ("M3", "D3", "R3", "T3", "size3")
+
+
+def load_opencv_rig(
+    paths: Sequence[Path],
+    rig_id: str,
+    calibrated_at: str,
+    size: Size | None = None,
+    unit: str = "mm",
+    projector: Device | None = None,
+) -> Rig:
+    """Read a stereo calibration.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        One file or several that together hold intrinsics and extrinsics.
+    rig_id, calibrated_at : str
+    size : (int, int), optional
+        Width and height of the camera images where the files do not tell.
+    unit : str
+        Of the translations: mm, cm, m or in.
+    projector : Device, optional
+        Where the files hold none.
+    """
+    if unit not in MM_PER_UNIT:
+        raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}")
+    found: dict[str, Array] = {}
+    for path in paths:
+        found |= _read(Path(path))
+    named = ", ".join(str(path) for path in paths)
+    missing = [name for name in _NEEDED if name not in found]
+    if missing:
+        raise RigError(f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}")
+    told = _size(found.get("size"))
+    if told is None and size is None:
+        raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
+    width, height = size or told or (0, 0)
+    scale = MM_PER_UNIT[unit]
+    try:
+        left = Device(width, height, found["M1"], _terms(found["D1"]), np.eye(3), np.zeros(3))
+        right = Device(width, height, found["M2"], _terms(found["D2"]), _rotation(found["R"]), found["T"].ravel() * scale)
+        return Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or _required(projector, named))
+    except RigError as problem:
+        text = str(problem)
+        raise RigError(text if text.startswith(named) else f"{named}: {text}") from None
+
+
+def save_opencv_rig(rig: Rig, path: Path) -> None:
+    """Write intrinsics, extrinsics (mm) and the projector into one file; its ending (xml, yml, json) chooses the format."""
+    path = Path(path)
+    if path.suffix.lower() not in (".xml", ".yml", ".yaml", ".json"):
+        raise RigError(f"{path}: found the ending {path.suffix!r}, expected .xml, .yml, .yaml or .json")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values: dict[str, Array] = {
+        "size": np.array([[rig.left.width, rig.left.height]], float),
+        "size3": np.array([[rig.projector.width, rig.projector.height]], float),
+        **{"R": rig.right.R, "T": rig.right.t[:, None], "R3": rig.projector.R, "T3": rig.projector.t[:, None]},
+    }
+    if (rig.right.width, rig.right.height) != (rig.left.width, rig.left.height):
+        raise RigError(f"{path}: found cameras of two image sizes, expected one: OpenCV's stereo files have but one")
+    for number, device in enumerate((rig.left, rig.right, rig.projector), start=1):
+        values[f"M{number}"] = device.K
+        values[f"D{number}"] = device.distortion[None] if device.distortion.size else np.zeros((1, 4))
+    partial = path.with_name(f".partial-{path.name}")
+    storage = cv2.FileStorage(str(partial), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(_ALIASES[name][0], np.ascontiguousarray(value, float))
+    storage.release()
+    partial.replace(path)
+
+
+def _read(path: Path) -> dict[str, Array]:
+    check_regular_file(path, RigError)
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        if not storage.isOpened():
+            raise RigError(f"{path}: found no OpenCV FileStorage, expected one in XML, YAML or JSON")
+        root = storage.root()
+        present = set(root.keys())
+        found = {}
+        for name, aliases in _ALIASES.items():
+            alias = next((alias for alias in aliases if alias in present), None)
+            if alias is not None and (value := _matrix(root.getNode(alias))) is not None:
+                found[name] = value
+        storage.release()
+    except (cv2.error, SystemError):
+        raise RigError(f"{path}: found a damaged file, expected OpenCV's FileStorage in XML, YAML or JSON") from None
+    return found
+
+
+def _matrix(node: cv2.FileNode) -> Array | None:
+    """A matrix, or a plain list of numbers as some write sizes."""
+    if node.isSeq():
+        values = [node.at(k).real() for k in range(node.size())]
+        return np.array(values, float) if values else None
+    value = node.mat() if node.isMap() else None
+    return None if value is None else np.asarray(value, float)
+
+
+def _size(value: Array | None) -> Size | None:
+    if value is None or value.size != 2:
+        return None
+    return int(value.ravel()[0]), int(value.ravel()[1])
+
+
+def _terms(value: Array) -> Array:
+    """OpenCV writes up to 14 terms; those beyond the rational model must be zero."""
+    terms = value.ravel()
+    if terms[MAX_DISTORTION_TERMS:].any():
+        raise RigError(f"distortion: found {terms.size} terms with prism or tilt, expected at most {MAX_DISTORTION_TERMS}")
+    return terms[:MAX_DISTORTION_TERMS]
+
+
+def _rotation(value: Array) -> Array:
+    """A matrix, or a rotation vector."""
+    return value if value.size == 9 else np.asarray(cv2.Rodrigues(value.ravel())[0], float)
+
+
+def _projector(found: Mapping[str, Array], scale: float) -> Device | None:
+    present = [name for name in _PROJECTOR if name in found]
+    if not present:
+        return None
+    missing = [_ALIASES[name][0] for name in _PROJECTOR if name not in found]
+    size = _size(found.get("size3"))
+    if missing or size is None:
+        raise RigError(f"found a projector without {', '.join(missing) or 'its size'}, expected it whole")
+    return Device(
+        size[0], size[1], found["M3"], _terms(found["D3"]), _rotation(found["R3"]), found["T3"].ravel() * scale
+    )
+
+
+def _required(projector: Device | None, named: str) -> Device:
+    if projector is None:
+        raise RigError(f"{named}: found no projector, expected one: take it from another rig file")
+    return projector

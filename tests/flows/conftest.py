@@ -1,0 +1,65 @@
+"""The way through the steps without the science: metrology is replaced at its door by a small known result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from metrology.fringe import FringeCode
+from metrology.results import SceneKey
+from storage.rig import save_rig
+from storage.scene import write_scene
+from tasks import steps
+from tests.storage.results import HEIGHT, WIDTH, small_key, small_result, small_rig
+
+
+def write_small_scene(folder: Path, key: SceneKey) -> Path:
+    """A complete scene folder of noise."""
+    code = FringeCode("x", 4, (7, 6, 5))
+    rng = np.random.default_rng(1)
+    left, right = rng.integers(0, 200, (2, 1, code.frames, HEIGHT, WIDTH), np.uint8)
+    write_scene(folder, key, "rig-a", code, [1.0], left, right)
+    return folder
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path) -> Path:
+    save_rig(small_rig(), tmp_path / "rig.json")
+    return tmp_path / "rig.json"
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> list[Path]:
+    """Two sound scene folders."""
+    return [write_small_scene(tmp_path / name, small_key(name)) for name in ("S1", "S2")]
+
+
+@pytest.fixture
+def fake_metrology(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Every entry point of metrology gives a part of a small result; the list says which were called, in order."""
+    result = small_result()
+    called: list[str] = []
+
+    def gives(name: str, value: Any) -> Any:
+        def fake(*_: Any) -> Any:
+            called.append(name)
+            return value
+
+        return fake
+
+    for room, name, value in (
+        (steps.reconstruct, "decode", result.reconstruction.left),
+        (steps.reconstruct, "triangulate", result.reconstruction),
+        (steps.rivets, "detect_rivets", []),
+        (steps.seams, "detect_seams", []),
+        (steps.rivets, "measure_rivets", list(result.rivets)),
+        (steps.seams, "measure_seams", list(result.stations)),
+        (steps.overlay, "draw_overlay", result.overlay),
+    ):
+        monkeypatch.setattr(room, name, gives(name, value), raising=False)
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    monkeypatch.setenv("PREFECT_HOME", "/nonexistent")
+    return called

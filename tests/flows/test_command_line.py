@@ -1,0 +1,228 @@
+"""The command line: exit codes, one-line errors, what reaches the store, and quick answers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import duckdb
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from flows.cli import build_parser, main
+from flows.rows import plain, write_rows
+from storage.archive import Store
+from tasks import steps
+from tests.storage.results import small_key, small_result
+
+HEAVY = ("prefect", "open3d", "streamlit", "numba", "scipy", "cv2", "pyarrow", "pandas")
+
+
+def test_scenes_go_in_and_rows_come_out(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    assert main(["inspect", *map(str, scenes), "--rig", str(rig_file), "--store", str(store)]) == 0
+    said = capsys.readouterr()
+    assert "MSN-1 LH-F12 S1 2026-11-20 08:15:00Z: 3 rivets (3 pass); 1 seam with 2 positions" in said.out
+    assert "no Prefect server is configured" in said.err
+    assert fake_metrology[:8] == [
+        "decode",
+        "decode",
+        "triangulate",
+        "detect_rivets",
+        "detect_seams",
+        "measure_rivets",
+        "measure_seams",
+        "draw_overlay",
+    ]
+    sql = "SELECT station, rivet_id, captured_at, u_right_px FROM rivets ORDER BY ALL"
+    assert main(["query", sql, "--store", str(store), "--format", "json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert len(rows) == 6
+    assert rows[0] == {"station": "S1", "rivet_id": "R1", "captured_at": "2026-11-20T08:15:00Z", "u_right_px": None}
+
+
+def test_a_bad_scene_does_not_stop_the_others(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scenes[0] / "left" / "e0_c0_s0.png").unlink()
+    store = tmp_path / "store"
+    assert main(["inspect", *map(str, scenes), "--rig", str(rig_file), "--store", str(store)]) == 1
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert errors == [f"error: {scenes[0]}/left/e0_c0_s0.png: found no such file, expected it"]
+    assert Store(store).query("SELECT station FROM scenes").to_pylist() == [{"station": "S2"}]
+
+
+def test_only_bad_scenes_leave_no_store_behind(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.rmtree(scenes[0])
+    (scenes[1] / "scene.json").write_text("{")
+    store = tmp_path / "store"
+    assert main(["inspect", *map(str, scenes), "--rig", str(rig_file), "--store", str(store)]) == 2
+    assert not store.exists()
+    assert fake_metrology == []
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_failure_on_the_way_leaves_no_store_behind(
+    scenes: list[Path],
+    rig_file: Path,
+    tmp_path: Path,
+    fake_metrology: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("by\nzero")
+
+    monkeypatch.setattr(steps.rivets, "measure_rivets", fail)
+    arguments = ["inspect", str(scenes[0]), "--rig", str(rig_file), "--store", str(tmp_path / "store")]
+    assert main(arguments) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error == f"error: {scenes[0]}: unexpected ZeroDivisionError: by zero; --debug shows where"
+    assert not (tmp_path / "store").exists()
+    with pytest.raises(ZeroDivisionError):
+        main([*arguments, "--debug"])
+
+
+def test_without_a_rig_the_store_is_asked(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = str(tmp_path / "store")
+    assert main(["inspect", str(scenes[0]), "--store", store]) == 2
+    assert "found no rig 'rig-a'" in capsys.readouterr().err
+    assert main(["inspect", str(scenes[0]), "--rig", str(rig_file), "--store", store]) == 0
+    assert main(["inspect", str(scenes[1]), "--store", store]) == 0
+
+
+def test_another_rig_than_the_scene_names_is_a_warning(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str]
+) -> None:
+    manifest = scenes[0] / "scene.json"
+    manifest.write_text(manifest.read_text().replace('"rig-a"', '"rig-z"'))
+    store = tmp_path / "store"
+    assert main(["inspect", str(scenes[0]), "--rig", str(rig_file), "--store", str(store)]) == 0
+    row = Store(store).query("SELECT rig_id, status, warnings FROM scenes").to_pylist()[0]
+    assert (row["rig_id"], row["status"]) == ("rig-a", "warnings")
+    assert "the scene names 'rig-z'" in row["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["inspect", "x", "--store", "{tmp}/s", "--settings", "{tmp}/none.toml"], "none.toml: found no such file"),
+        (["inspect", "x", "--store", "{tmp}/s", "--panel-spec", "{tmp}"], "found a directory, expected a file"),
+        (["inspect", "x", "--store", "{tmp}/s", "--rig", "{tmp}/none.json"], "none.json: found no such file"),
+        (["inspect", "x", "--store", "{tmp}/rig.json"], "found a file, expected a store's folder"),
+        (["query", "SELECT 1", "--store", "{tmp}/none"], "found no such folder, expected a store"),
+        (["overlay", "x", "--store", "{tmp}/none", "--out", "{tmp}/o.png"], "found no such folder"),
+        (["patterns", "--out", "{tmp}/p", "--counts", "70", "35"], "common factor"),
+        (["patterns", "--out", "{tmp}/p", "--size", "0", "5"], "--size: found 0 5"),
+        (["simulate", "nothing", "--out", "{tmp}/p"], "found 'nothing'"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_code_2(
+    arguments: list[str], said: str, tmp_path: Path, rig_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([argument.format(tmp=tmp_path) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert error.startswith("error: ")
+
+
+@pytest.mark.parametrize("arguments", [[], ["inspect"], ["nonsense"], ["query", "SELECT 1"]])
+def test_wrong_arguments_end_with_exit_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage: flushline" in capsys.readouterr().err
+
+
+def test_every_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = build_parser()
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--help"])
+    overview = capsys.readouterr().out
+    for command in ("demo", "inspect", "simulate", "patterns", "overlay", "query"):
+        assert f"\n    {command} " in overview
+        with pytest.raises(SystemExit):
+            parser.parse_args([command, "--help"])
+        assert "--debug" in capsys.readouterr().out
+
+
+def test_help_and_query_import_nothing_heavy(tmp_path: Path) -> None:
+    Store(tmp_path / "store").publish(small_result())
+    code = (
+        "import sys; from flows.cli import main\n"
+        f"assert main(['query', 'SELECT * FROM rivets', '--store', {str(tmp_path / 'store')!r}]) == 0\n"
+        f"print([name for name in {HEAVY!r} if name in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_overlay_is_copied_out(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(small_result())
+    scene = small_key().scene_id
+    for name in ("o.png", "o.svg"):
+        assert main(["overlay", scene, "--store", str(store.root), "--out", str(tmp_path / name)]) == 0
+    assert cv2.imread(str(tmp_path / "o.png")).shape == (30, 40, 3)
+    assert "<svg" in (tmp_path / "o.svg").read_text()
+    assert main(["overlay", "nothing", "--store", str(store.root), "--out", str(tmp_path / "x.png")]) == 2
+
+
+def test_patterns_are_the_sinusoids_of_the_scene_format(tmp_path: Path) -> None:
+    assert main(["patterns", "--out", str(tmp_path), "--size", "64", "16", "--counts", "3", "2", "--steps", "4"]) == 0
+    x = np.arange(64)
+    frame = cv2.imread(str(tmp_path / "x_count003_step2.png"), cv2.IMREAD_UNCHANGED)
+    expected = 127.5 + 127.5 * np.cos(2 * np.pi * 3 * (x + 0.5) / 64 + np.pi / 2)
+    assert np.abs(frame - expected).max() <= 0.5
+    assert len(list(tmp_path.glob("x_*.png"))) == 8
+    assert cv2.imread(str(tmp_path / "white.png"), cv2.IMREAD_UNCHANGED).min() == 255
+
+
+def test_all_row_formats_say_the_same(tmp_path: Path) -> None:
+    sql = (
+        "SELECT 1 AS n, 0.1 AS d, 'ä,\"b' AS t, NULL AS nothing, [1.5, NULL] AS l, {'a': 1} AS s, "
+        "TIMESTAMPTZ '2026-11-20 08:15:00.5+00' AS moment, 'nan'::DOUBLE AS gap"
+    )
+    with duckdb.connect() as connection:
+        texts = {}
+        for row_format in ("table", "csv", "json"):
+            output = io.BytesIO()
+            write_rows(connection, sql, row_format, output)
+            texts[row_format] = output.getvalue().decode()
+    row = json.loads(texts["json"])[0]
+    assert row == {
+        "n": 1,
+        "d": 0.1,
+        "t": 'ä,"b',
+        "nothing": None,
+        "l": [1.5, None],
+        "s": {"a": 1},
+        "moment": "2026-11-20T08:15:00.500000Z",
+        "gap": None,
+    }
+    fields = next(csv.DictReader(io.StringIO(texts["csv"])))
+    assert (fields["t"], fields["nothing"], fields["moment"]) == ('ä,"b', "", row["moment"])
+    assert texts["table"].splitlines()[-1] == "1 row"
+    assert plain(float("inf")) is None
+
+
+def test_query_writes_parquet(tmp_path: Path) -> None:
+    Store(tmp_path / "store").publish(small_result())
+    out = tmp_path / "rivets.parquet"
+    sql = "SELECT * FROM rivets"
+    assert main(["query", sql, "--store", str(tmp_path / "store"), "--format", "parquet", "--out", str(out)]) == 0
+    assert pq.read_table(out).num_rows == 3

@@ -1,0 +1,88 @@
+"""What the steps add around metrology: checks that refuse a scan, and what is kept with a result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metrology.cloud import PixelFlag
+from metrology.errors import RigError, SceneError, UsageError
+from storage.panel_spec import load_panel_spec
+from storage.scene import Scene
+from tasks import steps
+from tasks.settings import InspectionSettings, SceneChecks, load_settings, settings_from
+from tests.storage.results import small_key, small_result
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene(Path("scene"), small_key(), "rig-a", None, None, (1.0,), (), (), None, None)  # type: ignore[arg-type]
+
+
+def test_a_dark_scan_is_refused_with_its_cause(scene: Scene) -> None:
+    reconstruction = small_result().reconstruction
+    dark = replace(
+        reconstruction,
+        points=np.full_like(reconstruction.points, np.nan),
+        flags=np.full_like(reconstruction.flags, PixelFlag.LOW_MODULATION),
+    )
+    with pytest.raises(SceneError, match=r"scene: found points for 0\.0% of the pixels \(100% too dark"):
+        steps._check_skin_is_seen(scene, dark, SceneChecks())
+
+
+def test_a_rig_that_contradicts_the_fringes_is_refused(scene: Scene) -> None:
+    from metrology.fringe import FringeCode
+
+    scene = replace(scene, code=FringeCode("x", 4, (7, 6, 5)))
+    reconstruction = small_result().reconstruction
+    steps._check_rig_fits(scene, reconstruction, SceneChecks())
+    shifted = replace(reconstruction.left, coordinate=reconstruction.left.coordinate + 4)
+    with pytest.raises(RigError, match=r"found fringes 4\.0 projector pixels"):
+        steps._check_rig_fits(scene, replace(reconstruction, left=shifted), SceneChecks())
+
+
+def test_the_preview_keeps_grey_levels_where_they_fit() -> None:
+    texture = np.linspace(0, 200, 64 * 48, dtype=np.float32).reshape(48, 64)
+    assert np.abs(steps.preview(texture) - texture).max() <= 0.5
+    bright = steps.preview(texture * 20)
+    assert bright.max() <= 255
+    assert 240 <= np.sort(bright.ravel())[-10] <= 255
+
+
+def test_settings_are_read_and_named(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text('[rivets]\nreference = "plane"\n[checks]\nmin_valid_fraction = 0.3\n[seams.lines]\nseed = 7\n')
+    settings = load_settings(path)
+    assert settings.rivets.reference == "plane"
+    assert settings.checks.min_valid_fraction == 0.3
+    assert settings.seams.lines.seed == 7
+    assert settings.reconstruction == InspectionSettings().reconstruction
+    spec = load_panel_spec()
+    assert steps.config_hash(settings, spec) != steps.config_hash(InspectionSettings(), spec)
+    assert steps.config_hash(load_settings(), spec) == steps.config_hash(InspectionSettings(), spec)
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ({"rivet": {}}, "unknown key 'rivet', expected 'rivets'"),
+        ({"rivets": {"referense": "plane"}}, "unknown key 'rivets.referense', expected 'reference'"),
+        ({"seams": {"lines": {"sed": 1}}}, "unknown key 'seams.lines.sed', expected 'seed'"),
+        ({"rivets": {"reference": "sphere"}}, "reference"),
+        ({"rivets": 4}, "expected a table of settings"),
+        ({"reconstruction": {"min_modulation": -1.0}}, "min_modulation: found -1"),
+        ({"reconstruction": {"min_modulation": "much"}}, 'reconstruction.min_modulation: found "much"'),
+    ],
+)
+def test_wrong_settings_are_named(document: dict[str, object], said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        settings_from(document, "settings.toml")
+    assert said in str(caught.value)
+    assert str(caught.value).startswith("settings.toml: ")
+
+
+def test_versions_name_what_computes() -> None:
+    assert {"flushline", "numpy", "numba", "opencv-python-headless", "python"} <= set(steps.versions())
