@@ -4,11 +4,15 @@ The right view is indexed by (epipolar plane, projector coordinate): a left pixe
 same projector line on its epipolar plane in one look-up, whatever steps, gaps and shadows lie between. The depth along
 the left pixel's viewing ray is then solved for, with the exact lens model, so that a plane fitted to the right
 coordinates around that pixel equals the left coordinate: no frame and no phase map is resampled.
+
+The kernel works through a row in chunks, in turns of scalar loops that look up and gather, and plain arithmetic that the
+compiler turns into vector instructions (see `metrology.phase` on slots and unsigned indices).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, PixelFlag
@@ -16,21 +20,28 @@ from metrology.epipolar import epipolar_geometry
 from metrology.jit import kernel, over_rows
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Rig
+from metrology.window_fit import FitWindow, partial_plane, window_moments
 
 _EDGE = int(PixelFlag.EDGE)
 _UNMATCHED = int(PixelFlag.UNMATCHED)
 _SLOPE = int(PixelFlag.SLOPE)
 
-# Fit window, half sizes along and across the epipolar lines.
-_ALONG, _ACROSS = 2, 1
-# A fit needs this many of its 15 pixels.
-_LEAST_PIXELS = 9
 # Farthest the solution may lie from the window's centre, pixels along either axis.
 _REACH = 1.0
 # How far (pixels) the left pixel found from the right one may lie from the start.
 _RETURN = 2
 # Misfit of the window's plane, in standard deviations, beyond which it spans a jump.
 _TORN_SIGMAS = 4.0
+# First steps longer than this (pixels) come from a gradient that is noise.
+_LONGEST_STEP = 4.0
+
+_U = np.uintp
+_CHUNK = _U(128)
+# Left ray in the right camera's frame; coordinate sought; value and slopes of the right window's plane and its centre.
+_AX, _AY, _AZ, _WANTED, _PLANE, _PLANE_U, _PLANE_V, _CENTRE_U, _CENTRE_V = (_CHUNK * _U(i) for i in range(9))
+# Undistorted position of the start pixel; inverse depth; where it projects to and how fast; slope of the coordinate.
+_XR, _YR, _RHO, _PIXEL_U, _PIXEL_V, _DU, _DV, _ALONG = (_CHUNK * _U(i) for i in range(9, 17))
+_SLOTS = _CHUNK * _U(17)
 
 
 def match(
@@ -50,19 +61,23 @@ def match(
     sigma_z = np.empty((height, width), np.float32)
     flags = np.empty((height, width), np.uint16)
     lowest, bin_size, bins = _bins(right.coordinate)
-    right_table = _index(geometry.right.row, right.coordinate, geometry.rows, lowest, bin_size, bins, settings)
-    left_table = _index(geometry.left.row, left.coordinate, geometry.rows, lowest, bin_size, bins, settings)
-    half_u, half_v = (_ALONG, _ACROSS) if abs(geometry.along[0]) >= abs(geometry.along[1]) else (_ACROSS, _ALONG)
+    shape = (geometry.rows + 1, bins)
+    right_table = _index(geometry.right.row, right.coordinate, shape, lowest, bin_size)
+    left_table = _index(geometry.left.row, left.coordinate, shape, lowest, bin_size)
+    window = FitWindow.along(geometry.along)
+    planes = window.planes(right, settings.threads)
     grid = (np.float32(lowest), np.float32(1 / bin_size))
-    window = (half_u, half_v)
     limits = (float(settings.min_slope), *(float(z) for z in settings.depth_range_mm))
     camera = (rig.right.K, rig.right.distortion8, geometry.R, geometry.t)
     views = (left.coordinate, left.sigma, left.flags, right.coordinate, right.sigma, right.flags)
     maps = (geometry.left.xy, geometry.left.row, geometry.right.xy, geometry.right.row)
 
+    out = (points, sigma_z, flags)
+
     def solve(first: int, end: int) -> None:
         tables = (left_table, right_table)
-        _match_rows(views, maps, tables, grid, window, camera, limits, first, end, points, sigma_z, flags)
+        halves = (window.half_u, window.half_v)
+        _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first, end, out)
 
     over_rows(solve, height, settings.threads)
     return points, sigma_z, flags
@@ -70,30 +85,25 @@ def match(
 
 def _bins(coordinate: NDArray[np.float32]) -> tuple[float, float, int]:
     """Lowest coordinate, size and number of the table's bins: about one pixel of the right camera per bin."""
-    sample = coordinate[::8].astype(float)
+    sample = coordinate[::16].astype(float)
     finite = sample[np.isfinite(sample)]
     if finite.size < 2:
         return 0.0, 1.0, 1
     rows = np.abs(np.diff(sample, axis=1))
-    columns = np.abs(np.diff(coordinate[:, ::8].astype(float), axis=0))
+    columns = np.abs(np.diff(coordinate[:, ::16].astype(float), axis=0))
     steps = [float(np.median(d[np.isfinite(d)])) for d in (rows, columns) if np.isfinite(d).any()]
     size = max([0.05, *steps])
-    lowest = float(np.floor(np.nanmin(coordinate))) - size
-    highest = float(np.nanmax(coordinate))
+    # Values beyond the sample's are few; a bin's margin of one in twenty covers them, and those left are unmatched.
+    margin = 0.05 * float(np.ptp(finite)) + size
+    lowest, highest = float(finite.min()) - margin, float(finite.max()) + margin
     return lowest, size, int((highest - lowest) / size) + 2
 
 
 def _index(
-    row: NDArray[np.float32],
-    coordinate: NDArray[np.float32],
-    rows: int,
-    lowest: float,
-    size: float,
-    bins: int,
-    settings: ReconstructionSettings,
+    row: NDArray[np.float32], coordinate: NDArray[np.float32], shape: tuple[int, int], lowest: float, size: float
 ) -> NDArray[np.int32]:
-    """(rows, bins) table of raw pixel indices, −1 where no pixel has that row and coordinate."""
-    table = np.full((rows + 1, bins), -1, np.int32)
+    """(rows, bins) table of raw pixels, packed as v·65536 + u; −1 where no pixel has that row and coordinate."""
+    table = np.full(shape, -1, np.int32)
     _fill_table(row, coordinate, np.float32(lowest), np.float32(1 / size), table)
     return table
 
@@ -109,12 +119,12 @@ def _fill_table(row, coordinate, lowest, per_bin, table):  # type: ignore[no-unt
                 i = int(row[y, x] + np.float32(0.5))
                 j = int((c - lowest) * per_bin)
                 if 0 <= i < rows and 0 <= j < bins:
-                    table[i, j] = y * width + x
+                    table[i, j] = (y << 16) | x
 
 
-@kernel
+@njit(inline="always")
 def _look_up(table, row, position):  # type: ignore[no-untyped-def]
-    """Pixel index nearest to (row, bin position): the cell itself or the closest filled neighbour; −1 if none."""
+    """Packed pixel nearest to (row, bin position): the cell itself or the closest filled neighbour; −1 if none."""
     rows, bins = table.shape
     i = int(row + np.float32(0.5))
     j = int(position)
@@ -135,175 +145,180 @@ def _look_up(table, row, position):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _project(rho, a, t, K, k):  # type: ignore[no-untyped-def]
-    """Raw right pixel (u, v) of the point at inverse depth `rho` on the left ray, and its derivatives by `rho`.
+def _step_towards(m, w, t, focal):  # type: ignore[no-untyped-def]
+    """From a start pixel to where the coordinate sought lies on the epipolar line, to first order, without distortion.
 
-    The point is at ``a + rho t`` in the right camera's frame, up to scale; k are OpenCV's eight distortion terms.
+    The inverse depth rho is where the left ray a + rho t comes closest to being parallel to the start pixel's (x, y, 1).
     """
-    X = a[0] + rho * t[0]
-    Y = a[1] + rho * t[1]
-    Z = a[2] + rho * t[2]
-    inverse = 1.0 / Z
-    x = X * inverse
-    y = Y * inverse
-    dx = (t[0] - x * t[2]) * inverse
-    dy = (t[1] - y * t[2]) * inverse
-    r2 = x * x + y * y
-    dr2 = 2.0 * (x * dx + y * dy)
-    top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    dtop = (k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4])) * dr2
-    bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    dbottom = (k[5] + r2 * (2.0 * k[6] + 3.0 * r2 * k[7])) * dr2
-    radial = top / bottom
-    dradial = (dtop - radial * dbottom) / bottom
-    xd = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x)
-    yd = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y
-    cross = dx * y + x * dy
-    dxd = dx * radial + x * dradial + 2.0 * k[2] * cross + k[3] * (dr2 + 4.0 * x * dx)
-    dyd = dy * radial + y * dradial + k[2] * (dr2 + 4.0 * y * dy) + 2.0 * k[3] * cross
-    u = K[0, 0] * xd + K[0, 1] * yd + K[0, 2]
-    v = K[1, 1] * yd + K[1, 2]
-    return u, v, K[0, 0] * dxd + K[0, 1] * dyd, K[1, 1] * dyd
+    for i in range(m):
+        x = w[_XR + i]
+        y = w[_YR + i]
+        tx = t[0] - x * t[2]
+        ty = t[1] - y * t[2]
+        ax = w[_AX + i] - x * w[_AZ + i]
+        ay = w[_AY + i] - y * w[_AZ + i]
+        rho = -(ax * tx + ay * ty) / (tx * tx + ty * ty)
+        inverse = 1.0 / (w[_AZ + i] + rho * t[2])
+        du = focal[0] * tx * inverse
+        dv = focal[1] * ty * inverse
+        step = (w[_WANTED + i] - w[_PLANE + i]) / (w[_PLANE_U + i] * du + w[_PLANE_V + i] * dv)
+        far = step * step * (du * du + dv * dv) > _LONGEST_STEP * _LONGEST_STEP
+        step = 0.0 if far else step
+        w[_RHO + i] = rho + step
+        w[_PIXEL_U + i] = w[_CENTRE_U + i] + step * du
+        w[_PIXEL_V + i] = w[_CENTRE_V + i] + step * dv
 
 
 @kernel
-def _fit_plane(c, u0, v0, half_u, half_v):  # type: ignore[no-untyped-def]
-    """Plane ``p0 + p1 (u − u0) + p2 (v − v0)`` through the finite values of a window.
+def _solve(m, w, t, K, k):  # type: ignore[no-untyped-def]
+    """Newton's step for the inverse depth with the exact projection; pixel relative to the window's centre.
 
-    Returns p0 relative to the centre pixel's value, p1, p2, the elements of the inverse normal matrix
-    (i00, i01, i02, i11, i12, i22), the number of pixels and the sum of squared misfits; number 0 where there is no fit.
+    The point is at a + rho t in the right camera's frame, up to scale; k are OpenCV's eight distortion terms. The steps
+    before leave half a pixel at most, over which the projection bends by less than 1e-4 pixels.
     """
-    centre = c[v0, u0]
-    n = 0.0
-    su = sv = suu = suv = svv = 0.0
-    b0 = b1 = b2 = bb = 0.0
-    for dv in range(-half_v, half_v + 1):
-        for du in range(-half_u, half_u + 1):
-            value = c[v0 + dv, u0 + du] - centre
-            if value == value:
-                e = float(value)
-                n += 1.0
-                su += du
-                sv += dv
-                suu += du * du
-                suv += du * dv
-                svv += dv * dv
-                b0 += e
-                b1 += e * du
-                b2 += e * dv
-                bb += e * e
-    m00 = suu * svv - suv * suv
-    m01 = suv * sv - su * svv
-    m02 = su * suv - suu * sv
-    determinant = n * m00 + su * m01 + sv * m02
-    if n < _LEAST_PIXELS or determinant <= 1e-9:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    d = 1.0 / determinant
-    i00 = m00 * d
-    i01 = m01 * d
-    i02 = m02 * d
-    i11 = (n * svv - sv * sv) * d
-    i12 = (su * sv - n * suv) * d
-    i22 = (n * suu - su * su) * d
-    p0 = i00 * b0 + i01 * b1 + i02 * b2
-    p1 = i01 * b0 + i11 * b1 + i12 * b2
-    p2 = i02 * b0 + i12 * b1 + i22 * b2
-    misfit = max(bb - p0 * b0 - p1 * b1 - p2 * b2, 0.0)
-    return p0, p1, p2, i00, i01, i02, i11, i12, i22, n, misfit
+    k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
+    fx, skew, cx, fy, cy = K[0, 0], K[0, 1], K[0, 2], K[1, 1], K[1, 2]
+    for i in range(m):
+        rho = w[_RHO + i]
+        inverse = 1.0 / (w[_AZ + i] + rho * t[2])
+        x = (w[_AX + i] + rho * t[0]) * inverse
+        y = (w[_AY + i] + rho * t[1]) * inverse
+        dx = (t[0] - x * t[2]) * inverse
+        dy = (t[1] - y * t[2]) * inverse
+        r2 = x * x + y * y
+        dr2 = 2.0 * (x * dx + y * dy)
+        bottom = 1.0 / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        dbottom = (k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6)) * dr2
+        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) * bottom
+        dradial = ((k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)) * dr2 - radial * dbottom) * bottom
+        cross = 2.0 * (dx * y + x * dy)
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        dxd = dx * radial + x * dradial + p1 * cross + p2 * (dr2 + 4.0 * x * dx)
+        dyd = dy * radial + y * dradial + p1 * (dr2 + 4.0 * y * dy) + p2 * cross
+        du = fx * dxd + skew * dyd
+        dv = fy * dyd
+        u = fx * xd + skew * yd + cx - w[_CENTRE_U + i]
+        v = fy * yd + cy - w[_CENTRE_V + i]
+        along = w[_PLANE_U + i] * du + w[_PLANE_V + i] * dv
+        step = (w[_WANTED + i] - w[_PLANE + i] - w[_PLANE_U + i] * u - w[_PLANE_V + i] * v) / along
+        w[_RHO + i] = rho + step
+        w[_PIXEL_U + i] = u + step * du
+        w[_PIXEL_V + i] = v + step * dv
+        w[_DU + i] = du
+        w[_DV + i] = dv
+        w[_ALONG + i] = along
 
 
 @kernel
-def _match_rows(views, maps, tables, grid, window, camera, limits, first, end, points, sigma_z, flags):  # type: ignore[no-untyped-def]
+def _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first, end, out):  # type: ignore[no-untyped-def]
     cl, sl, fl, cr, sr, fr = views
     xyl, rowl, xyr, rowr = maps
     left_table, right_table = tables
     lowest, per_bin = grid
-    half_u, half_v = window
+    half_u, half_v = halves
     K, k, R, t = camera
+    focal = (K[0, 0], K[1, 1])
     min_slope, nearest, farthest = limits
+    points, sigma_z, flags = out
     height, width = cr.shape
     left_width = cl.shape[1]
     nan = np.float32(np.nan)
+    across_u, across_v = window_moments(half_u, half_v)
+    per_window = 1.0 / ((2 * half_u + 1) * (2 * half_v + 1))
+    w = np.full(_SLOTS, np.nan)
+    start = np.empty(_CHUNK, np.int64)
     for y in range(first, end):
-        for x in range(left_width):
-            points[y, x, 0] = nan
-            points[y, x, 1] = nan
-            points[y, x, 2] = nan
-            sigma_z[y, x] = nan
-            flag = fl[y, x]
-            value = cl[y, x]
-            if value != value:
-                flags[y, x] = flag
-                continue
-            flags[y, x] = flag | _UNMATCHED
-            start = _look_up(right_table, rowl[y, x], (value - lowest) * per_bin)
-            if start < 0:
-                continue
-            v0 = start // width
-            u0 = start - v0 * width
-            if u0 < half_u or v0 < half_v or u0 >= width - half_u or v0 >= height - half_v:
-                continue
-            # The left ray in the right camera's frame.
-            xl = float(xyl[y, x, 0])
-            yl = float(xyl[y, x, 1])
-            a = (
-                R[0, 0] * xl + R[0, 1] * yl + R[0, 2],
-                R[1, 0] * xl + R[1, 1] * yl + R[1, 2],
-                R[2, 0] * xl + R[2, 1] * yl + R[2, 2],
-            )
-            # Inverse depth at which the ray comes closest to the right pixel found: (a + rho t) parallel to (xr, yr, 1).
-            xr = float(xyr[v0, u0, 0])
-            yr = float(xyr[v0, u0, 1])
-            tx = t[0] - xr * t[2]
-            ty = t[1] - yr * t[2]
-            rho = -((a[0] - xr * a[2]) * tx + (a[1] - yr * a[2]) * ty) / (tx * tx + ty * ty)
-            if not rho > 0.0:
-                continue
-            u, v, du, dv = _project(rho, a, t, K, k)
-            # First step with the gradient between direct neighbours, to centre the window on the solution.
-            gu = 0.5 * (cr[v0, u0 + 1] - cr[v0, u0 - 1])
-            gv = 0.5 * (cr[v0 + 1, u0] - cr[v0 - 1, u0])
-            slope = gu * du + gv * dv
-            step = (value - cr[v0, u0] - gu * (u - u0) - gv * (v - v0)) / slope
-            if step * step * (du * du + dv * dv) <= 16.0:
-                rho += step
-                u += step * du
-                v += step * dv
-            uc = int(np.floor(u + 0.5))
-            vc = int(np.floor(v + 0.5))
-            if uc < half_u or vc < half_v or uc >= width - half_u or vc >= height - half_v:
-                continue
-            if cr[vc, uc] != cr[vc, uc]:
-                uc = u0
-                vc = v0
-            p0, p1, p2, i00, i01, i02, i11, i12, i22, n, misfit = _fit_plane(cr, uc, vc, half_u, half_v)
-            if n == 0.0:
-                continue
-            variance = float(sr[vc, uc]) ** 2
-            u, v, du, dv = _project(rho, a, t, K, k)
-            slope = p1 * du + p2 * dv
-            # float32 differences of neighbouring values are exact; only differences enter.
-            step = (float(value - cr[vc, uc]) - p0 - p1 * (u - uc) - p2 * (v - vc)) / slope
-            rho += step
-            u += step * du - uc
-            v += step * dv - vc
-            if not (abs(u) <= _REACH and abs(v) <= _REACH):
-                continue
-            back = _look_up(left_table, rowr[vc, uc], (cr[vc, uc] - lowest) * per_bin)
-            vb = back // left_width
-            ub = back - vb * left_width
-            if back < 0 or abs(vb - y) > _RETURN or abs(ub - x) > _RETURN:
-                continue
-            z = 1.0 / rho
-            gradient2 = (p1 * p1 + p2 * p2) * (du * du + dv * dv)
-            if slope * slope < min_slope * min_slope * gradient2 or not nearest <= z <= farthest:
-                flags[y, x] = flag | _SLOPE
-                continue
-            spread = i00 + i11 * u * u + i22 * v * v + 2.0 * (i01 * u + i02 * v + i12 * u * v)
-            total = float(sl[y, x]) ** 2 + variance * spread
-            edge = (fr[vc, uc] & _EDGE) | (_EDGE if misfit > variance * (n - 3.0) * _TORN_SIGMAS * _TORN_SIGMAS else 0)
-            flags[y, x] = flag | edge
-            points[y, x, 0] = xl * z
-            points[y, x, 1] = yl * z
-            points[y, x, 2] = z
-            sigma_z[y, x] = z * z * np.sqrt(total) / abs(slope)
+        for left in range(0, left_width, int(_CHUNK)):
+            m = _U(min(int(_CHUNK), left_width - left))
+            for i in range(m):
+                x = left + int(i)
+                value = cl[y, x]
+                flags[y, x] = fl[y, x]
+                start[i] = -1
+                w[_WANTED + i] = value
+                if value != value:
+                    continue
+                flags[y, x] |= _UNMATCHED
+                pixel = _look_up(right_table, rowl[y, x], (value - lowest) * per_bin)
+                v0 = pixel >> 16
+                u0 = pixel & 0xFFFF
+                if pixel < 0 or planes[v0, u0, 0] != planes[v0, u0, 0]:
+                    continue
+                start[i] = pixel
+                # float32 values differ exactly, so the plane's value stays as good as the differences it came from.
+                w[_PLANE + i] = float(cr[v0, u0]) + float(planes[v0, u0, 0])
+                w[_PLANE_U + i] = planes[v0, u0, 1]
+                w[_PLANE_V + i] = planes[v0, u0, 2]
+                w[_CENTRE_U + i] = u0
+                w[_CENTRE_V + i] = v0
+                xl = float(xyl[y, x, 0])
+                yl = float(xyl[y, x, 1])
+                w[_AX + i] = R[0, 0] * xl + R[0, 1] * yl + R[0, 2]
+                w[_AY + i] = R[1, 0] * xl + R[1, 1] * yl + R[1, 2]
+                w[_AZ + i] = R[2, 0] * xl + R[2, 1] * yl + R[2, 2]
+                w[_XR + i] = xyr[v0, u0, 0]
+                w[_YR + i] = xyr[v0, u0, 1]
+            _step_towards(m, w, t, focal)
+            for i in range(m):
+                if start[i] < 0:
+                    continue
+                uc = int(np.floor(w[_PIXEL_U + i] + 0.5))
+                vc = int(np.floor(w[_PIXEL_V + i] + 0.5))
+                if uc < 0 or vc < 0 or uc >= width or vc >= height:
+                    start[i] = -1
+                    continue
+                pixel = (vc << 16) | uc
+                if pixel == start[i]:
+                    continue
+                # Where the better centre has no plane, the start's may still reach far enough.
+                if planes[vc, uc, 0] == planes[vc, uc, 0]:
+                    start[i] = pixel
+                    w[_PLANE + i] = float(cr[vc, uc]) + float(planes[vc, uc, 0])
+                    w[_PLANE_U + i] = planes[vc, uc, 1]
+                    w[_PLANE_V + i] = planes[vc, uc, 2]
+                    w[_CENTRE_U + i] = uc
+                    w[_CENTRE_V + i] = vc
+            _solve(m, w, t, K, k)
+            for i in range(m):
+                x = left + int(i)
+                points[y, x, 0] = nan
+                points[y, x, 1] = nan
+                points[y, x, 2] = nan
+                sigma_z[y, x] = nan
+                pixel = start[i]
+                u = w[_PIXEL_U + i]
+                v = w[_PIXEL_V + i]
+                rho = w[_RHO + i]
+                if pixel < 0 or not (abs(u) <= _REACH and abs(v) <= _REACH and rho > 0.0):
+                    continue
+                vc = pixel >> 16
+                uc = pixel & 0xFFFF
+                back = _look_up(left_table, rowr[vc, uc], (cr[vc, uc] - lowest) * per_bin)
+                vb = back >> 16
+                ub = back & 0xFFFF
+                if back < 0 or abs(vb - y) > _RETURN or abs(ub - x) > _RETURN:
+                    continue
+                flag = fl[y, x]
+                z = 1.0 / rho
+                along = w[_ALONG + i]
+                gradient2 = w[_PLANE_U + i] ** 2 + w[_PLANE_V + i] ** 2
+                speed2 = w[_DU + i] ** 2 + w[_DV + i] ** 2
+                if along * along < min_slope * min_slope * gradient2 * speed2 or not nearest <= z <= farthest:
+                    flags[y, x] = flag | _SLOPE
+                    continue
+                variance = float(sr[vc, uc]) ** 2
+                if planes[vc, uc, 3] < np.inf:
+                    spread = per_window + u * u * across_u + v * v * across_v
+                else:
+                    fit = partial_plane(cr, uc, vc, half_u, half_v)
+                    spread = fit[3] + fit[6] * u * u + fit[8] * v * v
+                    spread += 2.0 * (fit[4] * u + fit[5] * v + fit[7] * u * v)
+                if planes[vc, uc, 3] > variance * _TORN_SIGMAS * _TORN_SIGMAS:
+                    flag |= _EDGE
+                total = float(sl[y, x]) ** 2 + variance * spread
+                flags[y, x] = flag | (fr[vc, uc] & _EDGE)
+                points[y, x, 0] = xyl[y, x, 0] * z
+                points[y, x, 1] = xyl[y, x, 1] * z
+                points[y, x, 2] = z
+                sigma_z[y, x] = z * z * np.sqrt(total) / abs(along)
