@@ -28,6 +28,7 @@ _STEP_TEXT = {
     "detect_seams": "finding seams",
     "measure_rivets": "measuring rivets",
     "measure_seams": "measuring seams",
+    "register": "recognising the panel",
     "judge": "judging",
     "overlay": "drawing the overlay",
     "publish": "storing",

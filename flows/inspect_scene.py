@@ -37,6 +37,7 @@ class Job:
         None: the rig that the scene names, from the store.
     settings : InspectionSettings
     spec : PanelSpecification
+        The example gives way to what is in force in the store for the scene's panel.
     """
 
     folder: Path
@@ -107,12 +108,15 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
     with timed("measure_seams"):
         stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
+    spec = steps.specification(job.spec, loaded.scene.key, job.store)
+    with timed("register"):
+        registered = call(steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings)
     with timed("judge"):
-        judged = call(steps.judge, rivets, stations, job.spec)
+        judged = call(steps.judge, registered.rivets, registered.stations, spec)
     with timed("overlay"):
         drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
     seconds["total"] = sum(seconds.values())
-    result = steps.assemble(loaded, reconstruction, judged, drawn, settings, job.spec, seconds)
+    result = steps.assemble(loaded, reconstruction, registered, judged, drawn, settings, spec, seconds)
     with timed("publish"):
         run_id = call(steps.publish, job.store, result, loaded.rig)
     return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)

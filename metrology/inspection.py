@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,8 @@ class InspectionResult:
         Of Flushline and of what it computes with.
     operator : str or None
         Who scanned.
+    registration : mapping
+        How the scan was recognised in its panel's pattern, as plain values.
     epipolar_rms_px : float or None
         How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines.
     """
@@ -62,4 +64,5 @@ class InspectionResult:
     warnings: tuple[str, ...]
     versions: Mapping[str, str]
     operator: str | None = None
+    registration: Mapping[str, Any] = field(default_factory=dict)
     epipolar_rms_px: float | None = None

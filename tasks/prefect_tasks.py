@@ -43,6 +43,7 @@ TASKS = {
     steps.detect_seams: _step(steps.detect_seams, "metrology"),
     steps.measure_rivets: _step(steps.measure_rivets, "metrology"),
     steps.measure_seams: _step(steps.measure_seams, "metrology"),
+    steps.register: _step(steps.register, "io", "metrology"),
     steps.judge: _step(steps.judge, "metrology"),
     steps.draw_overlay: _step(steps.draw_overlay, "metrology"),
     steps.publish: _step(steps.publish, "io", "store"),

@@ -13,16 +13,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology import overlay, reconstruct, rivets, seams, tolerance
+from metrology import overlay, reconstruct, registration, rivets, seams, tolerance
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
 from metrology.inspection import InspectionResult
 from metrology.overlay import Overlay
-from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
+from metrology.panel import PanelLayout
+from metrology.registration import Registration
+from metrology.results import Rivet, RivetDetection, SceneKey, SeamLine, SeamStation
 from metrology.rig import Rig
 from storage.archive import Store
 from storage.archive.bundle import document_hash
-from storage.panel_spec import PanelSpecification
+from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
 from storage.scene import Scene, load_scene
 from tasks.settings import InspectionSettings, SceneChecks
@@ -110,6 +112,43 @@ def measure_seams(
     return seams.measure_seams(lines, reconstruction, measured, settings.seams)
 
 
+def specification(given: PanelSpecification | None, key: SceneKey, store: Store) -> PanelSpecification:
+    """What a scene is judged by: what was given, else what is in force in the store for its panel, else the example."""
+    if given is not None and not given.example:
+        return given
+    return store.panels.in_force(key.panel) or given or load_panel_spec()
+
+
+def register(
+    measured: Sequence[Rivet],
+    stations: Sequence[SeamStation],
+    reconstruction: Reconstruction,
+    loaded: LoadedScene,
+    spec: PanelSpecification,
+    store: Store,
+    settings: InspectionSettings,
+) -> Registration:
+    """Give rivets and seams the panel's ids; the first scan of a station without a pattern becomes its pattern."""
+    key = loaded.scene.key
+    pattern = _pattern(spec, key, store)
+    if pattern is None:
+        enrolled = registration.enrol(measured, stations, reconstruction, key.station)
+        if enrolled.enrolled is None or enrolled.enrolled.empty:
+            return enrolled
+        store.prepare()
+        if store.panels.enrol(enrolled.enrolled, key.panel, key.station, key.scene_id):
+            return enrolled
+        pattern = store.panels.pattern(key.panel, key.station) or enrolled.enrolled
+    return registration.register(measured, stations, reconstruction, pattern, key.station, settings.registration)
+
+
+def _pattern(spec: PanelSpecification, key: SceneKey, store: Store) -> PanelLayout | None:
+    """The nominal pattern: the specification's if it is of this panel and has one, else what the station enrolled."""
+    if not spec.layout.empty and spec.limits.panel == key.panel:
+        return spec.layout
+    return store.panels.pattern(key.panel, key.station)
+
+
 def judge(measured: Sequence[Rivet], stations: Sequence[SeamStation], spec: PanelSpecification) -> Judged:
     """Verdicts by the panel's limits."""
     return Judged(
@@ -129,6 +168,7 @@ def draw_overlay(
 def assemble(
     loaded: LoadedScene,
     reconstruction: Reconstruction,
+    registered: Registration,
     judged: Judged,
     drawn: Overlay,
     settings: InspectionSettings,
@@ -136,11 +176,16 @@ def assemble(
     seconds: Mapping[str, float],
 ) -> InspectionResult:
     """Everything that is to be stored."""
-    warnings = list(loaded.warnings)
+    key = loaded.scene.key
+    warnings = [*loaded.warnings, *registered.warnings]
+    if spec.example:
+        warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
+    elif spec.limits.panel != key.panel:
+        warnings.append(f"judged by the specification of panel {spec.limits.panel}, though the scene is of {key.panel}")
     if drawn.outside:
         warnings.append(f"outside the projector's field, at least in part: {', '.join(drawn.outside)}")
     return InspectionResult(
-        key=loaded.scene.key,
+        key=key,
         reconstruction=reconstruction,
         rivets=judged.rivets,
         stations=judged.stations,
@@ -154,7 +199,22 @@ def assemble(
         warnings=tuple(warnings),
         versions=versions(),
         operator=loaded.scene.operator,
+        registration=_registration_document(registered),
     )
+
+
+def _registration_document(registered: Registration) -> dict[str, object]:
+    placement = registered.placement
+    return {
+        "status": registered.status,
+        "matched": list(registered.matched),
+        "missing": list(registered.missing),
+        "unlisted": list(registered.unlisted),
+        "rms_mm": registered.rms_mm,
+        "shift_mm": registered.shift_mm,
+        "turn_deg": registered.turn_deg,
+        "placement": None if placement is None else {"R": placement.R.tolist(), "t_mm": placement.t.tolist()},
+    }
 
 
 def publish(store: Store, result: InspectionResult, rig: Rig) -> str:
