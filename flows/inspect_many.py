@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,9 +10,9 @@ from pathlib import Path
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error, unexpected
 from flows.inspect_scene import Inspected, Job, inspect_scene
-from flows.prefect_server import answers, configured_api
+from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
-from metrology.errors import FlushlineError, UsageError
+from metrology.errors import FlushlineError
 from metrology.results import Rivet, SeamStation
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
@@ -95,22 +94,12 @@ def _jobs(inputs: Inputs) -> list[Job]:
 
 
 def _way_to_run(inputs: Inputs, use_server: bool) -> Callable[[Job, Callable[[str], None]], Inspected]:
-    """In this process, or as a Prefect flow where a server is configured; stderr says which."""
-    api = configured_api()
-    if api and not answers(api):
-        if use_server:
-            raise UsageError(f"Prefect server: found no answer from {api}, expected it to run")
-        print(f"running in this process: the Prefect server at {api} does not answer", file=sys.stderr)
-    elif api or use_server:
-        print(
-            f"running as Prefect flow on {api or 'a server of its own, which takes a while to start'}", file=sys.stderr
-        )
+    """In this process, or as a Prefect flow where a server is configured."""
+    if runs_on_server(use_server):
         from flows.prefect_flows import inspect_scene_flow
 
         store, rig, spec, settings = map(_text, (inputs.store, inputs.rig, inputs.panel_spec, inputs.settings))
         return lambda job, _: inspect_scene_flow(str(job.folder), str(store), rig, spec, settings)
-    else:
-        print("running in this process: no Prefect server is configured", file=sys.stderr)
     return lambda job, show: inspect_scene(job, on_step=show)
 
 

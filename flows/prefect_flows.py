@@ -6,6 +6,7 @@ from pathlib import Path
 
 from prefect import flow
 
+from flows.calibrate import Calibrated, calibrate_capture
 from flows.inspect_scene import Inspected, Job, inspect_scene
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
@@ -40,3 +41,23 @@ def inspect_scene_flow(
         ),
         call,
     )
+
+
+@flow(
+    name="calibrate",
+    flow_run_name="{capture}",
+    description="Detect the board in every picture, adjust cameras and projector together, write rig and report.",
+    validate_parameters=False,
+    persist_result=False,
+)
+def calibrate_flow(capture: str, out: str, report: str, rig_id: str | None = None) -> Calibrated:
+    """Calibrate from a capture folder.
+
+    Parameters
+    ----------
+    capture, out, report : str
+        Paths.
+    rig_id : str, optional
+        By default that of the capture.
+    """
+    return calibrate_capture(Path(capture), Path(out), Path(report), rig_id, call)

@@ -3,12 +3,38 @@
 from __future__ import annotations
 
 import os
+import sys
 import tomllib
 import urllib.error
 import urllib.request
 from pathlib import Path
 
+from metrology.errors import UsageError
+
 _TIMEOUT_SECONDS = 3.0
+
+
+def runs_on_server(wanted: bool) -> bool:
+    """Whether work is to run as a Prefect flow; stderr says which way and why.
+
+    Parameters
+    ----------
+    wanted : bool
+        The user asked for a server: one is started where none is configured.
+    """
+    api = configured_api()
+    if api and not answers(api):
+        if wanted:
+            raise UsageError(f"Prefect server: found no answer from {api}, expected it to run")
+        print(f"running in this process: the Prefect server at {api} does not answer", file=sys.stderr)
+        return False
+    if api or wanted:
+        print(
+            f"running as Prefect flow on {api or 'a server of its own, which takes a while to start'}", file=sys.stderr
+        )
+        return True
+    print("running in this process: no Prefect server is configured", file=sys.stderr)
+    return False
 
 
 def configured_api() -> str | None:

@@ -1,7 +1,7 @@
 """Stereo calibrations in OpenCV's FileStorage (XML, YAML or JSON): intrinsics and extrinsics in one file or two.
 
-OpenCV's own samples write M1, D1, M2, D2 and R, T; other names in use are understood, too. The projector is M3, D3, R3, T3
-(x₃ = R3 x₁ + T3), Flushline's own addition. Such files know neither units nor, mostly, the images' size.
+OpenCV's own samples write M1, D1, M2, D2 and R, T; other names in use are understood, too. The projector is M3, D3, R3,
+T3 (x₃ = R3 x₁ + T3), Flushline's own addition. Such files know neither units nor, mostly, the images' size.
 """
 
 from __future__ import annotations
@@ -69,7 +69,9 @@ def load_opencv_rig(
     named = ", ".join(str(path) for path in paths)
     missing = [name for name in _NEEDED if name not in found]
     if missing:
-        raise RigError(f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}")
+        raise RigError(
+            f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}"
+        )
     told = _size(found.get("size"))
     if told is None and size is None:
         raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
@@ -77,7 +79,9 @@ def load_opencv_rig(
     scale = MM_PER_UNIT[unit]
     try:
         left = Device(width, height, found["M1"], _terms(found["D1"]), np.eye(3), np.zeros(3))
-        right = Device(width, height, found["M2"], _terms(found["D2"]), _rotation(found["R"]), found["T"].ravel() * scale)
+        right = Device(
+            width, height, found["M2"], _terms(found["D2"]), _rotation(found["R"]), found["T"].ravel() * scale
+        )
         return Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or _required(projector, named))
     except RigError as problem:
         text = str(problem)
@@ -85,7 +89,7 @@ def load_opencv_rig(
 
 
 def save_opencv_rig(rig: Rig, path: Path) -> None:
-    """Write intrinsics, extrinsics (mm) and the projector into one file; its ending (xml, yml, json) chooses the format."""
+    """Write intrinsics, extrinsics (mm) and the projector into one file; its ending (xml, yml, json) is the format."""
     path = Path(path)
     if path.suffix.lower() not in (".xml", ".yml", ".yaml", ".json"):
         raise RigError(f"{path}: found the ending {path.suffix!r}, expected .xml, .yml, .yaml or .json")
@@ -93,7 +97,10 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
     values: dict[str, Array] = {
         "size": np.array([[rig.left.width, rig.left.height]], float),
         "size3": np.array([[rig.projector.width, rig.projector.height]], float),
-        **{"R": rig.right.R, "T": rig.right.t[:, None], "R3": rig.projector.R, "T3": rig.projector.t[:, None]},
+        "R": rig.right.R,
+        "T": rig.right.t[:, None],
+        "R3": rig.projector.R,
+        "T3": rig.projector.t[:, None],
     }
     if (rig.right.width, rig.right.height) != (rig.left.width, rig.left.height):
         raise RigError(f"{path}: found cameras of two image sizes, expected one: OpenCV's stereo files have but one")
@@ -146,7 +153,9 @@ def _terms(value: Array) -> Array:
     """OpenCV writes up to 14 terms; those beyond the rational model must be zero."""
     terms = value.ravel()
     if terms[MAX_DISTORTION_TERMS:].any():
-        raise RigError(f"distortion: found {terms.size} terms with prism or tilt, expected at most {MAX_DISTORTION_TERMS}")
+        raise RigError(
+            f"distortion: found {terms.size} terms with prism or tilt, expected at most {MAX_DISTORTION_TERMS}"
+        )
     return terms[:MAX_DISTORTION_TERMS]
 
 

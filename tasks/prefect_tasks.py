@@ -10,7 +10,7 @@ from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import TaskRun
 from prefect.states import State
 
-from tasks import steps
+from tasks import calibration, steps
 
 _IO_RETRIES = 2
 _IO_RETRY_SECONDS = 5.0
@@ -47,6 +47,10 @@ TASKS = {
     steps.judge: _step(steps.judge, "metrology"),
     steps.draw_overlay: _step(steps.draw_overlay, "metrology"),
     steps.publish: _step(steps.publish, "io", "store"),
+    calibration.load_calibration_capture: _step(calibration.load_calibration_capture, "io"),
+    calibration.detect_pose: _step(calibration.detect_pose, "io", "metrology"),
+    calibration.solve_rig: _step(calibration.solve_rig, "metrology"),
+    calibration.write_rig: _step(calibration.write_rig, "io"),
 }
 
 

@@ -1,0 +1,107 @@
+"""flushline rig: check a rig against scenes, exchange it with OpenCV."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
+    """Add `rig check`, `rig import` and `rig export`."""
+    parser = commands.add_parser("rig", help="check a rig against scenes; import and export OpenCV files")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    check = actions.add_parser(
+        "check",
+        parents=[common],
+        help="whether a rig still fits scenes",
+        description="Tells from scenes whether the rig still is what its calibration says. Exit code 0: it is, or is "
+        "warned of; 1: refused by at least one scene; 2: bad input.",
+    )
+    check.add_argument("rig", type=Path, metavar="RIG")
+    check.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    check.set_defaults(run=run_check)
+    load = actions.add_parser("import", parents=[common], help="a rig file from OpenCV FileStorage stereo files")
+    load.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help="intrinsics and extrinsics, XML, YAML or JSON"
+    )
+    load.add_argument("--out", type=Path, required=True, metavar="RIG")
+    load.add_argument("--id", required=True, metavar="ID")
+    load.add_argument("--size", type=_size, metavar="WxH", help="camera images, where the files do not tell")
+    load.add_argument("--unit", default="mm", help="of the files' translations: mm (default), cm, m, in")
+    load.add_argument("--projector-of", type=Path, metavar="RIG", help="rig file to take the projector from")
+    load.set_defaults(run=run_import)
+    save = actions.add_parser("export", parents=[common], help="an OpenCV FileStorage file from a rig file")
+    save.add_argument("rig", type=Path, metavar="RIG")
+    save.add_argument("--out", type=Path, required=True, metavar="FILE", help="its ending chooses XML, YAML or JSON")
+    save.set_defaults(run=run_export)
+
+
+def run_check(options: argparse.Namespace) -> int:
+    """Check the rig by every scene."""
+    from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error
+    from metrology.errors import FlushlineError
+    from storage.rig import load_rig
+    from tasks.rig_check import check_scene
+
+    rig = load_rig(options.rig)
+    refused = checked = 0
+    for folder in options.scenes:
+        try:
+            health = check_scene(rig, folder)
+        except FlushlineError as problem:
+            if options.debug:
+                raise
+            print_error(str(problem))
+            continue
+        checked += 1
+        refused += health.verdict == "refused"
+        print(
+            f"{folder}: {health.verdict}; epipolar RMS {_pixels(health.epipolar_rms_px)} "
+            f"(systematic {_pixels(health.epipolar_drift_px)}, {health.n} patches), "
+            f"projector {_pixels(health.projector_rms_px)} ({health.projector_n} blocks)"
+        )
+        if health.reason:
+            print(f"  {health.reason}")
+    if checked == 0:
+        return EXIT_BAD_INPUT
+    return EXIT_SOME_FAILED if refused or checked < len(options.scenes) else EXIT_DONE
+
+
+def run_import(options: argparse.Namespace) -> int:
+    """Read OpenCV's files, write a rig file."""
+    from datetime import UTC, datetime
+
+    from storage.documents import utc_text
+    from storage.opencv_rig import load_opencv_rig
+    from storage.rig import load_rig, save_rig
+
+    projector = load_rig(options.projector_of).projector if options.projector_of else None
+    moment = datetime.now(UTC)
+    rig = load_opencv_rig(
+        options.files, options.id, utc_text(moment.replace(microsecond=0)), options.size, options.unit, projector
+    )
+    save_rig(rig, options.out)
+    print(options.out)
+    return 0
+
+
+def run_export(options: argparse.Namespace) -> int:
+    """Read a rig file, write OpenCV's."""
+    from storage.opencv_rig import save_opencv_rig
+    from storage.rig import load_rig
+
+    save_opencv_rig(load_rig(options.rig), options.out)
+    print(options.out)
+    return 0
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)[xX×](\d+)", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected width and height such as 1624x1234")
+    return int(match[1]), int(match[2])
+
+
+def _pixels(value: float | None) -> str:
+    return "not measurable" if value is None else f"{value:.4f} px"

@@ -1,0 +1,59 @@
+"""The steps of a calibration, each a plain function. `flows.calibrate` orders them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.calibration.calibrate import Calibration, calibrate
+from metrology.calibration.detect import Detection, detect
+from metrology.calibration.frames import BoardFrames, CameraName
+from metrology.decode import decode_phase
+from metrology.rig import Rig
+from storage.calibration import CalibrationCapture, PoseImages, load_capture
+from storage.documents import utc_text
+from storage.rig import save_rig
+
+
+def load_calibration_capture(folder: Path) -> CalibrationCapture:
+    """Read and check a calibration capture's manifest."""
+    return load_capture(folder)
+
+
+def detect_pose(capture: CalibrationCapture, pose: int, camera: CameraName) -> Detection:
+    """Find the board, and the projector's dots or fringes on it, in one camera's pictures of one pose."""
+    images = capture.images(pose, camera)
+    frames = BoardFrames(images.white, images.dark, images.dots, _coordinate(capture, images))
+    return detect(pose, camera, frames, capture.board, capture.dots)
+
+
+def solve_rig(capture: CalibrationCapture, detections: Sequence[Detection]) -> Calibration:
+    """Cameras and projector from all detections."""
+    return calibrate(detections, capture.board, capture.dots, capture.projector_size)
+
+
+def name_rig(capture: CalibrationCapture, calibration: Calibration, rig_id: str | None) -> Rig:
+    """The rig with its id (by default that of the capture, or its date) and time (that of the capture, or now)."""
+    moment = capture.model.captured_at or datetime.now(UTC)
+    return calibration.rig(rig_id or capture.model.rig or f"rig-{moment:%Y-%m-%d}", utc_text(moment))
+
+
+def write_rig(rig: Rig, path: Path) -> None:
+    """Keep the rig."""
+    save_rig(rig, path)
+
+
+def _coordinate(capture: CalibrationCapture, images: PoseImages) -> NDArray[np.float32] | None:
+    """(h, w, 2) projector column and row at every pixel."""
+    if not images.fringes:
+        return None
+    width, height = capture.projector_size
+    views = [
+        decode_phase(images.fringes[axis][None], capture.codes[axis], capture.codes[axis].size(width, height))
+        for axis in ("x", "y")
+    ]
+    return np.stack([view.coordinate for view in views], -1)
