@@ -30,13 +30,13 @@ from simulator.relief import (
     R_SLOT_LENGTH,
     R_SLOT_SIN,
     R_SLOT_WIDTH,
-    S_CABLE,
     S_CHAMFER,
     S_EX,
     S_EY,
     WIDTH,
     Floats,
     Relief,
+    along,
     lateral,
     piece_at,
     piece_height,
@@ -46,21 +46,22 @@ from simulator.relief import (
     table,
 )  # fmt: skip
 
-# Columns of the borders array, a thread's working memory of MAX_BORDERS rows: where along the ray a border is crossed, and the border's normal in the x-y plane.
+# Rows of a thread's working memory: where along the ray a border is crossed, and the border's normal in the x-y plane.
 MAX_BORDERS = 256
-_TOLERANCE = 1e-11  # mm along the ray
+# The secant method's error is far below its last step: from here on below 1e-10 mm.
+_TOLERANCE = 1e-6
 _WALL_TOLERANCE = 1e-9  # mm: less than that below a piece is rounding, not a wall
 
 
 @kernel
 def _meet_skin(relief: Relief, o: Floats, d: Floats, lift: float) -> float:
-    """Ray parameter where o + λ d meets the skin raised by `lift` (secant method)."""
+    """Ray parameter where o + λ d meets the skin raised by `lift`, to about a micrometre: tells where to look."""
     a = (lift - o[2]) / d[2]
     fa = o[2] + a * d[2] - skin_height(relief.skin, o[0] + a * d[0], o[1] + a * d[1]) - lift
     b = a - fa / d[2]
     for _ in range(50):
         fb = o[2] + b * d[2] - skin_height(relief.skin, o[0] + b * d[0], o[1] + b * d[1]) - lift
-        if fb == fa or abs(b - a) < _TOLERANCE:
+        if fb == fa or abs(b - a) < 1e-2:
             break
         a, b, fa = b, b - fb * (b - a) / (fb - fa), fb
     return b
@@ -68,15 +69,18 @@ def _meet_skin(relief: Relief, o: Floats, d: Floats, lift: float) -> float:
 
 @kernel
 def _meet_plate(relief: Relief, o: Floats, d: Floats, sides: int, start: float) -> float:
-    """The same for a plate with its step, from a start nearby."""
+    """Where it meets a plate with its step, exactly, from a start nearby (secant method)."""
     a = start
     fa = o[2] + a * d[2] - plate_height(relief, o[0] + a * d[0], o[1] + a * d[1], sides, -1)
     b = a - fa / d[2]
     for _ in range(50):
         fb = o[2] + b * d[2] - plate_height(relief, o[0] + b * d[0], o[1] + b * d[1], sides, -1)
-        if fb == fa or abs(b - a) < _TOLERANCE:
+        if fb == fa:
             break
-        a, b, fa = b, b - fb * (b - a) / (fb - fa), fb
+        c = b - fb * (b - a) / (fb - fa)
+        if abs(c - b) < _TOLERANCE:
+            return c
+        a, b, fa = b, c, fb
     return b
 
 
@@ -147,45 +151,44 @@ def _add_rivet(borders, n, low, high, o, d, relief, r):  # type: ignore[no-untyp
 
 
 @kernel
-def _add_seam(borders, n, low, high, o, d, relief, s):  # type: ignore[no-untyped-def]
-    """Crossings with a seam's edges, the outer ends of its chamfers and its centre (where crossing seams end)."""
-    seam = relief.seams[s]
-    for k in range(5):
-        sign = -1.0 if k in (1, 3) else 1.0
-        extra = seam[S_CHAMFER] if k in (2, 3) else 0.0
-        if k in (2, 3) and extra <= 0.0:
-            continue
-        if k == 4 and seam[S_CABLE] > 0.0:
-            continue
-        a, b = low, high
-        fa = _offset(relief, s, o, d, a, sign, extra, k == 4)
-        fb = _offset(relief, s, o, d, b, sign, extra, k == 4)
-        if fa * fb > 0.0 or fa == fb:
-            continue
-        # The course is nearly straight over the ray's short part: the secant method converges at once.
-        c = b - fb * (b - a) / (fb - fa)
-        for _ in range(20):
-            fc = _offset(relief, s, o, d, c, sign, extra, k == 4)
-            if abs(fc) < 1e-12:
-                break
-            if fa * fc <= 0.0:
-                b, fb = c, fc
-            else:
-                a, fa = c, fc
-            c = b - fb * (b - a) / (fb - fa)
-        slope = table(relief, s, COURSE, lateral(relief, s, o[0] + c * d[0], o[1] + c * d[1])[1])[1]
-        nx, ny = -seam[S_EY] - slope * seam[S_EX], seam[S_EX] - slope * seam[S_EY]
-        n = _add(borders, n, low, high, c, nx, ny)
-    return n
+def _across(relief, s, o, d, at):  # type: ignore[no-untyped-def]
+    """Distance of the ray's point at `at` from a seam's centre line, and the seam's half width there."""
+    t, xi = lateral(relief, s, o[0] + at * d[0], o[1] + at * d[1])
+    return t, 0.5 * table(relief, s, WIDTH, xi)[0]
 
 
 @kernel
-def _offset(relief, s, o, d, at, sign, extra, centre):  # type: ignore[no-untyped-def]
-    """Signed distance of the ray's point at `at` from one of the lines that belong to a seam."""
-    t, xi = lateral(relief, s, o[0] + at * d[0], o[1] + at * d[1])
-    if centre:
-        return t
-    return t - sign * (0.5 * table(relief, s, WIDTH, xi)[0] + extra)
+def _add_seam(borders, n, low, high, o, d, relief, s):  # type: ignore[no-untyped-def]
+    """Crossings with a seam's edges, the outer ends of its chamfers and its centre (where crossing seams end)."""
+    chamfer = relief.seams[s, S_CHAMFER]
+    t_low, half_low = _across(relief, s, o, d, low)
+    t_high, half_high = _across(relief, s, o, d, high)
+    for k in range(5):
+        if k >= 3 and chamfer <= 0.0:
+            break
+        # The line's distance from the centre: `share` half widths and `extra`.
+        share = float(k - 1) if k < 3 else 2.0 * (k - 3) - 1.0
+        extra = share * chamfer if k >= 3 else 0.0
+        a, fa = low, t_low - share * half_low - extra
+        b, fb = high, t_high - share * half_high - extra
+        if fa * fb > 0.0 or fa == fb:
+            continue
+        # The course is nearly straight over the ray's short part: regula falsi converges at once.
+        at = b - fb * (b - a) / (fb - fa)
+        for _ in range(20):
+            t, half = _across(relief, s, o, d, at)
+            f = t - share * half - extra
+            if abs(f) < 1e-12:
+                break
+            if fa * f <= 0.0:
+                b, fb = at, f
+            else:
+                a, fa = at, f
+            at = b - fb * (b - a) / (fb - fa)
+        slope = table(relief, s, COURSE, along(relief, s, o[0] + at * d[0], o[1] + at * d[1]))[1]
+        ex, ey = relief.seams[s, S_EX], relief.seams[s, S_EY]
+        n = _add(borders, n, low, high, at, -ey - slope * ex, ex - slope * ey)
+    return n
 
 
 @kernel
@@ -223,8 +226,8 @@ def _borders(relief, o, d, low, high, row, column, beside, borders):  # type: ig
 @kernel
 def cell_of(relief: Relief, x: float, y: float) -> tuple[int, int]:
     """Row and column of the cell of (x, y); (−1, −1) outside or where no rivet and no seam is near."""
-    column = int(math.floor(x - relief.origin[0]))
-    row = int(math.floor(y - relief.origin[1]))
+    column = math.floor(x - relief.origin[0])
+    row = math.floor(y - relief.origin[1])
     if row < 0 or column < 0 or row >= relief.cells.shape[0] or column >= relief.cells.shape[1]:
         return -1, -1
     if relief.cells[row, column, 0] < 0 and not relief.near_seam[row, column]:
@@ -254,7 +257,7 @@ def _root(relief, kind, index, sides, o, d, a, b, fa, fb):  # type: ignore[no-un
     for _ in range(100):
         c = b - fb * (b - a) / (fb - fa)
         fc = _excess(relief, kind, index, sides, o, d, c)
-        if abs(fc) < 1e-12 or b - a < _TOLERANCE:
+        if abs(fc) < 1e-10:
             break
         if fc > 0.0:
             a, fa = c, fc
@@ -284,8 +287,6 @@ def cast(relief, o, d, borders):  # type: ignore[no-untyped-def]
     beside = beside_border(relief, x, y)
     if row < 0 and not beside:
         sides = sides_of(relief, x, y)
-        if relief.seams.shape[0] == 0:
-            return skin, PLATE, 0, sides, 0.0, 0.0
         return _meet_plate(relief, o, d, sides, skin), PLATE, 0, sides, 0.0, 0.0
     low = _meet_skin(relief, o, d, relief.reach[0])
     high = (relief.limits[4] - o[2]) / d[2] if beside else _meet_skin(relief, o, d, -relief.reach[1])
@@ -339,7 +340,8 @@ def lit(relief, p, light, borders):  # type: ignore[no-untyped-def]
         kind, index, sides = piece_at(relief, row, column, p[0] + middle * d[0], p[1] + middle * d[1])
         if kind == BACKGROUND:
             continue
-        for at in (a, middle, b):
-            if _excess(relief, kind, index, sides, p, d, at) < -1e-7:
+        # A smooth piece seen along a ray bulges less than the middle of its interval tells.
+        for k in range(3):
+            if _excess(relief, kind, index, sides, p, d, a + 0.5 * k * (b - a)) < -1e-7:
                 return False
     return True

@@ -14,15 +14,19 @@ from typing import Any
 
 from numba import njit
 
+# IEEE arithmetic in the order written. No kernel allocates: without numba's runtime arrays are passed without counting
+# references, which otherwise takes more time than the geometry.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+
 
 def kernel(function: Any) -> Any:
-    """An inner kernel: IEEE arithmetic in the order written, no interpreter lock."""
-    return njit(nogil=True, error_model="numpy", _nrt=False)(function)
+    """An inner kernel."""
+    return njit(**_OPTIONS)(function)
 
 
 def entry(function: Any) -> Any:
     """A kernel that Python calls, cached on disk."""
-    return njit(nogil=True, error_model="numpy", cache=True, _nrt=False)(function)
+    return njit(cache=True, **_OPTIONS)(function)
 
 
 def fingerprint(*modules: ModuleType) -> int:

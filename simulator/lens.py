@@ -45,7 +45,7 @@ def ray(p: Floats, u: float, v: float, out: Floats) -> None:
         dx, dy = distort(p, x, y)
         ex, ey = xd - dx, yd - dy
         x, y = x + ex, y + ey
-        if ex * ex + ey * ey < 1e-28:
+        if ex * ex + ey * ey < 1e-24:
             break
     norm = 1.0 / np.sqrt(x * x + y * y + 1.0)
     for k in range(3):

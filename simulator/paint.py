@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from simulator.panel import Panel, Patch, Scratch
 from simulator.relief import Floats
@@ -37,8 +39,7 @@ def _clouds(shape: tuple[int, int], size_mm: float, rng: np.random.Generator) ->
     """Smooth random field of unit variance whose features are `size_mm` large."""
     cell = max(1.0, size_mm / 2 / TEXEL_MM)
     coarse = (int(shape[0] / cell) + 8, int(shape[1] / cell) + 8)
-    field = cv2.GaussianBlur(rng.standard_normal(coarse).astype(np.float32), (0, 0), 1.0)
-    field /= field.std()
+    field = _unit(cv2.GaussianBlur(rng.standard_normal(coarse).astype(np.float32), (0, 0), 1.0))
     fine = cv2.resize(field, (int(coarse[1] * cell), int(coarse[0] * cell)), interpolation=cv2.INTER_CUBIC)
     row, column = rng.integers(0, int(2 * cell), 2)
     return np.asarray(fine[row : row + shape[0], column : column + shape[1]], np.float32)
@@ -51,9 +52,9 @@ def _streaks(
     side = math.ceil(math.hypot(*shape)) if angle else max(shape)
     noise = rng.standard_normal((side if angle else shape[0], side if angle else shape[1])).astype(np.float32)
     along, across = length_mm / TEXEL_MM / 2, grain_mm / TEXEL_MM / 2
-    field = cv2.GaussianBlur(noise, (0, 0), sigmaX=along, sigmaY=max(across, 0.3))
+    field: NDArray[Any] = cv2.GaussianBlur(noise, (0, 0), sigmaX=along, sigmaY=max(across, 0.3))
     # A part of coarser streaks among the fine ones, as a brush leaves them.
-    field = field / field.std() + 0.6 * _unit(cv2.GaussianBlur(noise, (0, 0), sigmaX=4 * along, sigmaY=2 * across))
+    field = _unit(field) + 0.6 * _unit(cv2.GaussianBlur(noise, (0, 0), sigmaX=4 * along, sigmaY=2 * across))
     if angle:
         middle = (side / 2, side / 2)
         turn = cv2.getRotationMatrix2D(middle, -math.degrees(angle), 1.0)
@@ -63,7 +64,8 @@ def _streaks(
     return _unit(field)
 
 
-def _unit(field: Float32) -> Float32:
+def _unit(field: NDArray[Any]) -> Float32:
+    """The field with mean 0 and variance 1."""
     return np.asarray((field - field.mean()) / field.std(), np.float32)
 
 

@@ -305,6 +305,7 @@ class Panel:
             for other in (seam.starts_at, seam.ends_at):
                 _require(other is None or (other in names and other != seam.id), f"seam {seam.id}", other,
                          "the id of another seam")  # fmt: skip
-        for item in (*self.rivets, *self.holes):
-            inside = abs(item.x_mm) < self.width_mm / 2 and abs(item.y_mm) < self.height_mm / 2
-            _require(inside, f"position of {getattr(item, 'id', 'a hole')}", (item.x_mm, item.y_mm), "on the panel")
+        places = [(r.id, r.x_mm, r.y_mm) for r in self.rivets] + [("a hole", h.x_mm, h.y_mm) for h in self.holes]
+        for name, x, y in places:
+            inside = abs(x) < self.width_mm / 2 and abs(y) < self.height_mm / 2
+            _require(inside, f"position of {name}", (x, y), "on the panel")

@@ -115,6 +115,13 @@ def lateral(relief: Relief, seam: int, x: float, y: float) -> tuple[float, float
 
 
 @kernel
+def along(relief: Relief, seam: int, x: float, y: float) -> float:
+    """Distance along a seam's chord, mm."""
+    dx, dy = x - relief.seams[seam, S_X], y - relief.seams[seam, S_Y]
+    return dx * relief.seams[seam, S_EX] + dy * relief.seams[seam, S_EY]
+
+
+@kernel
 def sides_of(relief: Relief, x: float, y: float) -> int:
     """Bit s is set where (x, y) lies to the left of seam s."""
     sides = 0
@@ -140,8 +147,7 @@ def plate_height(relief: Relief, x: float, y: float, sides: int, without: int) -
     z = skin_height(relief.skin, x, y)
     for s in range(relief.seams.shape[0]):
         if s != without and relief.seams[s, S_CABLE] == 0.0 and exists(relief, s, sides):
-            xi = lateral(relief, s, x, y)[1]
-            half = 0.5 * table(relief, s, STEP, xi)[0]
+            half = 0.5 * table(relief, s, STEP, along(relief, s, x, y))[0]
             z += half if (sides >> s) & 1 else -half
     return z
 

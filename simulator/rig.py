@@ -74,7 +74,7 @@ def virtual_rig(
         else replace(d, R=np.eye(3), t=np.zeros(3))
         for d in built
     ]  # fmt: skip
-    return Rig(rig_id, calibrated_at, *seen)
+    return Rig(rig_id, calibrated_at, seen[0], seen[1], seen[2])
 
 
 def _device(
@@ -106,22 +106,22 @@ def turned(rig: Rig, device: str, degrees: float, axis: tuple[float, float, floa
     """The rig with its right camera or projector turned about an axis of its own frame through its centre."""
     old = _device_of(rig, device)
     turn = Rotation.from_rotvec(math.radians(degrees) * np.array(axis) / np.linalg.norm(axis)).as_matrix()
-    return replace(rig, **{device: replace(old, R=turn @ old.R, t=turn @ old.t)})
+    return _with(rig, device, replace(old, R=turn @ old.R, t=turn @ old.t))
 
 
 def shifted(rig: Rig, device: str, by_mm: tuple[float, float, float]) -> Rig:
     """The rig with its right camera or projector moved, in the rig frame."""
     old = _device_of(rig, device)
-    return replace(rig, **{device: replace(old, t=old.t - old.R @ np.array(by_mm))})
+    return _with(rig, device, replace(old, t=old.t - old.R @ np.array(by_mm)))
 
 
 def refocused(rig: Rig, device: str, percent: float) -> Rig:
     """The rig with the focal length of one device (left too) off by `percent`."""
-    old: Device = getattr(rig, device)
+    old = _device_of(rig, device) if device != "left" else rig.left
     K = old.K.copy()
     K[0, 0] *= 1 + percent / 100
     K[1, 1] *= 1 + percent / 100
-    return replace(rig, **{device: replace(old, K=K)})
+    return _with(rig, device, replace(old, K=K))
 
 
 def warmed(rig: Rig, kelvin: float, expansion_per_k: float = 23e-6) -> Rig:
@@ -139,6 +139,11 @@ def _device_of(rig: Rig, device: str) -> Device:
         raise SpecError(f"device: found {device!r}, expected 'right' or 'projector' (the left camera is the rig frame)")
     found: Device = getattr(rig, device)
     return found
+
+
+def _with(rig: Rig, device: str, new: Device) -> Rig:
+    devices = {"left": rig.left, "right": rig.right, "projector": rig.projector} | {device: new}
+    return replace(rig, left=devices["left"], right=devices["right"], projector=devices["projector"])
 
 
 def aim_frame(rig: Rig) -> tuple[Floats, Floats]:

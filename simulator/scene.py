@@ -15,11 +15,11 @@ from metrology.fringe import FringeCode
 from metrology.rig import Rig
 from simulator.lens import moved
 from simulator.pack import pack
+from simulator.paint import paint
 from simulator.projection import project_image, project_stripes, receive_image, receive_stripes
 from simulator.relief import Relief
 from simulator.rig import aim_frame, virtual_rig, warmed
 from simulator.spec import Placement, SimulationSpec
-from simulator.paint import paint
 from simulator.trace import Float32, Hits, Light, ReflectanceMap, trace
 from simulator.truth import Pose, Truth, truth
 
@@ -151,7 +151,7 @@ def look_at_image(stage: Stage, spec: SimulationSpec, image: NDArray[np.generic]
     -------
     {"left": …, "right": …} of (h, w) or (h, w, channels) float32, grey levels at exposure 1.
     """
-    values = image / 255.0 if image.dtype == np.uint8 else np.asarray(image, float)
+    values = np.asarray(image, float) / (255.0 if image.dtype == np.uint8 else 1.0)
     layers = values[..., None] if values.ndim == 2 else values
     tables = [project_image(layers[..., k], spec.projector) for k in range(layers.shape[-1])]
     seen = {}

@@ -165,14 +165,14 @@ def _sky(relief, kind, index, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _normal(relief, kind, index, sides, x, y, out):  # type: ignore[no-untyped-def]
-    """Unit normal of a piece by central differences (a few micrometres: exact to 1e-9 on smooth skin)."""
+def _normal(relief, kind, index, sides, p, out):  # type: ignore[no-untyped-def]
+    """Unit normal of a piece at its point p by differences over 2 µm (good to 1e-5 rad)."""
     h = 2e-3
-    gx = piece_height(relief, kind, index, sides, x + h, y) - piece_height(relief, kind, index, sides, x - h, y)
-    gy = piece_height(relief, kind, index, sides, x, y + h) - piece_height(relief, kind, index, sides, x, y - h)
-    gx, gy = gx / (2.0 * h), gy / (2.0 * h)
-    norm = 1.0 / math.sqrt(gx * gx + gy * gy + 1.0)
-    out[0], out[1], out[2] = -gx * norm, -gy * norm, norm
+    for k in range(2):
+        x, y = p[0] + (h if k == 0 else 0.0), p[1] + (h if k == 1 else 0.0)
+        out[k] = (p[2] - piece_height(relief, kind, index, sides, x, y)) / h
+    norm = 1.0 / math.sqrt(out[0] * out[0] + out[1] * out[1] + 1.0)
+    out[0], out[1], out[2] = out[0] * norm, out[1] * norm, norm
 
 
 @kernel
@@ -194,7 +194,7 @@ def _shade(relief, light, hit, d, source, p, n, borders):  # type: ignore[no-unt
     if wall:
         n[0], n[1], n[2] = wall_x, wall_y, 0.0
     else:
-        _normal(relief, kind, index, sides, p[0], p[1], n)
+        _normal(relief, kind, index, sides, p, n)
     reflectance = _paint(relief, light, kind, index, sides, wall, p[0], p[1])
     ambient = light.ambient * reflectance * _sky(relief, kind, index, p[0], p[1])
     if wall:
@@ -365,14 +365,13 @@ def trace(
     pixel_mm = abs(centre[2]) / camera.K[0, 0]
     codes, near = np.empty((height, width), np.int64), np.empty((height, width), np.bool_)
     distances = np.empty((height, width))
-    bands = [slice(top, min(top + _BAND, height)) for top in range(0, height, _BAND)]
 
     def look(rows: slice) -> None:
         _look(relief, packed, centre, source, 0.75 * pixel_mm, *_memory(2), rows.start, codes[rows],
               distances[rows], near[rows])  # fmt: skip
 
-    _share(look, bands, lambda done: progress(0.2 * done))
-    busy = _widened(near | _changes(codes), 3.2 * blur_px + 0.7)
+    share_bands(look, height, lambda done: progress(0.2 * done))
+    busy = widened(near | _changes(codes), 3.2 * blur_px + 0.7)
     few, many = four(blur_px), spread(samples, blur_px)
     first = np.concatenate([[0], np.cumsum(np.where(busy.ravel(), len(many), len(few)))]).astype(np.int64)
     total = int(first[-1])
@@ -387,7 +386,7 @@ def trace(
                 source, few, many, *_memory(3), busy[rows], codes[rows], distances[rows], rows.start, own,
                 hits.column[part], hits.row[part], hits.direct[part], hits.ambient[part])  # fmt: skip
 
-    _share(gather, bands, lambda done: progress(0.2 + 0.8 * done))
+    share_bands(gather, height, lambda done: progress(0.2 + 0.8 * done))
     return hits
 
 
@@ -409,9 +408,9 @@ def _changes(codes: NDArray[np.int64]) -> NDArray[np.bool_]:
     return change
 
 
-def _widened(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
+def widened(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
     """The mask grown by a disc."""
-    n = int(math.ceil(radius_px))
+    n = math.ceil(radius_px)
     y, x = np.mgrid[-n : n + 1, -n : n + 1]
     disc = (x * x + y * y <= radius_px * radius_px).astype(np.uint8)
     return cv2.dilate(mask.astype(np.uint8), disc).astype(bool)
@@ -421,8 +420,9 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _share(work: Callable[[slice], None], bands: list[slice], progress: Callable[[float], None]) -> None:
-    """Do the bands on several threads; the first one alone, since it compiles the kernel."""
+def share_bands(work: Callable[[slice], None], height: int, progress: Callable[[float], None]) -> None:
+    """Do all rows in bands on several threads; the first band alone, since it compiles the kernel."""
+    bands = [slice(top, min(top + _BAND, height)) for top in range(0, height, _BAND)]
     work(bands[0])
     with ThreadPoolExecutor(_cores()) as pool:
         for done, _ in enumerate(pool.map(work, bands[1:]), 2):
