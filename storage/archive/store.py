@@ -81,6 +81,14 @@ class Store:
         elif root.is_dir() and any(root.iterdir()):
             raise StoreError(f"{root}: found a folder with other things in it, expected a store or an empty folder")
 
+    def existing(self) -> Layout:
+        """Where things lie in a store that is there; refused where there is none."""
+        if not self.root.is_dir():
+            raise StoreError(f"{self.root}: found no such folder, expected a store")
+        if not self.layout.marker.exists():
+            raise StoreError(f"{self.root}: found no {self.layout.marker.name}, expected a store")
+        return self.layout
+
     def publish(self, result: InspectionResult) -> str:
         """Store a result: its bundle first, then the index, then the published index.
 
@@ -147,8 +155,7 @@ class Store:
         """A read-only connection to the newest published index that cannot reach other files."""
         from storage.archive import snapshot
 
-        self._check_exists()
-        return snapshot.connect(self.layout)
+        return snapshot.connect(self.existing())
 
     def query(self, sql: str) -> pa.Table:
         """Rows that a SQL query returns; it can neither write nor reach other files."""
@@ -250,12 +257,6 @@ class Store:
             return self.root / str(json.loads(marker.read_text())["run"])
         except (OSError, ValueError, KeyError):
             return None
-
-    def _check_exists(self) -> None:
-        if not self.root.is_dir():
-            raise StoreError(f"{self.root}: found no such folder, expected a store")
-        if not self.layout.marker.exists():
-            raise StoreError(f"{self.root}: found no {self.layout.marker.name}, expected a store")
 
 
 def _disk_problem(root: Path, problem: OSError) -> str:

@@ -1,0 +1,119 @@
+"""flushline archive: check, rebuild, compact, prune, export; a scene's cloud as PLY."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+Run = Callable[[argparse.Namespace], int]
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
+    """Add `archive` and its actions."""
+    parser = commands.add_parser("archive", help="check, rebuild, compact, prune or export a store's archive")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+
+    def add(name: str, run: Run, text: str) -> argparse.ArgumentParser:
+        action = actions.add_parser(name, parents=[common], help=text, description=f"{text[:1].upper()}{text[1:]}.")
+        action.add_argument("--store", type=Path, required=True, metavar="DIR")
+        action.set_defaults(run=run)
+        return action
+
+    add(
+        "check",
+        check,
+        "compare every bundle with its checksums and the index with the bundles; exit code 1 names damage",
+    )
+    add("rebuild", rebuild, "make the index again from the bundles alone")
+    add("compact", compact, "write the tables as Parquet partitioned by aircraft, for other engines")
+    pruning = add("prune", prune, "remove runs that newer runs of the same scene have replaced")
+    pruning.add_argument("--keep", type=int, default=1, metavar="N", help="runs to keep of each scene (default 1)")
+    pruning.add_argument("--older-than", type=float, metavar="DAYS", help="only runs stored longer ago than this")
+    exporting = add("export", export, "copy the current bundles to a folder or to object storage")
+    exporting.add_argument("--to", required=True, metavar="TARGET", help="folder, or a URI such as s3://bucket/prefix")
+    exporting.add_argument("--aircraft", metavar="SERIAL", help="only this aircraft")
+    exporting.add_argument("--panel", metavar="PANEL", help="only this panel")
+    cloud = add("ply", ply, "write a scene's point cloud as PLY")
+    cloud.add_argument("scene_id", metavar="SCENE_ID")
+    cloud.add_argument("--out", type=Path, required=True, metavar="FILE")
+
+
+def check(options: argparse.Namespace) -> int:
+    """Check bundles and index."""
+    from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+    from flows.progress import progress_bar
+    from storage.archive import Store, maintenance
+
+    layout = Store(options.store).existing()
+    with progress_bar() as progress:
+        bar = progress.add_task("checking runs", total=len(layout.runs()))
+        found = maintenance.check(layout, lambda: progress.advance(bar))
+    for problem in found.problems:
+        print_error(problem)
+    print(f"{found.runs} runs checked, {len(found.problems)} problems")
+    return EXIT_SOME_FAILED if found.problems else EXIT_DONE
+
+
+def rebuild(options: argparse.Namespace) -> int:
+    """Make the index again."""
+    from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+    from storage.archive import Store, maintenance
+
+    store = Store(options.store)
+    problems = maintenance.rebuild(store.existing())
+    for problem in problems:
+        print_error(problem)
+    scenes = store.query("SELECT count(*) FROM scenes").column(0)[0].as_py()
+    print(f"index of {scenes} scenes made from the bundles")
+    return EXIT_SOME_FAILED if problems else EXIT_DONE
+
+
+def compact(options: argparse.Namespace) -> int:
+    """Write Parquet for other engines."""
+    from storage.archive import Store, maintenance
+
+    print(maintenance.compact(Store(options.store).existing()))
+    return 0
+
+
+def prune(options: argparse.Namespace) -> int:
+    """Remove replaced runs."""
+    from datetime import timedelta
+
+    from storage.archive import Store, maintenance
+
+    older_than = None if options.older_than is None else timedelta(days=options.older_than)
+    removed = maintenance.prune(Store(options.store).existing(), options.keep, older_than)
+    print(f"{len(removed)} replaced runs removed")
+    return 0
+
+
+def export(options: argparse.Namespace) -> int:
+    """Copy current bundles elsewhere."""
+    from storage.archive import Store, maintenance
+
+    layout = Store(options.store).existing()
+    copied, present = maintenance.export(layout, options.to, options.aircraft, options.panel)
+    print(f"{copied} runs copied to {options.to}, {present} were there")
+    return 0
+
+
+def ply(options: argparse.Namespace) -> int:
+    """Write a scene's cloud as PLY."""
+    import cv2
+    import numpy as np
+
+    from metrology.errors import StoreError
+    from storage.archive import Store
+    from storage.cloud import read_cloud
+    from storage.point_cloud import write_ply
+
+    paths = Store(options.store).paths(options.scene_id)
+    texture = cv2.imread(str(paths.preview), cv2.IMREAD_GRAYSCALE)
+    if texture is None:
+        raise StoreError(f"{paths.preview}: found no readable picture, expected the scene's preview")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    points = write_ply(options.out, read_cloud(paths.cloud), texture.astype(np.uint8))
+    print(f"{points} points in {options.out}")
+    return 0
