@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.decode import decode_phase
-from metrology.edges import flag_edges
+from metrology.edges import flag_neighbourhoods
 from metrology.errors import RigError
 from metrology.fringe import FringeCode
 from metrology.reconstruction_settings import ReconstructionSettings
@@ -64,7 +64,7 @@ def decode(
     """
     settings = settings or ReconstructionSettings()
     view = decode_phase(frames, code, projector_size, exposures, settings)
-    return flag_edges(view, code.frames, settings)
+    return flag_neighbourhoods(view, code.frames, settings)
 
 
 def triangulate(
