@@ -24,6 +24,7 @@ _STEP_TEXT = {
     "load": "checking",
     "reconstruct": "reconstructing",
     "detect_rivets": "finding rivets",
+    "check_rig": "checking the rig",
     "detect_seams": "finding seams",
     "measure_rivets": "measuring rivets",
     "measure_seams": "measuring seams",

@@ -102,6 +102,8 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         reconstruction = call(steps.reconstruct_scene, loaded, settings)
     with timed("detect_rivets"):
         detections = call(steps.detect_rivets, reconstruction, settings)
+    with timed("check_rig"):
+        health = call(steps.check_rig, loaded, reconstruction, detections, settings)
     with timed("detect_seams"):
         lines = call(steps.detect_seams, reconstruction, detections, settings)
     with timed("measure_rivets"):
@@ -116,7 +118,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
     with timed("overlay"):
         drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
     seconds["total"] = sum(seconds.values())
-    result = steps.assemble(loaded, reconstruction, registered, judged, drawn, settings, spec, seconds)
+    result = steps.assemble(loaded, reconstruction, health, registered, judged, drawn, settings, spec, seconds)
     with timed("publish"):
         run_id = call(steps.publish, job.store, result, loaded.rig)
     return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)

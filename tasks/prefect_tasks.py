@@ -40,6 +40,7 @@ TASKS = {
     steps.load: _step(steps.load, "io"),
     steps.reconstruct_scene: _step(steps.reconstruct_scene, "io", "metrology"),
     steps.detect_rivets: _step(steps.detect_rivets, "metrology"),
+    steps.check_rig: _step(steps.check_rig, "metrology"),
     steps.detect_seams: _step(steps.detect_seams, "metrology"),
     steps.measure_rivets: _step(steps.measure_rivets, "metrology"),
     steps.measure_seams: _step(steps.measure_seams, "metrology"),

@@ -13,6 +13,7 @@ from metrology.errors import FlushlineError, UsageError
 from metrology.overlay import OverlaySettings
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.registration.settings import RegistrationSettings
+from metrology.rig_health import HealthSettings
 from metrology.rivets.settings import RivetSettings
 from metrology.seams.settings import SeamSettings
 from storage.documents import closest, read_toml
@@ -21,25 +22,19 @@ from storage.models import first_problem
 
 @dataclass(frozen=True)
 class SceneChecks:
-    """When a scan is refused or doubted.
+    """When a scan is refused.
 
     Attributes
     ----------
     min_valid_fraction : float
         Share of the left camera's pixels that must have a point; a scan with less shows no skin.
-    max_projector_misfit_px : float
-        Largest median distance between the projector column (or row) that a point's phase says and the one that the
-        rig projects the point to. More means that the rig is not the one that took the scan.
     """
 
     min_valid_fraction: float = 0.02
-    max_projector_misfit_px: float = 3.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_valid_fraction < 1:
             raise UsageError(f"min_valid_fraction: found {self.min_valid_fraction:g}, expected 0 … 1")
-        if self.max_projector_misfit_px <= 0:
-            raise UsageError(f"max_projector_misfit_px: found {self.max_projector_misfit_px:g}, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -48,6 +43,7 @@ class InspectionSettings:
 
     checks: SceneChecks = field(default_factory=SceneChecks)
     reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
+    rig_health: HealthSettings = field(default_factory=HealthSettings)
     rivets: RivetSettings = field(default_factory=RivetSettings)
     seams: SeamSettings = field(default_factory=SeamSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)

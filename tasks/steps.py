@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology import overlay, reconstruct, registration, rivets, seams, tolerance
+from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
 from metrology.inspection import InspectionResult
@@ -22,14 +22,13 @@ from metrology.panel import PanelLayout
 from metrology.registration import Registration
 from metrology.results import Rivet, RivetDetection, SceneKey, SeamLine, SeamStation
 from metrology.rig import Rig
+from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
 from storage.scene import Scene, load_scene
 from tasks.settings import InspectionSettings, SceneChecks
-
-_MISFIT_SAMPLES = 20_000
 
 
 @dataclass(frozen=True)
@@ -79,13 +78,28 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
         right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
     reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
-    _check_rig_fits(scene, reconstruction, settings.checks)
     return reconstruction
 
 
 def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
     """Rivet heads in the left image."""
     return rivets.detect_rivets(reconstruction, settings.rivets)
+
+
+def check_rig(
+    loaded: LoadedScene,
+    reconstruction: Reconstruction,
+    detections: list[RivetDetection],
+    settings: InspectionSettings,
+) -> RigHealth:
+    """Judge by the scan itself whether the rig still fits; refuse one that does not."""
+    health = rig_health.epipolar_health(reconstruction, detections, loaded.scene.code.axis, settings.rig_health)
+    if health.verdict == "refused":
+        raise RigError(
+            f"{loaded.scene.folder}: found that rig {loaded.rig.id!r} does not fit the scan ({health.reason}), "
+            "expected the rig that took it"
+        )
+    return health
 
 
 def detect_seams(
@@ -168,6 +182,7 @@ def draw_overlay(
 def assemble(
     loaded: LoadedScene,
     reconstruction: Reconstruction,
+    health: RigHealth,
     registered: Registration,
     judged: Judged,
     drawn: Overlay,
@@ -178,6 +193,8 @@ def assemble(
     """Everything that is to be stored."""
     key = loaded.scene.key
     warnings = [*loaded.warnings, *registered.warnings]
+    if health.verdict == "warning":
+        warnings.append(f"rig {loaded.rig.id}: {health.reason}")
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
     elif spec.limits.panel != key.panel:
@@ -200,6 +217,7 @@ def assemble(
         versions=versions(),
         operator=loaded.scene.operator,
         registration=_registration_document(registered),
+        epipolar_rms_px=health.epipolar_rms_px,
     )
 
 
@@ -263,21 +281,3 @@ _CAUSE = {
     PixelFlag.UNMATCHED: "without a counterpart in the other camera",
     PixelFlag.SLOPE: "out of range",
 }
-
-
-def _check_rig_fits(scene: Scene, reconstruction: Reconstruction, checks: SceneChecks) -> None:
-    """Compare the projector coordinate that the fringes say with where the rig projects the point to.
-
-    Cameras and projector are calibrated apart from the scan's phase, so a rig that is not the scan's own disagrees.
-    """
-    rows, columns = np.nonzero(reconstruction.valid)
-    pick = slice(None, None, max(1, len(rows) // _MISFIT_SAMPLES))
-    at = rows[pick], columns[pick]
-    seen = reconstruction.left.coordinate[at]
-    projected = reconstruction.rig.projector.project(reconstruction.points[at].astype(float))
-    misfit = float(np.median(np.abs(projected[:, 0 if scene.code.axis == "x" else 1] - seen)))
-    if misfit > checks.max_projector_misfit_px:
-        raise RigError(
-            f"{scene.folder}: found fringes {misfit:.1f} projector pixels from where rig {reconstruction.rig.id!r} has "
-            f"them, expected at most {checks.max_projector_misfit_px:g}: the rig is not the one that took this scan"
-        )

@@ -13,6 +13,7 @@ STEPS = (
     "load",
     "reconstruct",
     "detect_rivets",
+    "check_rig",
     "detect_seams",
     "measure_rivets",
     "measure_seams",

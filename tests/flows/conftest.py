@@ -10,6 +10,7 @@ import pytest
 
 from metrology.fringe import FringeCode
 from metrology.results import SceneKey
+from metrology.rig_health import RigHealth
 from storage.rig import save_rig
 from storage.scene import write_scene
 from tasks import steps
@@ -54,6 +55,7 @@ def fake_metrology(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (steps.reconstruct, "decode", result.reconstruction.left),
         (steps.reconstruct, "triangulate", result.reconstruction),
         (steps.rivets, "detect_rivets", []),
+        (steps.rig_health, "epipolar_health", RigHealth(0.06, 0.004, 200, 0.001, 400, "ok", None)),
         (steps.seams, "detect_seams", []),
         (steps.rivets, "measure_rivets", list(result.rivets)),
         (steps.seams, "measure_seams", list(result.stations)),

@@ -33,11 +33,12 @@ def test_scenes_go_in_and_rows_come_out(
     said = capsys.readouterr()
     assert "MSN-1 LH-F12 S1 2026-11-20 08:15:00Z: 3 rivets (3 pass); 1 seam with 2 positions" in said.out
     assert "no Prefect server is configured" in said.err
-    assert fake_metrology[:8] == [
+    assert fake_metrology[:9] == [
         "decode",
         "decode",
         "triangulate",
         "detect_rivets",
+        "epipolar_health",
         "detect_seams",
         "measure_rivets",
         "measure_seams",

@@ -10,6 +10,8 @@ import pytest
 
 from metrology.cloud import PixelFlag
 from metrology.errors import RigError, SceneError, UsageError
+from metrology.fringe import FringeCode
+from metrology.rig_health import RigHealth
 from storage.panel_spec import load_panel_spec
 from storage.scene import Scene
 from tasks import steps
@@ -33,15 +35,13 @@ def test_a_dark_scan_is_refused_with_its_cause(scene: Scene) -> None:
         steps._check_skin_is_seen(scene, dark, SceneChecks())
 
 
-def test_a_rig_that_contradicts_the_fringes_is_refused(scene: Scene) -> None:
-    from metrology.fringe import FringeCode
-
-    scene = replace(scene, code=FringeCode("x", 4, (7, 6, 5)))
-    reconstruction = small_result().reconstruction
-    steps._check_rig_fits(scene, reconstruction, SceneChecks())
-    shifted = replace(reconstruction.left, coordinate=reconstruction.left.coordinate + 4)
-    with pytest.raises(RigError, match=r"found fringes 4\.0 projector pixels"):
-        steps._check_rig_fits(scene, replace(reconstruction, left=shifted), SceneChecks())
+def test_a_rig_that_does_not_fit_is_refused(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    health = RigHealth(0.06, 0.004, 200, 41.5, 400, "refused", "the decoded projector coordinate is off by 41.5 px")
+    monkeypatch.setattr(steps.rig_health, "epipolar_health", lambda *_: health)
+    result = small_result()
+    loaded = steps.LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
+    with pytest.raises(RigError, match=r"scene: found that rig 'rig-a' does not fit the scan \(the decoded"):
+        steps.check_rig(loaded, result.reconstruction, [], InspectionSettings())
 
 
 def test_the_preview_keeps_grey_levels_where_they_fit() -> None:
