@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,11 +12,27 @@ from numpy.typing import NDArray
 from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
 from metrology.overlay.layout import Layout
-from metrology.overlay.marks import COLOURS, WORDS, Label, Stroke, circle_points, shape_marks
+from metrology.overlay.legend import draw_legend, entries
+from metrology.overlay.marks import (
+    BAR_END_MM,
+    COLOURS,
+    GRAVEST_FIRST,
+    Label,
+    Stroke,
+    circle_points,
+    rivet_marks,
+    seam_marks,
+)
 from metrology.overlay.paint import paint, paint_svg, text_size
-from metrology.results import Rivet, SeamStation, Severity
+from metrology.overlay.skin_map import map_skin
+from metrology.results import Decision, Rivet, SeamStation, Severity
+from metrology.skin_normal import skin_normal
 
 Array = NDArray[np.float64]
+
+_CONDITIONAL: tuple[Decision, ...] = ("conditional pass", "conditional fail")
+_MISSING = "MISSING"
+_LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
 
 @dataclass(frozen=True)
@@ -80,8 +96,9 @@ class Overlay:
 
 @dataclass(frozen=True)
 class _Wish:
-    """A label that wants a place beside its feature: the feature's centre and half size, projector pixels."""
+    """A label that wants a place beside its feature: its centre (projector pixels) and half size (upright frame)."""
 
+    feature: str
     text: str
     anchor: Array
     reach: Array
@@ -102,108 +119,130 @@ def draw_overlay(
     rivets, stations
         Judged results; what has no position is left out.
     reconstruction : Reconstruction
-        Gives the rig, and the skin's direction around each rivet.
+        Gives the rig, and the skin's place and direction.
     title : sequence of str
         Lines above the legend: station, date.
     """
     settings = settings or OverlaySettings()
     projector = reconstruction.rig.projector
-    scale, angle = _operator_frame(reconstruction)
-    layout = Layout(projector.width, projector.height, angle)
-    text_px = settings.text_height_mm * scale
+    skin = map_skin(reconstruction)
+    layout = Layout(projector.width, projector.height, skin)
+    text_px = settings.text_height_mm * skin.px_per_mm
     strokes: list[Stroke] = []
-    labels: list[Label] = []
+    wishes: list[_Wish] = []
     outside: list[str] = []
 
-    wanted: list[_Wish] = []
     for rivet in rivets:
         outline = _rim(rivet, reconstruction)
         if outline is None:
             continue
-        if not projector.inside(outline).all():
+        inside = projector.inside(outline)
+        if not inside.all():
             outside.append(rivet.rivet_id)
-            if not projector.inside(outline.mean(0)):
+            if not inside.any():
                 continue
-        marks = shape_marks(outline, rivet.severity, settings.line_width_px)
-        strokes += marks
+        marks = rivet_marks(outline, rivet.severity, settings.line_width_px)
+        strokes += [replace(mark, feature=rivet.rivet_id) for mark in marks]
         extent = np.concatenate([mark.points for mark in marks])
-        layout.occupy(extent, settings.line_width_px)
-        text = "?" if rivet.height_mean_mm is None else f"{rivet.height_mean_mm:+.2f}"
-        wanted.append(_Wish(text, outline.mean(0), np.ptp(extent, axis=0) / 2, rivet.severity))
+        for mark in marks:
+            layout.occupy(mark.points, mark.width)
+        wishes.append(_Wish(rivet.rivet_id, _rivet_text(rivet), outline.mean(0), layout.extent(extent), rivet.severity))
 
     for seam_id in dict.fromkeys(station.seam_id for station in stations):
         seam = [s for s in stations if s.seam_id == seam_id and s.x_mm is not None]
         if not seam:
             continue
-        pixels = projector.project(np.array([(s.x_mm, s.y_mm, s.z_mm) for s in seam], float))
-        if not projector.inside(pixels).all():
+        course = projector.project(np.array([(s.x_mm, s.y_mm, s.z_mm) for s in seam], float))
+        if not projector.inside(course).all():
             outside.append(seam_id)
         for run in _runs(seam):
             severity = seam[run.start].severity
-            reach = _BAR_END_MM[severity] * scale
-            strokes += _seam_strokes(pixels[run], severity, scale, settings)
-            for pixel in pixels[run]:
-                layout.occupy(pixel[None], reach)
+            reach = BAR_END_MM[severity] * skin.px_per_mm
+            marks = seam_marks(course[run], severity, skin.px_per_mm, settings.line_width_px)
+            strokes += [replace(mark, feature=seam_id) for mark in marks]
+            for place in course[run][projector.inside(course[run])]:
+                layout.occupy(place[None], reach)
             for k in _labelled(seam, run, settings.label_every_mm):
-                if projector.inside(pixels[k]):
-                    wanted.append(_Wish(_seam_text(seam[k]), pixels[k], np.full(2, reach), severity))
+                if projector.inside(course[k]):
+                    wishes.append(_Wish(seam_id, _seam_text(seam[k]), course[k], np.full(2, reach), severity))
 
-    legend = _legend(title, layout, text_px)
-    # Grave ones first: they get the best places.
-    for wish in sorted(wanted, key=lambda w: _ORDER.index(w.severity)):
-        place = layout.place(wish.anchor, wish.reach, text_size(wish.text, text_px))
-        labels.append(Label(wish.text, place, text_px, angle, COLOURS[wish.severity]))
+    judged: list[Rivet | SeamStation] = [*rivets, *stations]
+    present = {item.severity for item in judged}
+    key = [s for s in reversed(GRAVEST_FIRST) if s is not None or None in present]
+    legend = entries(title, key, _notes(rivets, stations, outside))
+    labels, shapes = draw_legend(legend, layout, text_px, skin.angle, settings.line_width_px)
+    # Grave ones first: they get the best places. What is in order may go without its value where there is no room.
+    for wish in sorted(wishes, key=lambda w: GRAVEST_FIRST.index(w.severity)):
+        size = text_size(wish.text, text_px)
+        place = layout.place(wish.anchor, wish.reach, size, must=wish.severity != "green")
+        if place is None:
+            continue
+        labels.append(Label(wish.text, place, text_px, skin.angle, COLOURS[wish.severity], wish.feature))
+        strokes += _leader(wish, place, size, layout)
     return Overlay(
         (projector.width, projector.height),
         settings.background,
-        tuple(strokes),
-        (*labels, *legend),
+        (*strokes, *shapes),
+        tuple(labels),
         tuple(outside),
     )
 
 
-# How far from a seam's middle its marks begin, and end by severity: the graver, the longer.
-_BAR_START_MM = 2.5
-_BAR_END_MM: dict[Severity | None, float] = {"red": 8.0, "blue": 5.5, None: 4.5, "green": 3.5}
-_ORDER: tuple[Severity | None, ...] = ("red", "blue", None, "green")
-
-
-def _operator_frame(reconstruction: Reconstruction) -> tuple[float, float]:
-    """Projector pixels per mm on the skin, and the direction there of the left camera's +u, radians.
-
-    The left camera's image is what the operator knows as upright.
-    """
-    points = reconstruction.points[reconstruction.valid]
-    if len(points) == 0:
-        raise UsageError("overlay: found no measured point in the scene, expected a reconstructed skin")
-    middle = np.median(points, axis=0).astype(float)
-    ahead = middle + np.array([1.0, 0.0, 0.0])
-    start, end = reconstruction.rig.projector.project(np.stack([middle, ahead]))
-    direction = end - start
-    return float(np.linalg.norm(direction)), float(np.arctan2(direction[1], direction[0]))
-
-
 def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
     """Outline of a rivet's head in projector pixels; None where it has no position."""
-    if rivet.x_mm is None or rivet.y_mm is None or rivet.z_mm is None or rivet.diameter_mm is None:
+    if rivet.x_mm is None or rivet.y_mm is None or rivet.z_mm is None:
         return None
     centre = np.array([rivet.x_mm, rivet.y_mm, rivet.z_mm])
-    normal = _skin_normal(rivet, reconstruction)
-    return circle_points(centre, normal, rivet.diameter_mm / 2, reconstruction.rig.projector.project)
+    diameter = rivet.diameter_mm or rivet.major_px * rivet.z_mm / reconstruction.rig.left.K[0, 0]
+    normal = skin_normal(reconstruction, rivet.u_px, rivet.v_px, rivet.major_px)
+    towards_rig = np.array([0.0, 0.0, -1.0])
+    rig = reconstruction.rig
+    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, rig.projector.project)
 
 
-def _skin_normal(rivet: Rivet, reconstruction: Reconstruction) -> Array:
-    """(3,) direction of the skin around a rivet; the viewing direction where too few points are there."""
-    reach = int(np.ceil(rivet.major_px))
-    v, u = round(rivet.v_px), round(rivet.u_px)
-    window = reconstruction.points[max(0, v - reach) : v + reach + 1, max(0, u - reach) : u + reach + 1].reshape(-1, 3)
-    window = window[np.isfinite(window[:, 2])].astype(float)
-    if len(window) < 50:
-        return np.array([0.0, 0.0, -1.0])
-    design = np.column_stack([window[:, :2], np.ones(len(window))])
-    slope = np.linalg.lstsq(design, window[:, 2], rcond=None)[0]
-    normal = np.array([slope[0], slope[1], -1.0])
-    return normal / np.linalg.norm(normal)
+def _rivet_text(rivet: Rivet) -> str:
+    if rivet.height_mean_mm is None:
+        return _MISSING if (rivet.reason or "").startswith(_MISSING.lower()) else "?"
+    return f"{rivet.height_mean_mm:+.2f}{_star(rivet.decision)}"
+
+
+def _seam_text(station: SeamStation) -> str:
+    if station.step_mm is None and station.width_mm is None:
+        return _MISSING if (station.reason or "").startswith(_MISSING.lower()) else "?"
+    step = "?" if station.step_mm is None else f"{station.step_mm:+.2f}"
+    width = "?" if station.width_mm is None else f"{station.width_mm:.2f}"
+    return f"{step} | {width}{_star(station.decision)}"
+
+
+def _star(decision: Decision) -> str:
+    return "*" if decision in _CONDITIONAL else ""
+
+
+def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Sequence[str]) -> list[str]:
+    """What the values are, and what the picture does not show."""
+    meanings = (["RIVET height"] if rivets else []) + (["SEAM step | gap"] if stations else [])
+    notes = [f"mm: {', '.join(meanings)}"] if meanings else []
+    judged: list[Rivet | SeamStation] = [*rivets, *stations]
+    if any(item.decision in _CONDITIONAL for item in judged):
+        notes.append("* within U95 of a limit")
+    if outside:
+        more = len(outside) - _LEGEND_NAMES
+        names = ", ".join(outside[:_LEGEND_NAMES]) + (f" + {more}" if more > 0 else "")
+        notes.append(f"beyond the picture: {names}")
+    return notes
+
+
+def _leader(wish: _Wish, place: Array, size: tuple[float, float], layout: Layout) -> list[Stroke]:
+    """A thin line from a feature to its value where they are apart."""
+    half = np.array(size) / 2
+    offset = layout.to_upright(place - wish.anchor)
+    gap = np.maximum(np.abs(offset) - wish.reach - half, 0)
+    if np.hypot(*gap) < half[1]:
+        return []
+    start = np.clip(offset, -wish.reach, wish.reach)
+    end = offset - np.clip(offset, -half, half)
+    ends = np.stack([wish.anchor + layout.to_projector(start), wish.anchor + layout.to_projector(end)])
+    return [Stroke(ends, COLOURS[wish.severity], 1, feature=wish.feature)]
 
 
 def _runs(stations: Sequence[SeamStation]) -> list[slice]:
@@ -222,43 +261,3 @@ def _labelled(stations: Sequence[SeamStation], run: slice, every_mm: float) -> l
         if all(abs(stations[k].s_mm - stations[c].s_mm) >= every_mm for c in chosen):
             chosen.append(k)
     return chosen
-
-
-def _seam_text(station: SeamStation) -> str:
-    step = "?" if station.step_mm is None else f"{station.step_mm:+.2f}"
-    width = "?" if station.width_mm is None else f"{station.width_mm:.2f}"
-    return f"{step} | {width}"
-
-
-def _seam_strokes(pixels: Array, severity: Severity | None, scale: float, settings: OverlaySettings) -> list[Stroke]:
-    """Marks of one run of stations: lines along both sides where it is in order, bars across where it is not."""
-    colour, width = COLOURS[severity], settings.line_width_px
-    along = np.gradient(pixels, axis=0) if len(pixels) > 1 else np.array([[0.0, 1.0]])
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    across = np.column_stack([-along[:, 1], along[:, 0]])
-    start, end = _BAR_START_MM * scale, _BAR_END_MM[severity] * scale
-    if severity == "green" and len(pixels) > 1:
-        return [Stroke(pixels + side * start * across, colour, width) for side in (-1, 1)]
-    return [
-        Stroke(np.stack([p + side * start * n, p + side * end * n]), colour, width)
-        for p, n in zip(pixels, across, strict=True)
-        for side in (-1, 1)
-    ]
-
-
-def _legend(title: Sequence[str], layout: Layout, text_px: float) -> list[Label]:
-    """Title lines and the key of colours, one block in a free corner."""
-    height = 0.75 * text_px
-    white = COLOURS[None]
-    lines = [(line, white) for line in title] + [(WORDS[s], COLOURS[s]) for s in ("green", "blue", "red")]
-    sizes = [text_size(text, height) for text, _ in lines]
-    block = (max(w for w, _ in sizes), sum(h for _, h in sizes))
-    centre = layout.place_in_corner(block, margin=8.0)
-    cos, sin = np.cos(layout.angle), np.sin(layout.angle)
-    labels, down = [], -block[1] / 2
-    for (text, colour), (width, line_height) in zip(lines, sizes, strict=True):
-        offset = np.array([(width - block[0]) / 2, down + line_height / 2])
-        turned = np.array([cos * offset[0] - sin * offset[1], sin * offset[0] + cos * offset[1]])
-        labels.append(Label(text, centre + turned, height, layout.angle, colour))
-        down += line_height
-    return labels

@@ -1,8 +1,16 @@
-"""What an overlay is made of: outlines, strokes and labels in projector pixels, before they are painted."""
+"""What an overlay is made of: outlines, strokes and labels in projector pixels, before they are painted.
+
+Every severity has a shape beside its colour, so that nobody depends on colours:
+
+    OK          one thin ring; thin lines along both sides of a seam
+    OUT         a thick ring with four ticks; bars across a seam
+    SERIOUS     two thick rings with a diagonal cross; thick bars with a crossbar at their ends
+    NOT JUDGED  a dashed ring; two dots on each side of a seam
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +21,7 @@ from metrology.results import Severity
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
-# The paper's green, blue and red, in shades that stay apart for colour-blind eyes (and differ in shape besides);
-# white for what was not judged.
+# The paper's green, blue and red, in shades that stay apart for colour-blind eyes; white for what was not judged.
 COLOURS: dict[Severity | None, Colour] = {
     "green": (0, 214, 110),
     "blue": (70, 150, 255),
@@ -22,39 +29,48 @@ COLOURS: dict[Severity | None, Colour] = {
     None: (255, 255, 255),
 }
 WORDS: dict[Severity | None, str] = {"green": "OK", "blue": "OUT", "red": "SERIOUS", None: "NOT JUDGED"}
+GRAVEST_FIRST: tuple[Severity | None, ...] = ("red", "blue", None, "green")
+
+# How far from a seam's middle its marks begin, and end by severity: the graver, the longer.
+BAR_START_MM = 2.5
+_CROSSBAR_MM = 2.4
+BAR_SPACING_MM = 4.0  # bars closer than this run together
+BAR_END_MM: dict[Severity | None, float] = {"red": 8.0, "blue": 5.5, None: 4.5, "green": 3.5}
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A polyline: points (n, 2) in projector pixels, width in pixels."""
+    """A polyline: points (n, 2) in projector pixels, width in pixels; `feature` is the id it belongs to."""
 
     points: Array
     colour: Colour
     width: int
     closed: bool = False
+    feature: str = ""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A line of text centred at `centre` (projector pixels), `height` pixels tall, turned by `angle` radians."""
+    """A line of text centred at `centre` (projector pixels), capitals `height` pixels tall, turned by `angle` radians.
+
+    `feature` is the id it belongs to.
+    """
 
     text: str
     centre: Array
     height: float
     angle: float
     colour: Colour
+    feature: str = ""
 
 
-def shape_marks(outline: Array, severity: Severity | None, width: int) -> list[Stroke]:
-    """A closed outline with the shape that its severity has beside its colour.
-
-    OK is one thin ring; out is a thick ring with four ticks; serious is a double thick ring with a diagonal cross
-    outside it; not judged is a dashed ring.
+def rivet_marks(outline: Array, severity: Severity | None, width: int) -> list[Stroke]:
+    """A head's rim with the shape that its severity has.
 
     Parameters
     ----------
     outline : (n, 2) array
-        Points around the feature, projector pixels.
+        Points around the rim, projector pixels.
     severity : "green", "blue", "red" or None
     width : int
         Base line width in pixels.
@@ -66,21 +82,65 @@ def shape_marks(outline: Array, severity: Severity | None, width: int) -> list[S
     if severity == "green":
         return [Stroke(outline, colour, width, closed=True)]
     centre = outline.mean(0)
+    outward = (outline - centre) / np.linalg.norm(outline - centre, axis=1, keepdims=True)
 
-    def beyond(factor: float, extra: float) -> Array:
-        offset = outline - centre
-        return centre + offset * factor + extra * offset / np.linalg.norm(offset, axis=1, keepdims=True)
+    def beyond(pixels: float) -> Array:
+        return outline + pixels * outward
 
     marks = [Stroke(outline, colour, 2 * width, closed=True)]
     n = len(outline)
     if severity == "blue":
-        ticks: Sequence[int] = [0, n // 4, n // 2, 3 * n // 4]
+        ticks = [0, n // 4, n // 2, 3 * n // 4]
     else:
         ticks = [n // 8, 3 * n // 8, 5 * n // 8, 7 * n // 8]
-        marks.append(Stroke(beyond(1.0, 4.0 * width), colour, 2 * width, closed=True))
-    inner, outer = beyond(1.0, 2.0 * width), beyond(1.0, 9.0 * width)
-    marks += [Stroke(np.stack([inner[k], outer[k]]), colour, 2 * width) for k in ticks]
+        marks.append(Stroke(beyond(4.0 * width), colour, 2 * width, closed=True))
+    inner, outer = beyond(2.0 * width), beyond(7.0 * width)
+    return marks + [Stroke(np.stack([inner[k], outer[k]]), colour, 2 * width) for k in ticks]
+
+
+def seam_marks(course: Array, severity: Severity | None, px_per_mm: float, width: int) -> list[Stroke]:
+    """Marks of a run of stations with the same severity, clear of the seam itself.
+
+    Parameters
+    ----------
+    course : (n, 2) array
+        The stations, projector pixels.
+    severity : "green", "blue", "red" or None
+    px_per_mm : float
+    width : int
+        Base line width in pixels.
+    """
+    colour = COLOURS[severity]
+    along = np.gradient(course, axis=0) if len(course) > 1 else np.array([[0.0, 1.0]])
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    start, end = BAR_START_MM * px_per_mm, BAR_END_MM[severity] * px_per_mm
+    if severity == "green" and len(course) > 1:
+        return [Stroke(course + side * start * across, colour, width) for side in (-1, 1)]
+    marks = []
+    apart = _apart(course, BAR_SPACING_MM * px_per_mm)
+    for place, normal, direction in zip(course[apart], across[apart], along[apart], strict=True):
+        for side in (-1, 1):
+            near, far = place + side * start * normal, place + side * end * normal
+            if severity is None:
+                marks += [Stroke(np.stack([dot, dot + 0.1 * normal]), colour, 2 * width) for dot in (near, far)]
+                continue
+            marks.append(Stroke(np.stack([near, far]), colour, width if severity != "red" else 2 * width))
+            if severity == "red":
+                half = _CROSSBAR_MM / 2 * px_per_mm * direction
+                marks.append(Stroke(np.stack([far - half, far + half]), colour, width))
     return marks
+
+
+def _apart(course: Array, spacing: float) -> list[int]:
+    """Rows of a course (n, 2) that lie at least `spacing` apart, the first and the last among them."""
+    kept = [0]
+    for k in range(1, len(course)):
+        if np.linalg.norm(course[k] - course[kept[-1]]) >= spacing:
+            kept.append(k)
+    if kept[-1] != len(course) - 1:
+        kept[-1 if len(kept) > 1 else len(kept) :] = [len(course) - 1]
+    return kept
 
 
 def circle_points(

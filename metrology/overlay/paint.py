@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from html import escape
 
 import cv2
@@ -12,15 +13,24 @@ from numpy.typing import NDArray
 from metrology.overlay.marks import Label, Stroke
 
 _FONT = cv2.FONT_HERSHEY_DUPLEX
-_CAP_HEIGHT = 21.0  # pixels of a capital letter at scale 1
+_SAMPLE_SCALE = 4.0
 _SHIFT = 4  # fixed-point bits of the drawing coordinates
+
+
+@lru_cache(maxsize=1)
+def _cap_height() -> float:
+    """Pixels of a capital letter at scale 1, as this OpenCV draws it (its fonts differ between versions)."""
+    canvas = np.zeros((400, 400), np.uint8)
+    cv2.putText(canvas, "H", (100, 300), _FONT, _SAMPLE_SCALE, 255, 1)
+    rows = np.flatnonzero(canvas.max(1) > 127)
+    return float(rows[-1] - rows[0]) / _SAMPLE_SCALE
 
 
 def text_size(text: str, height: float) -> tuple[float, float]:
     """Width and height in pixels that a line of text takes, halo included."""
-    scale = height / _CAP_HEIGHT
+    scale = height / _cap_height()
     (width, cap), base = cv2.getTextSize(text, _FONT, scale, _thickness(height))
-    return float(width + height), float(cap + base + 0.4 * height)
+    return float(width + 0.6 * height), float(cap + base + 0.25 * height)
 
 
 def _thickness(height: float) -> int:
@@ -55,7 +65,7 @@ def paint(
 def _paint_label(image: NDArray[np.uint8], label: Label) -> None:
     """Text on a black plate (light from the fringe field around it would drown thin letters)."""
     width, height = (int(np.ceil(x)) for x in text_size(label.text, label.height))
-    scale, thickness = label.height / _CAP_HEIGHT, _thickness(label.height)
+    scale, thickness = label.height / _cap_height(), _thickness(label.height)
     (text_width, cap), base = cv2.getTextSize(label.text, _FONT, scale, thickness)
     plate = np.zeros((height, width, 3), np.uint8)
     origin = ((width - text_width) // 2, (height - cap - base) // 2 + cap)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.errors import UsageError
-from metrology.overlay import Overlay, OverlaySettings, draw_overlay
-from metrology.overlay.marks import COLOURS
+from metrology.overlay import OverlaySettings, draw_overlay
+from metrology.overlay.marks import COLOURS, Label
 from metrology.overlay.paint import text_size
 from metrology.results import Rivet, SeamStation, Severity
 from metrology.rig import Device, Rig
@@ -54,7 +56,7 @@ def station(s: float, severity: Severity | None, rig: Rig) -> SeamStation:
 
 def test_rings_lie_on_the_rim_as_the_projector_sees_it(scene: Reconstruction) -> None:
     overlay = draw_overlay([rivet("R01", -30, 10, "green", scene.rig)], [], scene, [])
-    (ring,) = overlay.strokes
+    (ring,) = [x for x in overlay.strokes if x.feature == "R01"]
     normal = np.array([0.1, 0, -1]) / np.hypot(0.1, 1)
     along = np.array([1, 0, 0.1]) / np.hypot(0.1, 1)
     turn = np.linspace(0, 2 * np.pi, 720)[:, None]
@@ -62,27 +64,36 @@ def test_rings_lie_on_the_rim_as_the_projector_sees_it(scene: Reconstruction) ->
     expected = scene.rig.projector.project(rim)
     away = np.linalg.norm(ring.points[:, None] - expected[None], axis=2).min(1)
     assert away.max() < 0.1
-    painted = np.argwhere((overlay.image() == COLOURS["green"]).all(-1))[:, ::-1]
-    near = np.linalg.norm(painted[:, None] - expected[None], axis=2).min(1)
-    assert np.quantile(near, 0.4) < 2.0
+    # As painted: what lights up around the rivet has the rim's middle as its centre of gravity.
+    image = draw_overlay([rivet("R01", -30, 10, "green", scene.rig)], [], scene, [], OverlaySettings(0)).image()
+    centre = expected.mean(0)
+    columns, rows = np.meshgrid(np.arange(1280), np.arange(800))
+    near = np.hypot(columns - centre[0], rows - centre[1]) < 1.2 * np.ptp(expected[:, 0]) / 2
+    light = image[..., 1] * near
+    painted = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
+    np.testing.assert_allclose(painted, centre, atol=0.1)
 
 
 def test_severities_differ_in_shape_as_well_as_colour(scene: Reconstruction) -> None:
     grades: list[Severity | None] = ["green", "blue", "red", None]
-    shapes = [draw_overlay([rivet("R", 0, 0, s, scene.rig)], [], scene, []).strokes for s in grades]
-    assert len({tuple((len(x.points), x.closed, x.width) for x in shape) for shape in shapes}) == 4
+    rivets = [draw_overlay([rivet("R", 0, 0, s, scene.rig)], [], scene, []) for s in grades]
+    seams = [draw_overlay([], [station(2.0 * k, s, scene.rig) for k in range(9)], scene, []) for s in grades]
+    for drawn in (rivets, seams):
+        shapes = {tuple((len(x.points), x.closed, x.width) for x in o.strokes if x.feature) for o in drawn}
+        assert len(shapes) == 4
 
 
-def boxes(overlay: Overlay) -> list[tuple[np.ndarray, np.ndarray]]:
-    return [(x.centre, np.array(text_size(x.text, x.height)) / 2) for x in overlay.labels]
+def boxes(labels: Iterable[Label]) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(x.centre, np.array(text_size(x.text, x.height)) / 2) for x in labels]
 
 
 def test_values_do_not_cover_each_other_or_the_rivets(scene: Reconstruction) -> None:
     rivets = [rivet(f"R{i}{j}", 25.0 * i, 24.0 * j, "red", scene.rig) for i in range(-4, 5) for j in range(-2, 3)]
     overlay = draw_overlay(rivets, [], scene, ["MSN-1 P1 S1", "2026-11-20"])
-    values = boxes(overlay)[: len(rivets)]
-    for k, (centre, half) in enumerate(values):
-        for other, reach in values[k + 1 :]:
+    assert [x.text for x in overlay.labels].count("+0.12") == len(rivets)
+    everything = boxes(overlay.labels)
+    for k, (centre, half) in enumerate(everything):
+        for other, reach in everything[k + 1 :]:
             assert (np.abs(centre - other) > half + reach - 1).any()
         for item in rivets:
             pixel = scene.rig.projector.project((item.x_mm, item.y_mm, item.z_mm))
@@ -102,10 +113,10 @@ def test_seam_marks_follow_severity(scene: Reconstruction) -> None:
     grades: list[Severity | None] = ["green"] * 5 + ["red"] * 3 + [None] * 2
     stations = [station(2.0 * k, grade, scene.rig) for k, grade in enumerate(grades)]
     overlay = draw_overlay([], stations, scene, [])
-    colours = [x.colour for x in overlay.strokes]
+    colours = [x.colour for x in overlay.strokes if x.feature == "S01" and x.width > 1]
     assert colours.count(COLOURS["green"]) == 2  # one line on each side
-    assert colours.count(COLOURS["red"]) == 6  # a bar on each side of each station
-    assert colours.count(COLOURS[None]) == 4
+    assert colours.count(COLOURS["red"]) == 2 * 2 * 2  # on each side a bar and its crossbar, at both ends of the run
+    assert colours.count(COLOURS[None]) == 2 * 2 * 2  # two dots on each side of both stations
     assert "+0.10 | 2.00" in [x.text for x in overlay.labels]
 
 
@@ -119,7 +130,7 @@ def test_what_the_projector_does_not_reach_is_listed(scene: Reconstruction) -> N
 def test_unmeasured_rivet_is_marked_and_one_without_position_is_not(scene: Reconstruction) -> None:
     nowhere = Rivet("R01", None, None, None, 10, 10, None, None, None, 8, 8, 0, 1, reason="no points")
     overlay = draw_overlay([nowhere], [], scene, [])
-    assert overlay.strokes == ()
+    assert not any(x.feature for x in (*overlay.strokes, *overlay.labels))
 
 
 def test_svg_is_well_formed_and_has_the_projector_size(scene: Reconstruction) -> None:
@@ -133,3 +144,71 @@ def test_background_can_be_dimmed(scene: Reconstruction) -> None:
     assert np.median(image) == 7
     with pytest.raises(UsageError, match="0 … 255"):
         OverlaySettings(background=300)
+
+
+def px_per_mm_down(scene: Reconstruction, at: np.ndarray) -> float:
+    """Projector pixels per millimetre down the skin (the plane is level in y)."""
+    ahead = scene.rig.projector.project(np.stack([at, at + np.array([0, 1.0, 0])]))
+    return float(np.linalg.norm(ahead[1] - ahead[0]))
+
+
+def test_capital_letters_are_at_least_four_millimetres_on_the_skin(scene: Reconstruction) -> None:
+    grid = [(x, y) for x in (-90, 0, 90) for y in (-60, 0, 60)]
+    rivets = [rivet(f"R{k}", x, y, "blue", scene.rig) for k, (x, y) in enumerate(grid)]
+    overlay = draw_overlay(rivets, [], scene, ["H", "MSN-1"])
+    for label in overlay.labels:
+        assert label.height > 3.95 * px_per_mm_down(scene, np.array([0, 0, 700.0]))
+    # As painted: the title's H.
+    title = next(x for x in overlay.labels if x.text == "H")
+    image = replace(overlay, labels=(replace(title, angle=0.0),), strokes=(), background=0).image()
+    rows = np.flatnonzero(image.max((1, 2)) > 127)
+    assert rows[-1] - rows[0] == pytest.approx(title.height, abs=1.1)
+
+
+def test_text_stays_on_the_skin_and_in_the_picture(scene: Reconstruction) -> None:
+    # The panel ends at the left camera's column 200: beyond it light falls on something else.
+    points = scene.points.copy()
+    points[:, 200:] = np.nan
+    cut = replace(scene, points=points)
+    rivets = [rivet(f"R{y}", x, y, "red", scene.rig) for x in (25, 34) for y in range(-60, 61, 30)]
+    overlay = draw_overlay(rivets, [], cut, ["MSN-1 P1 S1", "2026-11-20"])
+    edge = scene.rig.projector.project((38.0, 0.0, 704.0))[0]
+    for centre, half in boxes(overlay.labels):
+        assert centre[0] + half[0] < edge + 10
+        assert (centre - half > 0).all()
+        assert (centre + half < (1280, 800)).all()
+
+
+def test_rivets_cut_by_the_edge_are_drawn_and_listed(scene: Reconstruction) -> None:
+    edge = next(x for x in range(400) if scene.rig.projector.project((float(x), 0.0, 700 + 0.1 * x))[0] > 1279)
+    overlay = draw_overlay([rivet("R01", edge, 0, "red", scene.rig)], [], scene, ["T"])
+    assert overlay.outside == ("R01",)
+    texts = [x.text for x in overlay.labels]
+    assert "beyond the picture: R01" in texts
+    assert "+0.12" in texts
+    for centre, half in boxes(overlay.labels):
+        assert (centre + half < (1281, 801)).all()
+
+
+def test_a_missing_rivet_is_shown_where_it_should_be(scene: Reconstruction) -> None:
+    row = rivet("R07", 10, 10, None, scene.rig)
+    row = replace(row, height_mean_mm=None, decision="not measured", reason="missing: no head found")
+    overlay = draw_overlay([row], [], scene, [])
+    assert "MISSING" in [x.text for x in overlay.labels if x.feature == "R07"]
+    assert "NOT JUDGED" in [x.text for x in overlay.labels]
+
+
+def test_values_near_a_limit_are_starred_and_the_star_is_explained(scene: Reconstruction) -> None:
+    overlay = draw_overlay([replace(rivet("R", 0, 0, "green", scene.rig), decision="conditional pass")], [], scene, [])
+    texts = [x.text for x in overlay.labels]
+    assert "+0.12*" in texts
+    assert "* within U95 of a limit" in texts
+
+
+def test_where_there_is_no_room_grave_values_stay(scene: Reconstruction) -> None:
+    spots = [(9.0 * i, 9.0 * j) for i in range(-14, 15) for j in range(-9, 10)]
+    rivets = [rivet(f"R{k}", x, y, "red" if k % 37 == 0 else "green", scene.rig) for k, (x, y) in enumerate(spots)]
+    overlay = draw_overlay(rivets, [], scene, ["T"])
+    values = [x for x in overlay.labels if x.feature]
+    assert sum(x.colour == COLOURS["red"] for x in values) == sum(r.severity == "red" for r in rivets)
+    assert sum(x.colour == COLOURS["green"] for x in values) < sum(r.severity == "green" for r in rivets)
