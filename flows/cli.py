@@ -13,7 +13,20 @@ from metrology.errors import FlushlineError
 EXIT_DONE, EXIT_SOME_FAILED, EXIT_BAD_INPUT = 0, 1, 2
 _INTERRUPTED = 130
 
-COMMANDS = ("demo", "inspect", "calibrate", "rig", "simulate", "patterns", "overlay", "query", "archive")
+COMMANDS = (
+    "demo",
+    "inspect",
+    "calibrate",
+    "rig",
+    "simulate",
+    "patterns",
+    "overlay",
+    "query",
+    "run",
+    "serve",
+    "archive",
+    "dashboard",
+)
 """Modules of flows.commands, in the order of the help."""
 
 

@@ -110,7 +110,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
     with timed("measure_seams"):
         stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
-    spec = steps.specification(job.spec, loaded.scene.key, job.store)
+    spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
     with timed("register"):
         registered = call(steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings)
     with timed("judge"):

@@ -57,6 +57,11 @@ class SceneModel(StrictModel):
     exposures: Annotated[tuple[Annotated[float, Field(gt=0)], ...], Field(min_length=1)]
     frames: FramesModel
 
+    @property
+    def key(self) -> SceneKey:
+        """Which scene it is."""
+        return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at)
+
     @model_validator(mode="after")
     def _frames_are_complete(self) -> SceneModel:
         code = FringeCode(self.fringe.axis, self.fringe.steps, self.fringe.counts)
@@ -151,7 +156,7 @@ def load_scene(folder: Path) -> Scene:
         )
     return Scene(
         folder=folder,
-        key=SceneKey(model.aircraft_serial, model.panel, model.station, model.captured_at),
+        key=model.key,
         rig_id=model.rig,
         operator=model.operator,
         code=FringeCode(model.fringe.axis, model.fringe.steps, model.fringe.counts),

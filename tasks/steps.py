@@ -126,11 +126,11 @@ def measure_seams(
     return seams.measure_seams(lines, reconstruction, measured, settings.seams)
 
 
-def specification(given: PanelSpecification | None, key: SceneKey, store: Store) -> PanelSpecification:
+def specification(given: PanelSpecification | None, panel: str, store: Store) -> PanelSpecification:
     """What a scene is judged by: what was given, else what is in force in the store for its panel, else the example."""
     if given is not None and not given.example:
         return given
-    return store.panels.in_force(key.panel) or given or load_panel_spec()
+    return store.panels.in_force(panel) or given or load_panel_spec()
 
 
 def register(

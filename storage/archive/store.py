@@ -7,7 +7,7 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -157,13 +157,20 @@ class Store:
 
         return snapshot.connect(self.existing())
 
-    def query(self, sql: str) -> pa.Table:
-        """Rows that a SQL query returns; it can neither write nor reach other files."""
+    def query(self, sql: str, parameters: Sequence[object] = ()) -> pa.Table:
+        """Rows that a SQL query returns; it can neither write nor reach other files.
+
+        Parameters
+        ----------
+        sql : str
+            With ``?`` where a parameter goes.
+        parameters : sequence
+        """
         import duckdb
 
         with contextlib.closing(self.connect()) as connection:
             try:
-                rows = connection.sql(sql)
+                rows = connection.sql(sql, params=list(parameters) or None)
                 if rows is None:
                     raise StoreError("query: found a statement without a result, expected a SELECT")
                 return rows.to_arrow_table()
@@ -197,12 +204,16 @@ class Store:
             ).fetchone()
         return row is not None
 
+    def has_rig(self, rig_id: str) -> bool:
+        """Whether the store's `rigs` folder holds the calibration."""
+        return (self.layout.rigs / f"{rig_id}.json").is_file()
+
     def find_rig(self, rig_id: str) -> Rig:
         """The calibration that a scene names, from the store's `rigs` folder."""
         from storage.rig import load_rig
 
         path = self.layout.rigs / f"{rig_id}.json"
-        if not path.is_file():
+        if not self.has_rig(rig_id):
             raise RigError(
                 f"{self.layout.rigs}: found no rig {rig_id!r}, expected {path.name} there or a file given with --rig"
             )

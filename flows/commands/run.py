@@ -1,0 +1,57 @@
+"""flushline run: inspect what is new in an inbox, now."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_inbox_arguments(parser: argparse.ArgumentParser) -> None:
+    """What an inbox is inspected with, here and in `serve`."""
+    parser.add_argument("--inbox", type=Path, required=True, metavar="DIR", help="folder of scene folders")
+    parser.add_argument("--store", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--rig", type=Path, metavar="FILE", help="rig file; without it the store's rig that a scene names"
+    )
+    parser.add_argument("--panel-spec", type=Path, metavar="FILE", help="tolerances (TOML); without it the store's")
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="settings of the steps (TOML)")
+    parser.add_argument(
+        "--settle",
+        type=float,
+        default=30.0,
+        metavar="S",
+        help="leave folders changed less than S seconds ago (default 30)",
+    )
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="scenes at a time (default 1)")
+    parser.add_argument(
+        "--runner",
+        choices=("processes", "threads", "dask"),
+        default="processes",
+        help="what runs scenes side by side; threads and dask need a Prefect server",
+    )
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
+    """Add `run`."""
+    parser = commands.add_parser(
+        "run",
+        parents=[common],
+        help="inspect what is new in an inbox, now",
+        description="Inspects the scenes of an inbox that the store does not hold yet with these settings and rig. "
+        "Broken ones go to INBOX/quarantine with the reason beside them. Exit code 0: all well, 1: some were broken "
+        "or failed.",
+    )
+    add_inbox_arguments(parser)
+    parser.add_argument(
+        "--server", action="store_true", help="run as a Prefect flow, starting a server where none is set up"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Inspect the inbox."""
+    from flows.inbox import InboxJob
+    from flows.inbox_command import run_inbox
+
+    job = InboxJob(options.inbox, options.store, options.rig, options.panel_spec, options.settings, options.settle)
+    return run_inbox(job, options.workers, options.runner, options.server)

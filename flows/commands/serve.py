@@ -1,0 +1,40 @@
+"""flushline serve: a Prefect deployment that inspects an inbox every night, and whenever it is asked to."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
+    """Add `serve`."""
+    from flows.commands.run import add_inbox_arguments
+
+    parser = commands.add_parser(
+        "serve",
+        parents=[common],
+        help="inspect an inbox every night and on demand (Prefect)",
+        description="Serves the deployment inspect_inbox/NAME until it is stopped: runs by the schedule, and when "
+        "someone starts it in Prefect's pages or by 'prefect deployment run inspect_inbox/NAME'. Needs a Prefect "
+        "server.",
+    )
+    add_inbox_arguments(parser)
+    parser.add_argument("--cron", default="0 2 * * *", help="when, as cron has it (default '0 2 * * *': two at night)")
+    parser.add_argument("--timezone", metavar="ZONE", help="of the schedule, such as Europe/Berlin (default UTC)")
+    parser.add_argument("--name", default="nightly", help="of the deployment (default nightly)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve until stopped."""
+    from flows.inbox import InboxJob
+    from flows.prefect_server import answers, configured_api
+    from metrology.errors import UsageError
+
+    job = InboxJob(options.inbox, options.store, options.rig, options.panel_spec, options.settings, options.settle)
+    api = configured_api()
+    if not api or not answers(api):
+        found = f"no answer from {api}" if api else "no Prefect server configured"
+        raise UsageError(f"serve: found {found}, expected PREFECT_API_URL of a running 'prefect server start'")
+    from flows.prefect_inbox import serve
+
+    return serve(job, options.runner, options.workers, options.cron, options.timezone, options.name)

@@ -1,0 +1,60 @@
+"""An inbox run as the command line shows it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+from flows.inbox import InboxJob, Outcome, only_run, plan, run_here
+from flows.inbox_report import summary
+from flows.prefect_server import runs_on_server
+from flows.progress import progress_bar
+from metrology.errors import UsageError
+
+
+def run_inbox(job: InboxJob, workers: int, runner: Literal["threads", "processes", "dask"], use_server: bool) -> int:
+    """Inspect an inbox; returns the command's exit code."""
+    if workers < 1:
+        raise UsageError(f"--workers: found {workers}, expected at least 1")
+    outcomes: list[Outcome] = []
+    if runs_on_server(use_server):
+        from flows.prefect_inbox import run_on_server
+
+        run_on_server(job, runner, workers, outcomes.append)
+        for outcome in outcomes:
+            _tell(outcome)
+    elif runner != "processes":
+        raise UsageError(f"--runner {runner}: found no Prefect server, expected one to be configured, or --server")
+    else:
+        _run_here(job, workers, outcomes)
+    print(summary(outcomes))
+    bad = any(outcome.state in ("quarantined", "failed") for outcome in outcomes)
+    return EXIT_SOME_FAILED if bad else EXIT_DONE
+
+
+def _run_here(job: InboxJob, workers: int, outcomes: list[Outcome]) -> None:
+    with only_run(job.inbox), progress_bar() as progress:
+        planned = plan(job)
+        bar = progress.add_task("inspecting", total=len(planned.ready))
+
+        def take(outcome: Outcome) -> None:
+            outcomes.append(outcome)
+            _tell(outcome)
+
+        for outcome in planned.settled:
+            take(outcome)
+
+        def finish(outcome: Outcome) -> None:
+            take(outcome)
+            progress.advance(bar)
+
+        run_here(job, planned.ready, workers, finish)
+
+
+def _tell(outcome: Outcome) -> None:
+    if outcome.state == "inspected":
+        print(f"{outcome.scene_id}: {outcome.text}; {outcome.seconds:.1f} s")
+    elif outcome.state in ("quarantined", "failed"):
+        print_error(f"{outcome.text} ({'put aside' if outcome.state == 'quarantined' else 'left for the next run'})")
+    elif outcome.state == "waiting":
+        print(f"{outcome.scene_id}: left, {outcome.text}")
