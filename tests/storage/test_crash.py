@@ -1,0 +1,19 @@
+"""Writers killed at random for a few seconds; benchmarks/crash_archive.py does the same for minutes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.crash_archive import damage, settle, torment
+from storage.archive import Store
+
+
+def test_killed_writers_never_spoil_a_read_or_the_archive(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    tally = settle(store, torment(store, seconds=8.0))
+    assert tally.wrong == []
+    assert tally.kills >= 3
+    assert tally.runs > 5
+    assert tally.reads > 20
+    damage(store, tally)
+    assert tally.wrong == []
