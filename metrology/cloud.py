@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from metrology.noise import NoiseModel
 from metrology.rig import Rig
@@ -90,3 +90,18 @@ class Reconstruction:
     def valid(self) -> NDArray[np.bool_]:
         """(h, w) where there is a point."""
         return np.isfinite(self.points[..., 2])
+
+    def covariance(self, v: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
+        """Covariance of the points at pixels [v, u], mm².
+
+        A point moves along its viewing ray (x/z, y/z, 1) with sigma_z; the ray's own direction is exact.
+
+        Returns
+        -------
+        (..., 3, 3) ndarray
+        """
+        at = (np.asarray(v, int), np.asarray(u, int))
+        points = self.points[at].astype(float)
+        ray = points / points[..., 2:]
+        variance = self.sigma_z[at].astype(float) ** 2
+        return np.asarray(variance[..., None, None] * ray[..., :, None] * ray[..., None, :])

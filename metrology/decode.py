@@ -11,11 +11,12 @@ from scipy.stats import chi2
 from metrology.cloud import DecodedView
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
+from metrology.gray import continue_orders, stripe_positions
 from metrology.jit import over_rows
 from metrology.noise import NoiseModel, estimate_noise
-from metrology.phase import decode_rows
+from metrology.phase import COARSE, HETERODYNE, LATTICE, decode_rows
 from metrology.reconstruction_settings import ReconstructionSettings
-from metrology.unwrap import OrderLattice, heterodyne_beats, order_lattice
+from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice
 
 # A contradiction between the phases is one that noise explains in 1 of 1e6 pixels and that exceeds this share of the
 # way to the next lattice point's cell; beyond the second share the order is a toss-up whatever the noise.
@@ -49,7 +50,8 @@ def decode_phase(
     settings = settings or ReconstructionSettings()
     _check(frames, code, exposures)
     saturation = saturation_level(frames, settings)
-    noise = noise or estimate_noise(frames, code, saturation)
+    fringes = np.ascontiguousarray(frames[:, : code.fringe_frames])
+    noise = noise or estimate_noise(fringes, code, saturation)
     height, width = frames.shape[2:]
     view = DecodedView(
         coordinate=np.empty((height, width), np.float32),
@@ -60,20 +62,36 @@ def decode_phase(
         noise=noise,
     )
     out = (view.coordinate, view.sigma, view.modulation, view.texture, view.flags)
-    lattice = order_lattice(code.counts)
+    coarse = np.empty((0, 0), np.float32)
+    if code.gray:
+        stripes = np.ascontiguousarray(frames[:, code.fringe_frames :])
+        coarse = stripe_positions(
+            stripes, code.gray, _mean_level(fringes, exposures, saturation), exposures, saturation
+        )
     steps = 2 * np.pi * np.arange(code.steps) / code.steps
     trigonometry = (np.cos(steps).astype(np.float32), np.sin(steps).astype(np.float32))
     sensor = (float(saturation), noise.read_variance, noise.gain)
-    unwrap = _unwrap_arguments(lattice, code, settings)
-    limits = _limits(lattice, settings, saturation)
+    unwrap = _unwrap_arguments(code, settings)
+    limits = _limits(code, settings, saturation)
     times = np.array(exposures, float)
+    size = np.float32(projector_size)
 
     def decode(first: int, end: int) -> None:
-        size = np.float32(projector_size)
-        decode_rows(frames, times, *trigonometry, sensor, unwrap, limits, size, first, end, out)
+        decode_rows(fringes, times, *trigonometry, sensor, unwrap, coarse, limits, size, first, end, out)
 
     over_rows(decode, height, settings.threads)
+    if code.gray:
+        continue_orders(view.coordinate, min(code.counts), code.gray, projector_size, code.axis)
     return view
+
+
+def _mean_level(fringes: NDArray, exposures: Sequence[float], saturation: float) -> NDArray[np.float64]:
+    """(h, w) mean of the fringe frames at exposure 1, from the longest exposure in which none of them saturates."""
+    level = fringes[np.argmin(exposures)].mean(0) / min(exposures)
+    for e in np.argsort(exposures)[1:]:
+        good = fringes[e].max(0) < saturation
+        level[good] = fringes[e][:, good].mean(0) / exposures[e]
+    return np.asarray(level)
 
 
 def saturation_level(frames: NDArray, settings: ReconstructionSettings) -> float:
@@ -102,19 +120,29 @@ def _check(frames: NDArray, code: FringeCode, exposures: Sequence[float]) -> Non
         raise SceneError(f"exposures: found {list(exposures)}, expected positive times")
 
 
-def _unwrap_arguments(lattice: OrderLattice, code: FringeCode, settings: ReconstructionSettings) -> tuple:
-    heterodyne = settings.unwrapping == "heterodyne"
-    beats = heterodyne_beats(code.counts) if heterodyne else lattice.counts
-    arrays = (lattice.counts, beats, lattice.basis, lattice.to_lattice, lattice.gram)
-    return (heterodyne, *(np.ascontiguousarray(array, np.float32) for array in arrays))
+def _unwrap_arguments(code: FringeCode, settings: ReconstructionSettings) -> tuple:
+    """Arguments `unwrap` of `decode_rows`."""
+    counts = np.array(code.counts, np.float32)
+    order = np.argsort(counts)
+    beats, basis, to_lattice, gram = counts[:1], *(np.zeros((0, 0), np.float32),) * 3
+    if code.gray:
+        return COARSE, counts, beats, order, basis, to_lattice, gram
+    lattice = order_lattice(code.counts)
+    basis, to_lattice, gram = (
+        np.ascontiguousarray(array, np.float32) for array in (lattice.basis, lattice.to_lattice, lattice.gram)
+    )
+    if settings.unwrapping == "ml":
+        return LATTICE, counts, beats, order, basis, to_lattice, gram
+    return HETERODYNE, counts, heterodyne_beats(code.counts).astype(np.float32), order, basis, to_lattice, gram
 
 
-def _limits(lattice: OrderLattice, settings: ReconstructionSettings, saturation: float) -> tuple:
+def _limits(code: FringeCode, settings: ReconstructionSettings, saturation: float) -> tuple:
     """Limits of `decode_rows`: signal-to-noise, modulation, chi-square, distances in turns²."""
-    snr2 = lattice.largest_sigma(settings.max_slip_probability) ** -2
     least2 = (settings.min_modulation * saturation / 254) ** 2
-    dimensions = lattice.counts.size - 1
+    dimensions = len(code.counts) - 1
     chi2_limit = float(chi2.isf(_NOISE_EXPLAINS, dimensions)) if dimensions else np.inf
-    half_step = lattice.shortest / 2
-    far2 = np.array([(share * half_step) ** 2 for share in _SHARES_OF_CELL], np.float32)
-    return (np.float32(snr2), np.float32(least2), np.float32(chi2_limit), far2)
+    # Gray code leaves half a fringe of margin to every phase.
+    shortest = 1.0 if code.gray else order_lattice(code.counts).shortest
+    snr2 = largest_sigma(shortest, settings.max_slip_probability) ** -2
+    distances = ((share * shortest / 2) ** 2 for share in _SHARES_OF_CELL)
+    return tuple(np.float32(limit) for limit in (snr2, least2, chi2_limit, *distances))

@@ -11,9 +11,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.errors import RigError
+from metrology.fringe import Axis
 from metrology.rig import Device, Rig
 
 Float32 = NDArray[np.float32]
+
+# Share of the phase gradient that must lie along the epipolar lines for a rig and a fringe axis to fit.
+_LEAST_SHARE_ALONG = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,45 @@ class EpipolarGeometry:
     R: NDArray[np.float64]
     t: NDArray[np.float64]
     along: NDArray[np.float64]
+
+
+def check_axis(rig: Rig, axis: Axis) -> None:
+    """Refuse fringes that run along the rig's epipolar lines: equal coordinate would then pick out no single point.
+
+    Looks at a plane facing the left camera where the viewing directions come closest: how much of the projector
+    coordinate's change over the right image lies along the epipolar line.
+
+    Raises
+    ------
+    RigError
+    """
+    middle = _middle_of_view(rig)
+    step = 1e-3 * middle[2]
+    steps = np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]])
+    right = rig.right.project(middle + steps)
+    coordinate = rig.projector.project(middle + steps)[:, 0 if axis == "x" else 1]
+    gradient = np.linalg.solve(right[1:] - right[0], coordinate[1:] - coordinate[0])
+    along = rig.right.project(np.stack([middle, middle * (1 + 1e-4)]))
+    direction = (along[1] - along[0]) / np.linalg.norm(along[1] - along[0])
+    share = abs(gradient @ direction) / np.linalg.norm(gradient)
+    if share < _LEAST_SHARE_ALONG:
+        other = "y" if axis == "x" else "x"
+        raise RigError(
+            f"fringe axis {axis!r}: found fringes along the epipolar lines of rig {rig.id!r} (share {share:.2f} of the "
+            f"phase gradient across them), expected axis {other!r} or cameras side by side across the fringes"
+        )
+
+
+def _middle_of_view(rig: Rig) -> NDArray[np.float64]:
+    """(3,) point where the cameras' middle rays come closest; ten baselines ahead where they do not converge."""
+    baseline = rig.right.centre
+    rays = [
+        device.rays(np.array([(device.width - 1) / 2, (device.height - 1) / 2])) for device in (rig.left, rig.right)
+    ]
+    design = np.column_stack([rays[0], -rays[1]])
+    distances = np.linalg.lstsq(design, baseline, rcond=None)[0]
+    converging = np.linalg.svd(design, compute_uv=False)[1] > 1e-3 and (distances > 0).all()
+    return np.asarray(rays[0] * (distances[0] if converging else 10 * np.linalg.norm(baseline)))
 
 
 def epipolar_geometry(rig: Rig) -> EpipolarGeometry:

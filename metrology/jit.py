@@ -2,8 +2,8 @@
 
 Kernels release the interpreter lock and run over bands of rows, so plain threads share the work: no threading layer of
 numba's is involved (its default one must not be entered by two threads at once), and compiling takes a fraction of the
-time that ``parallel=True`` takes. A cached kernel does not notice when a kernel that it calls changes: kernels that call
-each other stay in one file.
+time that ``parallel=True`` takes. A cached kernel does not notice when a kernel that it calls changes: kernels that
+call each other stay in one file.
 """
 
 from __future__ import annotations

@@ -70,18 +70,18 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
         With three steps the residual is that of the mean levels of two counts; with three steps and one count there is
         none, and the difference of neighbours' mean levels serves, an upper estimate on textured skin.
     """
-    # Neighbours along a fringe: rows for axis x, columns for axis y.
-    planes = frames if code.axis == "x" else np.swapaxes(frames, 2, 3)
+    # Neighbours along a fringe: the pixel below for axis x, the one beside for axis y.
+    beside = np.array([1, 0] if code.axis == "x" else [0, 1])
     steps = 2 * np.pi * np.arange(code.steps) / code.steps
-    stride = max(2, planes.shape[2] // _PAIRS_OF_ROWS)
+    stride = max(2, frames.shape[2] // _PAIRS_OF_ROWS)
     counts = np.zeros(_BINS)
     squares = np.zeros(_BINS)
     levels = np.zeros(_BINS)
     limit = np.full(_BINS, np.inf)
     for _ in range(2):
         counts[:] = squares[:] = levels[:] = 0
-        arguments = (np.cos(steps), np.sin(steps), float(saturation), stride, limit)
-        _bin_residuals(planes, len(code.counts), *arguments, counts, squares, levels)
+        arguments = (np.cos(steps), np.sin(steps), float(saturation), stride, beside, limit)
+        _bin_residuals(frames, len(code.counts), *arguments, counts, squares, levels)
         with np.errstate(invalid="ignore", divide="ignore"):
             limit = np.where(counts > 0, _CLIP * squares / counts, np.inf)
     used = counts >= _LEAST_PIXELS_PER_BIN
@@ -112,18 +112,18 @@ def _fit_line(level: NDArray, variance: NDArray, weight: NDArray) -> NoiseModel:
 
 
 @kernel
-def _bin_residuals(planes, n_counts, cosines, sines, saturation, stride, limit, counts, squares, levels):  # type: ignore[no-untyped-def]
-    """Sum squared residual differences of pixel pairs (row, row + 1) into bins of mean level.
+def _bin_residuals(frames, n_counts, cosines, sines, saturation, stride, beside, limit, counts, squares, levels):  # type: ignore[no-untyped-def]
+    """Sum squared residual differences of pixels and those `beside` them (rows, columns) into bins of mean level.
 
     Each entry of `squares` adds an unbiased estimate of the variance of one sample.
     """
-    exposures, _, height, width = planes.shape
+    exposures, _, height, width = frames.shape
     n = cosines.size
     bins = counts.size
     difference = np.empty(n)
     for e in range(exposures):
-        for row in range(0, height - 1, stride):
-            for x in range(0, width, _COLUMN_STRIDE):
+        for row in range(0, height - beside[0], stride):
+            for x in range(0, width - beside[1], _COLUMN_STRIDE):
                 previous = 0.0
                 for k in range(n_counts):
                     mean = 0.0
@@ -133,16 +133,16 @@ def _bin_residuals(planes, n_counts, cosines, sines, saturation, stride, limit, 
                     peak = 0.0
                     trough = saturation
                     for j in range(n):
-                        upper = float(planes[e, k * n + j, row, x])
-                        lower = float(planes[e, k * n + j, row + 1, x])
-                        d = upper - lower
+                        value = float(frames[e, k * n + j, row, x])
+                        other = float(frames[e, k * n + j, row + beside[0], x + beside[1]])
+                        d = value - other
                         difference[j] = d
                         mean += d
                         c += d * cosines[j]
                         s += d * sines[j]
-                        level += upper + lower
-                        peak = max(peak, max(upper, lower))
-                        trough = min(trough, min(upper, lower))
+                        level += value + other
+                        peak = max(peak, max(value, other))
+                        trough = min(trough, min(value, other))
                     # Clipped noise, at the top or at zero, would look smaller than it is.
                     if peak >= saturation or trough < 1.0:
                         previous = np.nan

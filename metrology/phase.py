@@ -23,6 +23,8 @@ _LOW_MODULATION = int(PixelFlag.LOW_MODULATION)
 _ORDER_RESIDUAL = int(PixelFlag.ORDER_RESIDUAL)
 _SATURATED_SAMPLES = int(PixelFlag.SATURATED_SAMPLES)
 
+LATTICE, HETERODYNE, COARSE = range(3)
+
 # Pixels per chunk: with three counts the 33 slots take 33 kB. Sizes and indices are unsigned: a negative index would
 # count from the end, and to look for one keeps the compiler from using vectors.
 _U = np.uintp
@@ -215,8 +217,8 @@ def _sums(frames, first_frame, row, left, m, cosines, sines, w, block):  # type:
 def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s, info):  # type: ignore[no-untyped-def]
     """Add to one pixel's phasor the unsaturated samples of those exposures that have saturated ones as well.
 
-    Each exposure has an offset of its own. Takes the phasor (c, s) and its information 1/var from the whole exposures and
-    returns them anew; the information is that of the component across the phasor, which is what the phase depends on;
+    Each exposure has an offset of its own. Takes the phasor (c, s) and its information 1/var from the whole exposures
+    and returns them anew; the information is that of the component across the phasor, which the phase depends on;
     0 where the samples do not determine the phasor.
     """
     saturation, read, gain = sensor
@@ -397,25 +399,37 @@ def _unwrap_lattice(m, n, lattice, w):  # type: ignore[no-untyped-def]
 @kernel
 def _unwrap_heterodyne(m, n, counts, beats, w):  # type: ignore[no-untyped-def]
     """Unwrap the phases in place from the coarsest beat down (multi-frequency heterodyne)."""
+    levels = beats.size
     level = np.empty(n, np.float32)
-    first = np.empty(n, np.float32)
+    first = np.empty(levels, np.float32)
     for x in range(m):
         for k in range(n):
             level[k] = w[_FRONT + _U(k) * _BLOCK + _Q + x]
         first[0] = level[0]
-        for depth in range(1, n):
+        for depth in range(1, levels):
             for k in range(n - depth):
                 beat = level[k] - level[k + 1]
                 level[k] = beat - np.floor(beat)
             first[depth] = level[0]
-        position = first[n - 1] * beats[n - 1]
+        position = first[levels - 1] * beats[levels - 1]
         position -= np.floor(position)
-        for depth in range(n - 2, -1, -1):
+        for depth in range(levels - 2, -1, -1):
             wraps = np.rint(beats[depth] * position - first[depth])
             position = (first[depth] + wraps) / beats[depth]
         for k in range(n):
             at = _FRONT + _U(k) * _BLOCK + _Q + x
             w[at] += np.rint(counts[k] * position - w[at])
+
+
+@kernel
+def _unwrap_from_coarse(m, counts, order, coarse, w):  # type: ignore[no-untyped-def]
+    """Unwrap the phases in place from a coarse position in [0, 1), the counts in rising `order`."""
+    for x in range(m):
+        position = coarse[x]
+        for k in order:
+            at = _FRONT + _U(k) * _BLOCK + _Q + x
+            w[at] += np.rint(counts[k] * position - w[at])
+            position = w[at] / counts[k]
 
 
 @kernel
@@ -482,7 +496,7 @@ def _store(m, w, slot, target):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, limits, size, first, end, out):  # type: ignore[no-untyped-def]
+def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, coarse, limits, size, first, end, out):  # type: ignore[no-untyped-def]
     """Decode rows first … end − 1.
 
     Parameters
@@ -491,20 +505,22 @@ def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, limits, size,
     exposures : (exposures,) float64, relative exposure times
     cosines, sines : (steps,) float32 of the phase steps
     sensor : (saturation, read variance, gain), floats in grey levels
-    unwrap : (heterodyne?, counts, beats, basis, to_lattice, gram), arrays float32
+    unwrap : (method, counts, beats, order, basis, to_lattice, gram), arrays float32 but for order, int64;
+        method is LATTICE, HETERODYNE or COARSE
+    coarse : (h, w) float32, coarse position in [0, 1) for the method COARSE
     limits : (least squared signal-to-noise, least squared modulation, chi-square limit, two squared distances in
         turns²), float32
     size : float32, projector pixels along the fringe axis
     out : (coordinate, sigma, modulation, texture, flags), arrays (h, w)
     """
-    heterodyne, counts, beats, basis, to_lattice, gram = unwrap
+    method, counts, beats, order, basis, to_lattice, gram = unwrap
     lattice = (basis, to_lattice, gram)
     coordinate, sigma, modulation, texture, flags = out
     width = frames.shape[3]
     n = counts.size
     w = np.zeros(_FRONT + _U(n + 1) * _BLOCK, np.float32)
     to_do = np.ones(end, np.bool_)
-    if n == 3 and cosines.size == 4 and exposures.size == 1 and not heterodyne:
+    if n == 3 and cosines.size == 4 and exposures.size == 1 and method == LATTICE:
         _decode_usual(frames[0], exposures[0], sensor, counts, lattice, limits, size, first, end, out, to_do)
     for row in range(first, end):
         if not to_do[row]:
@@ -517,10 +533,12 @@ def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, limits, size,
             if _fit_exposures(frames, row, left, m, n, exposures, cosines, sines, sensor, w):
                 _mend_saturated(frames, row, left, m, n, exposures, cosines, sines, sensor, w, bits)
             _wrap(m, n, w)
-            if heterodyne:
+            if method == LATTICE:
+                _unwrap_lattice(m, n, lattice, w)
+            elif method == HETERODYNE:
                 _unwrap_heterodyne(m, n, counts, beats, w)
             else:
-                _unwrap_lattice(m, n, lattice, w)
+                _unwrap_from_coarse(m, counts, order, coarse[row, left:right], w)
             _fuse(m, n, counts, w)
             _judge(m, n, size, limits, w)
             _store(m, w, _TOP, coordinate[row, left:right])

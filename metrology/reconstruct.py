@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.decode import decode_phase
 from metrology.edges import flag_neighbourhoods
+from metrology.epipolar import check_axis
 from metrology.errors import RigError
 from metrology.fringe import FringeCode
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Device, Rig
 from metrology.stereo import match
 
-__all__ = ["ReconstructionSettings", "decode", "reconstruct", "triangulate"]
+__all__ = ["ReconstructionSettings", "check_axis", "decode", "reconstruct", "triangulate"]
 
 
 def reconstruct(
@@ -31,13 +32,21 @@ def reconstruct(
     Parameters
     ----------
     left_frames, right_frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
-        Count-major, then step.
+        Count-major, then step; Gray-code frames after them.
     rig : Rig
     code : FringeCode
     exposures : sequence of float
         Exposure times relative to exposure 1.
     settings : ReconstructionSettings, optional
+
+    Raises
+    ------
+    SceneError
+        Where the frames are not what the code says.
+    RigError
+        Where frames or fringes do not fit the rig.
     """
+    check_axis(rig, code.axis)
     size = code.size(rig.projector.width, rig.projector.height)
     left = decode(left_frames, code, size, exposures, settings)
     right = decode(right_frames, code, size, exposures, settings)
@@ -64,7 +73,7 @@ def decode(
     """
     settings = settings or ReconstructionSettings()
     view = decode_phase(frames, code, projector_size, exposures, settings)
-    return flag_neighbourhoods(view, code.frames, settings)
+    return flag_neighbourhoods(view, code.fringe_frames, settings)
 
 
 def triangulate(

@@ -5,8 +5,8 @@ same projector line on its epipolar plane in one look-up, whatever steps, gaps a
 the left pixel's viewing ray is then solved for, with the exact lens model, so that a plane fitted to the right
 coordinates around that pixel equals the left coordinate: no frame and no phase map is resampled.
 
-The kernel works through a row in chunks, in turns of scalar loops that look up and gather, and plain arithmetic that the
-compiler turns into vector instructions (see `metrology.phase` on slots and unsigned indices).
+The kernel works through a row in chunks, in turns of scalar loops that look up and gather, and plain arithmetic that
+the compiler turns into vector instructions (see `metrology.phase` on slots and unsigned indices).
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def _look_up(table, row, position):  # type: ignore[no-untyped-def]
 def _step_towards(m, w, t, focal):  # type: ignore[no-untyped-def]
     """From a start pixel to where the coordinate sought lies on the epipolar line, to first order, without distortion.
 
-    The inverse depth rho is where the left ray a + rho t comes closest to being parallel to the start pixel's (x, y, 1).
+    The inverse depth rho is where the left ray a + rho t comes closest to the direction of the start pixel's (x, y, 1).
     """
     for i in range(m):
         x = w[_XR + i]

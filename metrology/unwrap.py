@@ -1,9 +1,10 @@
 """From several wrapped phases to the fringe order: the lattice of wrap counts, and the paper's heterodyne.
 
-A projector position ξ in [0, 1) gives the phases ``q = ξ f − k`` in turns, with f the fringe counts and k whole numbers.
-Points of equal k lie on parallel lines along f: seen along f they are the points of a lattice, the whole numbers' lattice
-projected orthogonally to f. With equal noise on all phases the most likely k is the nearest lattice point, and how far the
-lattice points lie apart is the code's whole margin against slips of the fringe order.
+A projector position ξ in [0, 1) gives the phases ``q = ξ f − k`` in turns, with f the fringe counts and k whole
+numbers.
+Points of equal k lie on parallel lines along f: seen along f they are the points of a lattice, the whole numbers'
+lattice projected orthogonally to f. With equal noise on all phases the most likely k is the nearest lattice point, and
+how far the lattice points lie apart is the code's whole margin against slips of the fringe order.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfcinv
+from scipy.special import erfc, erfcinv
 
 from metrology.errors import SceneError
 
@@ -48,14 +49,20 @@ class OrderLattice:
     gram: NDArray[np.float64]
     shortest: float
 
-    def largest_sigma(self, slip_probability: float) -> float:
-        """Phase noise (rad, each count) at which about `slip_probability` of all orders are wrong.
 
-        A slip along the shortest vector needs a deviation of half its length; it can go either way.
-        """
-        if not np.isfinite(self.shortest):
-            return np.inf
-        return float(np.pi * self.shortest / (np.sqrt(2) * erfcinv(slip_probability)))
+def largest_sigma(shortest: float, slip_probability: float) -> float:
+    """Phase noise (rad, each count) at which about `slip_probability` of all orders are wrong.
+
+    A slip along the shortest vector, `shortest` turns long, needs a deviation of half its length; it can go either way.
+    """
+    if not np.isfinite(shortest):
+        return np.inf
+    return float(np.pi * shortest / (np.sqrt(2) * erfcinv(slip_probability)))
+
+
+def slip_probability(shortest: float, sigma: float) -> float:
+    """Share of wrong orders, about, at a phase noise of `sigma` rad in each count; the inverse of `largest_sigma`."""
+    return float(erfc(np.pi * shortest / (np.sqrt(2) * sigma)))
 
 
 @lru_cache(maxsize=32)
@@ -134,19 +141,19 @@ def _shortest(gram: NDArray[np.float64]) -> float:
 
 
 def heterodyne_beats(counts: tuple[int, ...]) -> NDArray[np.float64]:
-    """First count of every level of successive differences, the counts' own first one at the start.
+    """First count of every level of successive differences, from the counts' own first one down to a single fringe.
 
-    The heterodyne beats neighbouring counts against each other until one fringe is left: 70, 64, 59 → 6, 5 → 1, with the
-    levels' first entries 70, 6, 1.
+    The heterodyne beats neighbouring counts against each other until one fringe is left: 70, 64, 59 → 6, 5 → 1, with
+    the levels' first entries 70, 6, 1; 37, 36, 35 → 1, 1, with 37, 1.
 
     Raises
     ------
     SceneError
-        Where the counts do not end in one fringe.
+        Where the counts do not come down to one fringe.
     """
     level = list(counts)
     firsts = [level[0]]
-    while len(level) > 1:
+    while len(level) > 1 and abs(firsts[-1]) != 1:
         level = [a - b for a, b in pairwise(level)]
         firsts.append(level[0])
     if abs(firsts[-1]) != 1 or 0 in firsts:

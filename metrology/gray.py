@@ -1,0 +1,120 @@
+"""Gray-code stripes that tell the fringe order: other people's stereo scans have them beside the fringes.
+
+The projector's pixels 0 … W − 1 along the fringe axis fall into S equal stripes, numbered j = ⌊S (x + ½)/W⌋; frame b,
+counted from the most significant bit, is bright where bit b of ``j ^ (j >> 1)`` is set. A stripe's number is wrong by
+at most one beside its own border, where the phase knows better: with at least two stripes per fringe the nearest order
+is right everywhere; with fewer, pixels close to a phase wrap take the order that continues their surest neighbour's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.fringe import GrayCode
+from metrology.jit import kernel
+
+# With fewer stripes per fringe than this a stripe border may coincide with a phase wrap.
+_SURE_STRIPES_PER_FRINGE = 2
+# A pixel is sure of its order where its phase is at least this share of a fringe away from the wrap.
+_SURE_SHARE = 0.25
+
+
+def stripe_positions(
+    frames: NDArray, gray: GrayCode, reference: NDArray, exposures: Sequence[float], saturation: float
+) -> NDArray[np.float32]:
+    """Middle of the stripe that every pixel sees, as a share of the projector's size.
+
+    Parameters
+    ----------
+    frames : (exposures, gray.frames, h, w) ndarray of uint8 or uint16
+        Most significant bit first; with `gray.inverse` every frame is followed by its inverse.
+    gray : GrayCode
+    reference : (h, w) ndarray
+        Level between dark and bright at exposure 1 (the mean of the fringe frames), for frames without inverse.
+    exposures : sequence of float
+    saturation : float
+        Grey level from which a sample counts as saturated.
+
+    Returns
+    -------
+    (h, w) float32
+    """
+    height, width = frames.shape[2:]
+    position = np.empty((height, width), np.float32)
+    level = np.ascontiguousarray(reference, np.float32)
+    times = np.array(exposures, float)
+    _read_stripes(frames, gray.bits, gray.inverse, gray.stripes, level, times, float(saturation), position)
+    return position
+
+
+def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode, size: int, axis: str) -> None:
+    """Mend, in place, fringe orders beside phase wraps where the stripes are too wide to settle them.
+
+    Parameters
+    ----------
+    coordinate : (h, w) ndarray
+        Projector pixels; changed by whole fringes.
+    count : int
+        Fringes of the count that the stripes unwrap.
+    gray : GrayCode
+    size : int
+        Projector pixels along the fringe axis.
+    axis : "x" or "y"
+    """
+    if gray.stripes >= _SURE_STRIPES_PER_FRINGE * count:
+        return
+    lines = coordinate if axis == "x" else np.ascontiguousarray(coordinate.T)
+    _continue_along(lines, np.float32(size / count))
+    coordinate[:] = lines if axis == "x" else lines.T
+
+
+@kernel
+def _read_stripes(frames, bits, inverse, stripes, reference, exposures, saturation, position):  # type: ignore[no-untyped-def]
+    height, width = position.shape
+    per_bit = 2 if inverse else 1
+    for y in range(height):
+        for x in range(width):
+            number = 0
+            previous = 0
+            for b in range(bits):
+                # The exposure with the clearest difference decides.
+                best = 0.0
+                for e in range(exposures.size):
+                    value = float(frames[e, b * per_bit, y, x])
+                    other = float(frames[e, b * per_bit + 1, y, x]) if inverse else reference[y, x] * exposures[e]
+                    if other < saturation and abs(value - other) > abs(best):
+                        best = value - other
+                previous ^= 1 if best > 0.0 else 0
+                number = 2 * number + previous
+            position[y, x] = (min(number, stripes - 1) + 0.5) / stripes
+
+
+@kernel
+def _continue_along(coordinate, fringe):  # type: ignore[no-untyped-def]
+    """Per line: pixels near a phase wrap continue from the sure pixel before them, else from the one after."""
+    lines, length = coordinate.shape
+    reach = int(2 * fringe) + 1
+    settled = np.empty(length, np.bool_)
+    for i in range(lines):
+        for j in range(length):
+            share = (coordinate[i, j] + 0.5) / fringe
+            share -= np.floor(share)
+            settled[j] = _SURE_SHARE < share < 1.0 - _SURE_SHARE
+        for turn in range(2):
+            known = np.nan
+            since = reach
+            for step in range(length):
+                j = step if turn == 0 else length - 1 - step
+                value = coordinate[i, j]
+                since += 1
+                if settled[j]:
+                    since = 0
+                elif value == value and since < reach:
+                    value += np.rint((known - value) / fringe) * fringe
+                    coordinate[i, j] = value
+                    settled[j] = True
+                if value == value:
+                    known = value
