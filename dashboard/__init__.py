@@ -1,1 +1,1 @@
-"""Streamlit pages on the store; reads only."""
+"""The dashboard a quality engineer keeps open: Streamlit pages and Plotly figures on a store that they only read."""

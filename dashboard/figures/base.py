@@ -1,0 +1,41 @@
+"""What all figures share: margins, number habits, and lines that show on light and dark ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import plotly.graph_objects as go
+
+from dashboard.habits import Habits
+from dashboard.palette import INK
+
+
+def figure(habits: Habits, height: int, **layout: Any) -> go.Figure:
+    """An empty figure."""
+    fig = go.Figure()
+    fig.update_layout(
+        height=height,
+        margin={"l": 8, "r": 8, "t": 8, "b": 8},
+        separators=habits.separators,
+        legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "x": 0, "font": {"size": 11}},
+        hoverlabel={"align": "left"},
+        uirevision="keep",
+        **layout,
+    )
+    fig.update_xaxes(automargin=True, title_standoff=6, zeroline=False)
+    fig.update_yaxes(automargin=True, title_standoff=6, zeroline=False)
+    return fig
+
+
+def limit_lines(fig: go.Figure, limits: dict[str, float | None], axis: str = "y", **where: Any) -> None:
+    """Tolerance limits (dashed) and serious limits (dotted) as lines across a figure."""
+    add = fig.add_hline if axis == "y" else fig.add_vline
+    for name, dash in (("lower", "dash"), ("upper", "dash"), ("serious_lower", "dot"), ("serious_upper", "dot")):
+        value = limits.get(name)
+        if value is not None:
+            add(value, line={"color": INK, "width": 1.3, "dash": dash}, **where)
+
+
+def escape(text: object) -> str:
+    """Text for Plotly's labels, which take some HTML."""
+    return str(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -1,0 +1,296 @@
+"""Close-ups of a rivet and of a section across a seam, and how a value stands against its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from dashboard.closeup import RivetCloseUp, SeamSection
+from dashboard.figures.base import figure, limit_lines
+from dashboard.habits import Habits
+from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
+from metrology.tolerance import Limit
+
+_MOST_POINTS = 3000
+
+
+def limits_of(limit: Limit | None) -> dict[str, float | None]:
+    """A limit's four numbers."""
+    names = ("lower", "upper", "serious_lower", "serious_upper")
+    return {name: getattr(limit, name) if limit else None for name in names}
+
+
+def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Figure:
+    """The head and the skin around it from above, coloured by deviation, with both point sets' borders."""
+    fig = figure(habits, height)
+    u0, v0 = closeup.u.min(), closeup.v.min()
+    image = np.full((closeup.v.max() - v0 + 1, closeup.u.max() - u0 + 1), np.nan, np.float32)
+    image[closeup.v - v0, closeup.u - u0] = closeup.deviation
+    scale = closeup.radius / max(1.0, float(np.ptp(closeup.u[closeup.inner])) / 2) if closeup.inner.any() else 1.0
+    middle_u = float(np.mean(closeup.u[closeup.inner])) - u0
+    middle_v = float(np.mean(closeup.v[closeup.inner])) - v0
+    inner_radius = float(np.hypot(closeup.x, closeup.y)[closeup.inner].max())
+    scale *= inner_radius / closeup.radius
+    limit = max(0.02, float(np.percentile(np.abs(closeup.deviation[closeup.inner | closeup.outer]), 99)))
+    fig.add_heatmap(
+        z=np.round(image, 4),
+        x=(np.arange(image.shape[1]) - middle_u) * scale,
+        y=(np.arange(image.shape[0]) - middle_v) * scale,
+        colorscale=DIVERGING,
+        zmin=-limit,
+        zmax=limit,
+        colorbar={"title": {"text": "mm"}, "thickness": 10, "tickformat": "+.2f"},
+        hovertemplate="%{z:+.3f} mm<extra>%{x:.1f}, %{y:.1f} mm from the centre</extra>",
+        hoverongaps=False,
+    )
+    distance = np.hypot(closeup.x, closeup.y)
+    rings = [(inner_radius, GREEN, "solid"), (closeup.radius, INK, "dot")]
+    rings += [(float(f(distance[closeup.outer])), PURPLE, "solid") for f in (np.min, np.max)]
+    turn = np.linspace(0, 2 * np.pi, 90)
+    names = {0: "head points", 1: "rim", 2: "skin points"}
+    for i, (radius, colour, dash) in enumerate(rings):
+        fig.add_scatter(
+            x=radius * np.cos(turn),
+            y=radius * np.sin(turn),
+            mode="lines",
+            line={"color": colour, "width": 2, "dash": dash},
+            hoverinfo="skip",
+            name=names.get(i, ""),
+            showlegend=i in names,
+        )
+    fig.update_xaxes(visible=False, constrain="domain")
+    fig.update_yaxes(visible=False, autorange="reversed", scaleanchor="x", constrain="domain")
+    fig.update_layout(plot_bgcolor=MISSING)
+    return fig
+
+
+def rivet_section(
+    closeup: RivetCloseUp, height_mm: float | None, limit: Limit | None, habits: Habits, height: int = 280
+) -> go.Figure:
+    """A cut through the head along its steepest rise: points, fitted planes, limits."""
+    fig = figure(habits, height)
+    position, deviation, inner, outer = closeup.section(half_width=max(0.6, 0.25 * closeup.radius))
+    other = ~(inner | outer)
+    for members, colour, name, symbol in (
+        (other, INK, "not used", "circle-open"),
+        (outer, PURPLE, "skin", "circle"),
+        (inner, GREEN, "head", "diamond"),
+    ):
+        fig.add_scattergl(
+            x=np.round(position[members][:_MOST_POINTS], 3),
+            y=np.round(deviation[members][:_MOST_POINTS], 4),
+            mode="markers",
+            marker={"size": 4, "color": colour, "symbol": symbol, "opacity": 0.55},
+            name=name,
+            hovertemplate="%{y:+.3f} mm<extra></extra>",
+        )
+    r = closeup.radius
+    ends = np.array([-r, r])
+    head = closeup.head.height(ends * np.cos(closeup.along), ends * np.sin(closeup.along))
+    reach = float(np.abs(position).max()) if position.size else 2 * r
+    fig.add_scatter(
+        x=ends, y=head, mode="lines", line={"color": ORANGE, "width": 3}, name="inner plane", hoverinfo="skip"
+    )
+    fig.add_scatter(
+        x=[-reach, reach],
+        y=[0, 0],
+        mode="lines",
+        line={"color": BLUE, "width": 3},
+        name="outer plane (skin)",
+        hoverinfo="skip",
+    )
+    limit_lines(fig, limits_of(limit))
+    if height_mm is not None and np.isfinite(height_mm):
+        _arrow(fig, 0.0, 0.0, height_mm, f"{habits.number(height_mm, sign=True)} mm")
+    used = deviation[inner | outer]
+    marks = [value for value in limits_of(limit).values() if value is not None and abs(value) < 0.5]
+    low, high = _range([*(used if used.size else [0.0]), *head, *marks])
+    fig.update_yaxes(range=[low, high], title="above the skin, mm", tickformat="+.2f")
+    fig.update_xaxes(title="along the steepest rise of the head, mm")
+    return fig
+
+
+def seam_figure(section: SeamSection, station: object, habits: Habits, height: int = 330) -> go.Figure:
+    """The section across a seam as the paper's Fig. 8: points, L1, L2, D, G, D′, G′, step and width."""
+    fig = figure(habits, height)
+    for members, colour, name, symbol in (
+        (~section.used, INK, "not used", "circle-open"),
+        (section.used, PURPLE, "skin points", "circle"),
+    ):
+        x, h = section.x[members], section.h[members]
+        every = max(1, len(x) // _MOST_POINTS)
+        fig.add_scattergl(
+            x=np.round(x[::every], 3),
+            y=np.round(h[::every], 4),
+            mode="markers",
+            marker={"size": 4, "color": colour, "symbol": symbol, "opacity": 0.5},
+            name=name,
+            hovertemplate="%{y:+.3f} mm<extra></extra>",
+        )
+    reach = float(np.abs(section.x).max())
+    edge = section.edge_b[0] if section.edge_b else 0.0
+    for line, span, colour, name in (
+        (section.line_a, np.linspace(-reach, edge, 40), BLUE, "L1"),
+        (section.line_b, np.linspace(-edge, reach, 40), ORANGE, "L2"),
+    ):
+        inside = np.abs(span) <= edge if edge else np.zeros(span.shape, bool)
+        skin = np.polyval(line[::-1], span)
+        fig.add_scatter(
+            x=span[~inside],
+            y=skin[~inside],
+            mode="lines",
+            line={"color": colour, "width": 3},
+            name=name,
+            hoverinfo="skip",
+        )
+        fig.add_scatter(
+            x=span[inside],
+            y=skin[inside],
+            mode="lines",
+            line={"color": colour, "width": 1.5, "dash": "dot"},
+            showlegend=False,
+            hoverinfo="skip",
+        )
+    _letters(fig, section)
+    low, high = _section_range(section)
+    if section.edge_a and section.edge_b:
+        _dimensions(fig, section, station, habits, low)
+    fig.update_xaxes(title="across the seam from side A to side B, mm")
+    fig.update_yaxes(title="along the skin's normal, mm", range=[low, high], tickformat="+.2f")
+    return fig
+
+
+def _letters(fig: go.Figure, section: SeamSection) -> None:
+    """D, G, D′, G′ as in Fig. 8."""
+    for place, letter, symbol, colour, position in (
+        (section.lip_a, "D", "circle", RED, "bottom left"),
+        (section.lip_b, "G", "circle", RED, "bottom right"),
+        (section.edge_a, "D′", "x", GREEN, "top left"),
+        (section.edge_b, "G′", "x", GREEN, "top right"),
+    ):
+        if place is not None:
+            fig.add_scatter(
+                x=[place[0]],
+                y=[place[1]],
+                mode="markers+text",
+                marker={"symbol": symbol, "size": 10, "color": colour, "line": {"width": 1, "color": "white"}},
+                text=[f"<b>{letter}</b>"],
+                textposition=position,
+                textfont={"size": 14},
+                hovertemplate=f"{letter}: %{{x:.2f}}, %{{y:+.3f}} mm<extra></extra>",
+                showlegend=False,
+            )
+
+
+def _dimensions(fig: go.Figure, section: SeamSection, station: object, habits: Habits, low: float) -> None:
+    """Arrows for step (eq 6) and width (eq 9)."""
+    (xa, ha), (xb, hb) = section.edge_a or (0.0, 0.0), section.edge_b or (0.0, 0.0)
+    step, width = getattr(station, "step_mm", None), getattr(station, "width_mm", None)
+    if step is not None and np.isfinite(step):
+        base = float(np.polyval(section.line_a[::-1], xb))
+        _arrow(fig, xb, base, hb, "")
+        fig.add_annotation(
+            x=xb, y=(base + hb) / 2, text=f"<b>H {habits.number(step, sign=True)} mm</b>", showarrow=False,
+            xanchor="left", xshift=8, font={"size": 12},
+        )  # fmt: skip
+    if width is not None and np.isfinite(width):
+        level = low + 0.12 * (max(ha, hb) - low)
+        for x, h in ((xa, ha), (xb, hb)):
+            fig.add_scatter(
+                x=[x, x],
+                y=[h, level],
+                mode="lines",
+                line={"color": INK, "width": 1},
+                showlegend=False,
+                hoverinfo="skip",
+            )
+        for start, end in ((xa, xb), (xb, xa)):
+            fig.add_annotation(
+                x=end,
+                y=level,
+                ax=start,
+                ay=level,
+                xref="x",
+                yref="y",
+                axref="x",
+                ayref="y",
+                arrowhead=2,
+                arrowcolor=INK,
+            )
+        fig.add_annotation(
+            x=(xa + xb) / 2,
+            y=level,
+            text=f"W {habits.number(width)} mm",
+            showarrow=False,
+            yshift=-12,
+            font={"size": 12},
+        )
+
+
+def _arrow(fig: go.Figure, x: float, start: float, end: float, text: str) -> None:
+    fig.add_annotation(
+        x=x, y=end, ax=x, ay=start, xref="x", yref="y", axref="x", ayref="y", arrowhead=2, arrowwidth=2, arrowcolor=RED
+    )
+    if text:
+        fig.add_annotation(
+            x=x, y=end, text=f"<b>{text}</b>", showarrow=False, yshift=12 if end >= start else -12, font={"size": 12}
+        )
+
+
+def _section_range(section: SeamSection) -> tuple[float, float]:
+    """Heights that show both skins and the beginning of the gap, not its ground."""
+    used = section.h[section.used]
+    low, high = _range([*(used if used.size else [0.0])])
+    return low - 0.6 * (high - low), high + 0.25 * (high - low)
+
+
+def _range(values: list[float]) -> tuple[float, float]:
+    low, high = float(np.min(values)), float(np.max(values))
+    air = max(0.01, 0.12 * (high - low))
+    return low - air, high + air
+
+
+def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit: str, habits: Habits) -> go.Figure:
+    """A value with its uncertainty on a scale with the zones of its limits."""
+    fig = figure(habits, 62, showlegend=False)
+    marks = {name: mark for name, mark in limits_of(limit).items() if mark is not None}
+    spread = u95 if u95 is not None and np.isfinite(u95) else 0.0
+    places = [0.0, *marks.values()]
+    if value is not None and np.isfinite(value):
+        places += [value - 1.3 * spread, value + 1.3 * spread]
+    low, high = _range(places)
+    _zone(fig, low, high, RED)
+    if "serious_lower" in marks or "serious_upper" in marks:
+        _zone(fig, marks.get("serious_lower", low), marks.get("serious_upper", high), BLUE)
+    if "lower" in marks or "upper" in marks:
+        _zone(fig, marks.get("lower", low), marks.get("upper", high), GREEN)
+    if value is not None and np.isfinite(value):
+        fig.add_scatter(
+            x=[value],
+            y=[0.5],
+            mode="markers",
+            error_x={"type": "data", "array": [spread], "thickness": 2.5, "width": 7, "color": INK},
+            marker={"size": 13, "symbol": "diamond", "color": "#FFFFFF", "line": {"width": 2.5, "color": "#222222"}},
+            hovertemplate=f"{habits.measured(value, u95, unit)}<extra></extra>",
+        )
+    fig.update_xaxes(
+        range=[low, high],
+        tickvals=sorted(value for name, value in marks.items() if not name.startswith("serious")),
+        tickformat="+.2f",
+    )
+    fig.update_yaxes(visible=False, range=[0, 1], fixedrange=True)
+    fig.update_layout(margin={"l": 4, "r": 4, "t": 0, "b": 24})
+    return fig
+
+
+def _zone(fig: go.Figure, low: float, high: float, colour: str) -> None:
+    fig.add_shape(
+        type="rect",
+        x0=low,
+        x1=high,
+        y0=0.1,
+        y1=0.9,
+        fillcolor=colour,
+        line_width=0,
+        layer="below",
+    )

@@ -1,0 +1,90 @@
+"""Figures of the overview: what waits by aircraft and panel, and how all findings stand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+
+from dashboard.figures.base import escape, figure
+from dashboard.habits import Habits
+from dashboard.palette import BLUE, COUNTS, GREEN, GREY, MISSING, ORANGE, RED
+
+_MOST_AIRCRAFT = 25
+_DECISION_COLOURS = {
+    "fail": RED,
+    "conditional fail": ORANGE,
+    "not measured": GREY,
+    "conditional pass": BLUE,
+    "pass": GREEN,
+}
+
+
+def panel_matrix(
+    panels: pd.DataFrame, aircraft: Sequence[str], habits: Habits, height: int = 420
+) -> tuple[go.Figure, int]:
+    """What waits, by aircraft (newest above) and panel; returns how many aircraft fit too.
+
+    A click comes back with (aircraft, panel, …) as customdata.
+    """
+    rows = list(aircraft[:_MOST_AIRCRAFT])
+    columns = sorted(panels["panel"].unique())
+    place = {(a, p): (i, j) for i, a in enumerate(rows) for j, p in enumerate(columns)}
+    part = panels[panels["aircraft_serial"].isin(rows)]
+    waiting = np.full((len(rows), len(columns)), np.nan)
+    for row in part.itertuples():
+        waiting[place[row.aircraft_serial, row.panel]] = row.waiting
+    fig = figure(habits, height, showlegend=False, clickmode="event+select", dragmode=False)
+    fig.add_heatmap(
+        z=waiting,
+        x=columns,
+        y=rows,
+        colorscale=COUNTS,
+        zmin=0,
+        zmax=max(1.0, float(np.nanmax(waiting))) if part.size else 1.0,
+        xgap=1,
+        ygap=1,
+        hoverinfo="skip",
+        colorbar={"title": {"text": "waiting"}, "thickness": 10},
+    )
+    text = [
+        f"<b>{escape(r.aircraft_serial)} {escape(r.panel)}</b><br>{habits.whole(r.waiting)} waiting, "
+        f"{habits.whole(r.fail)} fail<br>last scan {habits.time(r.last_scan)}"
+        for r in part.itertuples()
+    ]
+    # Heat maps send no clicks; invisible markers on top of them do.
+    fig.add_scatter(
+        x=part["panel"],
+        y=part["aircraft_serial"],
+        mode="markers",
+        marker={"symbol": "square", "size": 14, "opacity": 0},
+        customdata=part[["aircraft_serial", "panel"]].to_numpy(),
+        text=text,
+        hovertemplate="%{text}<extra></extra>",
+        selected={"marker": {"opacity": 0}},
+        unselected={"marker": {"opacity": 0}},
+    )
+    fig.update_xaxes(type="category", tickangle=-60, tickfont={"size": 10}, showgrid=False)
+    fig.update_yaxes(type="category", autorange="reversed", tickfont={"size": 10}, showgrid=False)
+    fig.update_layout(plot_bgcolor=MISSING)
+    return fig, len(rows)
+
+
+def decision_bar(counts: Mapping[str, int], habits: Habits) -> go.Figure:
+    """All findings in one bar, from grave to harmless."""
+    fig = figure(habits, 30, barmode="stack", showlegend=False)
+    total = max(1, sum(counts.values()))
+    for decision, count in counts.items():
+        fig.add_bar(
+            x=[count],
+            y=[""],
+            orientation="h",
+            marker_color=_DECISION_COLOURS[decision],
+            hovertemplate=f"{decision}: {habits.whole(count)} ({habits.percent(count / total)})<extra></extra>",
+        )
+    fig.update_layout(margin={"l": 0, "r": 0, "t": 0, "b": 0})
+    fig.update_xaxes(visible=False, fixedrange=True)
+    fig.update_yaxes(visible=False, fixedrange=True)
+    return fig

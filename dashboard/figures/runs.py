@@ -1,0 +1,60 @@
+"""Seconds per step and rig health over time."""
+
+from __future__ import annotations
+
+import pandas as pd
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from dashboard.figures.base import escape, figure
+from dashboard.habits import Habits
+from dashboard.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, YELLOW
+from storage.archive.schema import STEPS
+
+_STEP_COLOURS = (BLUE, ORANGE, GREEN, YELLOW, PURPLE, RED, GREY, "#0072B2", "#44AA99", "#882255")
+_SYMBOLS = ("circle", "diamond", "square", "x", "triangle-up", "cross")
+
+
+def seconds_figure(nights: pd.DataFrame, habits: Habits, height: int = 400) -> go.Figure:
+    """Seconds of each step, stacked, per day."""
+    fig = figure(habits, height, barmode="stack")
+    few = len(nights) < 12  # days as names: a time axis would show hours
+    for step, colour in zip(STEPS, _STEP_COLOURS, strict=False):
+        values = nights[f"seconds_{step}"]
+        if values.notna().any():
+            fig.add_bar(
+                x=nights["date"] if few else nights["day"],
+                y=values,
+                name=step.replace("_", " "),
+                marker_color=colour,
+                hovertemplate="%{y:.2f} s<extra>" + step.replace("_", " ") + "</extra>",
+            )
+    fig.update_yaxes(title="s per scene")
+    fig.update_xaxes(**({"type": "category", "autorange": "reversed"} if few else {"tickformat": habits.axis_dates}))
+    return fig
+
+
+def rig_figure(days: pd.DataFrame, habits: Habits, height: int = 360) -> go.Figure:
+    """Rig fit above, depth noise below, one colour and shape per rig calibration."""
+    fig = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.07)
+    fig.update_layout(figure(habits, height).layout)
+    for i, (rig, part) in enumerate(days.groupby("rig_id", sort=False)):
+        colour, symbol = _STEP_COLOURS[i % len(_STEP_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)]
+        for row, column, digits in ((1, "epipolar", 3), (2, "sigma", 4)):
+            fig.add_scatter(
+                x=part["day"],
+                y=part[column],
+                mode="lines+markers",
+                name=escape(rig),
+                legendgroup=str(rig),
+                showlegend=row == 1,
+                line={"color": colour, "width": 1.3},
+                marker={"symbol": symbol, "size": 6},
+                hovertemplate=f"%{{y:.{digits}f}}<extra>{escape(rig)}</extra>",
+                row=row,
+                col=1,
+            )
+    fig.update_xaxes(tickformat=habits.axis_dates)
+    fig.update_yaxes(title="rig fit, px", rangemode="tozero", row=1, col=1)
+    fig.update_yaxes(title="noise, mm", rangemode="tozero", row=2, col=1)
+    return fig

@@ -1,0 +1,215 @@
+"""Control charts, histogram, Pareto and panel heat map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+from scipy import stats
+
+from dashboard.figures.base import escape, figure, limit_lines
+from dashboard.figures.closeup import limits_of
+from dashboard.habits import Habits
+from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
+from dashboard.trends import Event, Quantity, Spread
+from metrology.statistics import ControlChart, ParetoBar
+from metrology.tolerance import Limit
+
+
+def control_figure(
+    rows: pd.DataFrame,
+    chart: ControlChart,
+    violations: Mapping[str, np.ndarray],
+    quantity: Quantity,
+    limit: Limit | None,
+    events: Sequence[Event],
+    habits: Habits,
+    height: int = 420,
+) -> go.Figure:
+    """Individuals chart above, moving ranges below, in the order of time; events as vertical lines."""
+    fig = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.68, 0.32], vertical_spacing=0.06)
+    fig.update_layout(figure(habits, height).layout)
+    times = habits.axis_times(rows["captured_at"])
+    broken: dict[int, list[str]] = {}
+    for name, points in violations.items():
+        for point in points:
+            broken.setdefault(int(point), []).append(name)
+    text = [
+        f"{escape(r.aircraft_serial)} · {habits.time(r.captured_at)}"
+        f"<br>{habits.number(r.value, sign=True)} {quantity.unit}"
+        + (f" (mean of {habits.whole(r.n)})" if r.n > 1 else "")
+        + (f"<br>breaks rule {', '.join(broken[i])}" if i in broken else "")
+        for i, r in enumerate(rows.itertuples())
+    ]
+    fig.add_scatter(
+        x=times,
+        y=chart.values,
+        mode="lines+markers",
+        line={"color": BLUE, "width": 1.5},
+        marker={
+            "size": [9 if i in broken else 6 for i in range(len(rows))],
+            "color": [RED if i in broken else BLUE for i in range(len(rows))],
+            "symbol": ["x" if i in broken else "circle" for i in range(len(rows))],
+        },
+        text=text,
+        customdata=rows["scene_id"].astype(str),
+        hovertemplate="%{text}<extra></extra>",
+        showlegend=False,
+        row=1,
+        col=1,
+    )
+    fig.add_scatter(
+        x=times,
+        y=chart.moving_range,
+        mode="lines+markers",
+        line={"color": PURPLE, "width": 1.2},
+        marker={"size": 4, "symbol": "diamond"},
+        hovertemplate="moving range %{y:.3f}<extra></extra>",
+        showlegend=False,
+        row=2,
+        col=1,
+    )
+    for value, label, row in (
+        (chart.centre, "mean", 1),
+        (chart.upper, "UCL", 1),
+        (chart.lower, "LCL", 1),
+        (chart.range_centre, "mean", 2),
+        (chart.range_upper, "UCL", 2),
+    ):
+        if np.isfinite(value):
+            fig.add_hline(
+                value,
+                line={"color": GREEN if label == "mean" else ORANGE, "width": 1.5},
+                annotation_text=f"{label} {habits.number(value, sign=row == 1)}",
+                annotation_position="right",
+                annotation_font_size=10,
+                row=row,
+                col=1,
+            )
+    _add_limits(fig, chart, limit)
+    for event in events:
+        at = times.iloc[event.index]
+        fig.add_vline(at, line={"color": INK, "width": 1, "dash": "dashdot"}, row="all", col=1)
+        fig.add_annotation(
+            x=at, y=1, yref="paper", text=escape(event.text), showarrow=False, textangle=-90, xanchor="right",
+            yanchor="top", font={"size": 10, "color": INK},
+        )  # fmt: skip
+    fig.update_xaxes(tickformat=habits.axis_dates)
+    fig.update_yaxes(title=f"{quantity.title}, {quantity.unit}", row=1, col=1)
+    fig.update_yaxes(title="moving range", rangemode="tozero", row=2, col=1)
+    fig.update_layout(margin={"r": 84, "l": 8, "t": 8, "b": 8}, clickmode="event+select")
+    return fig
+
+
+def _add_limits(fig: go.Figure, chart: ControlChart, limit: Limit | None) -> None:
+    """Tolerance limits, where they do not squeeze the chart flat."""
+    present = chart.values[np.isfinite(chart.values)]
+    if limit is None or not present.size:
+        return
+    span = max(float(np.ptp(present)), 6 * chart.sigma if np.isfinite(chart.sigma) else 0.0, 1e-6)
+    middle = float(present.mean())
+    near: dict[str, float | None] = {
+        name: v for name, v in limits_of(limit).items() if v is not None and abs(v - middle) < 3 * span
+    }
+    limit_lines(fig, near, row=1, col=1)
+
+
+def histogram(values: Spread, quantity: Quantity, limit: Limit | None, habits: Habits, height: int = 260) -> go.Figure:
+    """All values with the limits and the normal distribution of their mean and standard deviation."""
+    fig = figure(habits, height, bargap=0.05)
+    fig.add_bar(
+        x=values.centres,
+        y=values.counts,
+        width=values.width,
+        marker_color=BLUE,
+        hovertemplate="%{x:.3f}: %{y}<extra></extra>",
+        name="measured",
+    )
+    if values.sd > 0:
+        x = np.linspace(values.mean - 4 * values.sd, values.mean + 4 * values.sd, 120)
+        fig.add_scatter(
+            x=x,
+            y=stats.norm.pdf(x, values.mean, values.sd) * values.n * values.width,
+            mode="lines",
+            line={"color": ORANGE, "width": 2},
+            name="normal distribution",
+            hoverinfo="skip",
+        )
+    limit_lines(fig, limits_of(limit), axis="x")
+    fig.update_xaxes(title=f"{quantity.title}, {quantity.unit} (dashed: limits)")
+    fig.update_yaxes(title="how many")
+    return fig
+
+
+def pareto_figure(bars: Sequence[ParetoBar], habits: Habits, height: int = 300) -> go.Figure:
+    """Panels from frequent to rare with the cumulated share."""
+    fig = figure(habits, height)
+    names = [bar.name for bar in bars]
+    fig.add_bar(
+        x=names,
+        y=[bar.count for bar in bars],
+        marker_color=BLUE,
+        name="outside limits",
+        hovertemplate="%{x}: %{y}<extra></extra>",
+    )
+    fig.add_scatter(
+        x=names,
+        y=[bar.cumulative for bar in bars],
+        yaxis="y2",
+        mode="lines+markers",
+        line={"color": ORANGE},
+        name="cumulated share",
+        hovertemplate="%{y:.0%}<extra></extra>",
+    )
+    fig.update_layout(
+        yaxis2={"overlaying": "y", "side": "right", "range": [0, 1.02], "tickformat": ".0%", "showgrid": False}
+    )
+    fig.update_xaxes(type="category", tickangle=-60)
+    fig.update_yaxes(title="findings outside", selector={"title": {"text": None}, "overlaying": None})
+    return fig
+
+
+def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, habits: Habits, height: int = 380) -> go.Figure:
+    """Features at their places on the panel, coloured by mean or by share outside."""
+    fig = figure(habits, height)
+    outside = measure == "outside"
+    limit = float(np.nanpercentile(np.abs(rows["mean"]), 98)) if rows["mean"].notna().any() else 1.0
+    text = [
+        f"<b>{escape(r.station)} {escape(r.name)}</b><br>mean {habits.number(r.mean, sign=True)} {quantity.unit}, "
+        f"sd {habits.number(r.sd)}<br>{habits.percent(r.outside)} outside of {habits.whole(r.n)}"
+        for r in rows.itertuples()
+    ]
+    scale = (
+        {"colorscale": SEQUENTIAL, "cmin": 0, "cmax": max(0.01, float(rows["outside"].max()))}
+        if outside
+        else {"colorscale": DIVERGING, "cmin": -limit, "cmax": limit}
+    )
+    fig.add_scattergl(
+        x=rows["x"],
+        y=rows["y"],
+        mode="markers",
+        marker={
+            "size": 13 if quantity.table == "rivets" else 7,
+            "color": rows["outside" if outside else "mean"],
+            "line": {"width": 0.5, "color": INK},
+            "colorbar": {
+                "title": {"text": "outside" if outside else quantity.unit},
+                "thickness": 12,
+                "tickformat": ".0%" if outside else "+.2f",
+            },
+            **scale,
+        },
+        text=text,
+        hovertemplate="%{text}<extra></extra>",
+        showlegend=False,
+    )
+    for station, part in rows.groupby("station"):
+        fig.add_annotation(
+            x=part["x"].mean(), y=part["y"].max(), text=escape(station), showarrow=False, yshift=16, font={"size": 12}
+        )
+    fig.update_xaxes(visible=False)
+    fig.update_yaxes(visible=False, scaleanchor="x")
+    return fig

@@ -1,0 +1,155 @@
+"""What every page shares: who asks, how they write numbers, and that no traceback ever reaches them."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, cast
+
+import streamlit as st
+
+from dashboard.access import Person, current_person, login_configured
+from dashboard.data import Archive
+from dashboard.habits import STYLE_NAMES, STYLES, Habits, habits_of
+from dashboard.settings import SettingsModel, load_settings, store_root
+from metrology.errors import FlushlineError
+
+_LOG = logging.getLogger("flushline.dashboard")
+_PAGES = "flushline_pages"
+
+
+@dataclass(frozen=True)
+class Desk:
+    """What a page works with."""
+
+    archive: Archive
+    habits: Habits
+    person: Person
+    settings: SettingsModel
+
+
+def guarded(title: str, render: Callable[[Desk], None], needs_results: bool = True) -> Callable[[], None]:
+    """A page: title and settings above, then what `render` shows; what goes wrong is said in one line.
+
+    Parameters
+    ----------
+    needs_results : bool
+        Whether the page says nothing without at least one inspected scene.
+    """
+
+    def page() -> None:
+        try:
+            _page(title, render, needs_results)
+        except FlushlineError as problem:
+            st.error(plain(problem), icon=":material/error:")
+        except Exception as problem:  # whatever is in the store or the URL
+            _LOG.exception("page %s", title)
+            st.error(
+                f"This page met something it did not expect ({plain(type(problem).__name__)}); the server's log says "
+                "more. The other pages are not affected.",
+                icon=":material/error:",
+            )
+
+    page.__name__ = render.__module__.rpartition(".")[2]
+    return page
+
+
+def _page(title: str, render: Callable[[Desk], None], needs_results: bool) -> None:
+    root = store_root()
+    settings = load_settings(root)
+    person = current_person(settings.roles)
+    with st.container(horizontal=True, vertical_alignment="center"):
+        st.markdown(f"##### {plain(settings.title)} · {plain(title)}")
+        habits = _corner(settings, person)
+    if person.role == "nobody":
+        _ask_to_log_in(person)
+        return
+    archive = Archive(root)
+    if needs_results and archive.empty:
+        say_how_to_begin(archive)
+        return
+    render(Desk(archive, habits, person, settings))
+
+
+def _corner(settings: SettingsModel, person: Person) -> Habits:
+    """Upper right: who is here, and how numbers and times are written."""
+    with st.container(horizontal=True, horizontal_alignment="right", vertical_alignment="center", gap="small"):
+        if not login_configured():
+            st.caption(
+                "This computer only · no log-in", help="docs/dashboard.md says how to set up a log-in and roles."
+            )
+        elif person.name:
+            st.caption(f"{plain(person.name)} · {person.role}")
+        with st.popover("Settings", icon=":material/tune:", type="tertiary"):
+            guessed = habits_of(_context("locale"), _context("timezone"), settings.numbers)
+            style = st.selectbox(
+                "Numbers and dates",
+                list(STYLE_NAMES),
+                index=STYLES.index(guessed.style),
+                key="numbers",
+                bind="query-params",
+            )
+            habits = Habits(STYLE_NAMES.get(style, guessed.style), guessed.zone)
+            st.caption(f"{habits.number(1234.5, 1)} · {habits.time(datetime.now(UTC))}")
+            st.caption(f"Times: {guessed.zone}")
+            if person.verified:
+                st.button("Log out", on_click=st.logout)
+    return habits
+
+
+def _ask_to_log_in(person: Person) -> None:
+    if person.name:
+        st.warning("You are logged in, but this dashboard's settings give you no role. Ask whoever runs it.")
+        st.button("Log out and in as someone else", on_click=st.logout)
+        return
+    st.info("Please log in to see inspection results.")
+    st.button("Log in", on_click=st.login, type="primary")
+
+
+def say_how_to_begin(archive: Archive) -> None:
+    """For a store without results: what to do next."""
+    st.info("No scene has been inspected into this store yet.", icon=":material/inbox:")
+    st.markdown("Inspect a scan with its rig, and come back:")
+    st.code(f"flushline inspect SCENE --rig rig.json --store {archive.root}", language="sh")
+    st.markdown("Or look around first with a simulated panel:")
+    st.code(f"flushline demo --out demo\nflushline dashboard --store {archive.root}", language="sh")
+    if st.button("Look again", icon=":material/refresh:"):
+        st.rerun()
+
+
+def _context(name: str) -> str | None:
+    """The browser's locale or time zone; a test has neither."""
+    try:
+        return cast("str | None", getattr(st.context, name))
+    except Exception:  # Streamlit raises kinds of its own outside a browser session
+        return None
+
+
+def plain(text: object) -> str:
+    """Text from the store or the URL for use in Markdown: shown as it is, never as markup."""
+    return re.sub(r"([\\`*_{}\[\]()#+!|<>~$:-])", r"\\\1", " ".join(str(text).split()))
+
+
+def remember_pages(pages: dict[str, Any]) -> None:
+    """Keep the pages by name, for `go`."""
+    st.session_state[_PAGES] = pages
+
+
+def go(page: str, **parameters: str | None) -> None:
+    """Open another page with query parameters."""
+    wanted = {name: value for name, value in parameters.items() if value is not None}
+    pages = st.session_state.get(_PAGES)
+    if pages:
+        st.switch_page(pages[page], query_params=wanted)
+    st.query_params.from_dict(wanted)
+
+
+def link(page: str, label: str, icon: str | None = None, **parameters: str | None) -> None:
+    """A link to another page."""
+    wanted = {name: value for name, value in parameters.items() if value is not None}
+    pages = st.session_state.get(_PAGES)
+    if pages:
+        st.page_link(pages[page], label=label, icon=icon, query_params=wanted)

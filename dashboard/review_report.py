@@ -1,0 +1,114 @@
+"""The review as files: CSV for spreadsheets, and one self-contained HTML page."""
+
+from __future__ import annotations
+
+import html
+from datetime import UTC, datetime
+from typing import Any
+
+import pandas as pd
+
+from dashboard.data import Archive
+from dashboard.habits import Habits
+from dashboard.palette import BLUE, GREEN, RED
+from dashboard.pictures import around, data_uri, load_picture
+from dashboard.scenes import find_feature, load_features
+from metrology.errors import FlushlineError
+from storage.review import Feature
+
+_CROP_PX = 60
+_MOST_PICTURES = 60
+_STYLE = f"""
+body {{font: 14px/1.45 system-ui, sans-serif; margin: 2rem; color: #222}}
+table {{border-collapse: collapse}} td, th {{border-bottom: 1px solid #ccc; padding: 4px 10px; text-align: left}}
+td.n {{text-align: right; font-variant-numeric: tabular-nums}}
+img {{height: 64px; display: block}}
+.red {{border-left: 6px solid {RED}}} .blue {{border-left: 6px solid {BLUE}}} .green {{border-left: 6px solid {GREEN}}}
+@media print {{body {{margin: 0}} tr {{break-inside: avoid}}}}
+"""
+
+
+def csv_report(rows: pd.DataFrame, habits: Habits) -> bytes:
+    """Findings as CSV in the person's habits (German: semicolons and decimal commas), UTF-8 with a byte-order mark."""
+    german = habits.style == "de"
+    shown = rows.copy()
+    for name in shown.columns:
+        if isinstance(shown[name].dtype, pd.DatetimeTZDtype):
+            shown[name] = shown[name].dt.strftime("%Y-%m-%dT%H:%M:%SZ")
+        elif not pd.api.types.is_numeric_dtype(shown[name].dtype):
+            shown[name] = [_harmless(value) for value in shown[name]]
+    text = shown.to_csv(index=False, sep=";" if german else ",", decimal="," if german else ".", lineterminator="\r\n")
+    return text.encode("utf-8-sig")
+
+
+def _harmless(value: object) -> object:
+    """Spreadsheets run what begins like a formula."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
+
+
+def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str) -> bytes:
+    """Findings as one HTML page with pictures of the first ones, dispositions and traceability."""
+    body = "\n".join(_row(row, archive, habits, i < _MOST_PICTURES) for i, row in enumerate(rows.to_dict("records")))
+    limits = ", ".join(sorted({str(name) for name in rows["panel_spec"].dropna()})) or "not stated"
+    versions = ", ".join(sorted({str(name) for name in rows["software_version"].dropna()})) or "not stated"
+    heads = (
+        "",
+        "Aircraft",
+        "Panel",
+        "Station",
+        "Feature",
+        "Height / step, mm",
+        "± U95, mm",
+        "Verdict",
+        "Why",
+        "Disposition",
+    )
+    titles = "".join(f"<th>{head}</th>" for head in heads)
+    made = f"{habits.time(datetime.now(UTC))} ({habits.zone})"
+    page = f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{_text(title)}: tolerance review</title>
+<style>{_STYLE}</style></head><body>
+<h1>{_text(title)}: tolerance review</h1>
+<p>{len(rows)} findings · made {_text(made)} from {_text(archive.root)}<br>
+Limits: {_text(limits)} · Flushline {_text(versions)} · decisions by ISO 14253-1 with the guard band U95</p>
+<table><thead><tr>{titles}</tr></thead><tbody>
+{body}
+</tbody></table></body></html>
+"""
+    return page.encode()
+
+
+def _row(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -> str:
+    decided = ""
+    if not pd.isna(row["disposition"]):
+        decided = f"{row['disposition']}, {row['who']}, {habits.time(row['decided_at'])}"
+    if not pd.isna(row["signed_by"]):
+        decided += f" (signed off by {row['signed_by']})"
+    cells = [
+        f"<td>{_picture(row, archive) if picture else ''}</td>",
+        *(f"<td>{_text(row[name])}</td>" for name in ("aircraft_serial", "panel", "station", "feature_id")),
+        f'<td class="n">{_text(habits.number(row["value_mm"], sign=True))}</td>',
+        f'<td class="n">{_text(habits.number(row["u95_mm"]))}</td>',
+        f"<td>{_text(row['decision'])}</td><td>{_text('' if pd.isna(row['reason']) else row['reason'])}</td>",
+        f"<td>{_text(decided)}</td>",
+    ]
+    severity = row["severity"] if row["severity"] in ("red", "blue", "green") else ""
+    return f'<tr class="{severity}">{"".join(cells)}</tr>'
+
+
+def _picture(row: dict[str, Any], archive: Archive) -> str:
+    try:
+        features = load_features(archive, str(row["scene_id"]))
+        measured = find_feature(features, Feature(row["feature_kind"], str(row["feature_id"])))
+        if measured is None:
+            return ""
+        paths = archive.rows("SELECT preview_path FROM scenes WHERE scene_id = ?", [str(row["scene_id"])])
+        picture = load_picture(archive.file(paths["preview_path"].iloc[0]))
+        part = around(picture, float(measured.u_px), float(measured.v_px), _CROP_PX * picture.shape[1] / 1624 + 10)
+        return f'<img src="{data_uri(part)}" alt="">'
+    except (FlushlineError, AttributeError, ValueError, IndexError):
+        return ""
+
+
+def _text(value: object) -> str:
+    return html.escape(str(value))

@@ -1,0 +1,89 @@
+"""Runs one query for the SQL page in a process of its own, which can be stopped whatever the query does.
+
+Reads {"store", "sql", "rows", "bytes"} as JSON from standard input, writes an Arrow stream to standard output. The
+connection is the store's: read-only, no files, no extensions, settings locked. The process itself may not take more
+than its share of memory and disk, and gives way to the pages.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+from pathlib import Path
+
+MEMORY_BYTES = 4 << 30
+SPILL_BYTES = 1 << 30
+TRUNCATED = b"truncated"
+_FAILED = 3
+
+
+def main() -> int:
+    """Run the query."""
+    os.nice(10)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (SPILL_BYTES, SPILL_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    request = json.load(sys.stdin)
+    try:
+        _run(Path(request["store"]), request["sql"], int(request["rows"]), int(request["bytes"]))
+    except MemoryError:
+        print("the query needs more memory than it may take; narrow it or add a LIMIT", file=sys.stderr)
+        return _FAILED
+    except Exception as problem:  # DuckDB's errors are the person's to read
+        text = str(problem) or type(problem).__name__
+        if "Out of Memory" in text or "bad_alloc" in text:
+            text = "the query needs more memory than it may take; narrow it or add a LIMIT"
+        print(text, file=sys.stderr)
+        return _FAILED
+    return 0
+
+
+def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
+    import pyarrow as pa
+
+    from metrology.errors import UsageError
+    from storage.archive.store import Store
+    from storage.review import ReviewLog
+
+    connection = Store(root).connect()
+    review = ReviewLog(root).read()
+    connection.register("dispositions", pa.Table.from_pylist(
+        [
+            {
+                "scene_id": scene, "feature_kind": feature.kind, "feature_id": feature.id, "decided_at": entry.at,
+                "disposition": entry.disposition, "who": entry.who, "comment": entry.comment,
+            }
+            for (scene, feature), entry in review.current().items()
+        ],
+        pa.schema([(n, pa.timestamp("us", "UTC") if n == "decided_at" else pa.string()) for n in DISPOSITIONS_COLUMNS]),
+    ))  # fmt: skip
+    rows = connection.sql(sql)
+    if rows is None:
+        raise UsageError("this statement returns no rows; only SELECT and the like make sense here")
+    table = rows.limit(most_rows + 1).to_arrow_table()
+    truncated = table.num_rows > most_rows
+    table = table.slice(0, most_rows)
+    if table.nbytes > most_bytes:
+        raise UsageError(
+            f"the result has {table.nbytes >> 20} MB, more than the {most_bytes >> 20} MB that a page takes"
+        )
+    table = table.replace_schema_metadata({TRUNCATED: b"1" if truncated else b"0"})
+    with pa.ipc.new_stream(sys.stdout.buffer, table.schema) as stream:
+        stream.write_table(table)
+
+
+DISPOSITIONS_COLUMNS = {
+    "scene_id": "the scene",
+    "feature_kind": "rivet or seam station",
+    "feature_id": "rivet_id, or seam_id@s_mm",
+    "decided_at": "when the last disposition was recorded (UTC)",
+    "disposition": "use as is, rework, repair, scrap, re-scan",
+    "who": "who decided",
+    "comment": "what they said",
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

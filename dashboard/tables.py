@@ -1,0 +1,103 @@
+"""Tables whose numbers and times are written as the person is used to, and still sort as numbers and times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Literal
+
+import pandas as pd
+import streamlit as st
+
+from dashboard.habits import NOTHING, Habits
+from dashboard.palette import DECISION_MARKS
+
+Mode = Literal["single-row", "multi-row", "none"]
+_SIGNED = ("value_mm", "height_mean_mm", "step_mm", "difference_mm", "deviation_mm")
+
+
+def show_table(
+    rows: pd.DataFrame,
+    columns: Mapping[str, str],
+    habits: Habits,
+    key: str,
+    height: int = 400,
+    mode: Mode = "single-row",
+    selected: int | None = None,
+) -> list[int]:
+    """Show columns of a frame under their headings; returns the places of the selected rows.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        Column to heading, in order; columns that the frame lacks are left out.
+    mode : "single-row", "multi-row" or "none"
+    selected : int, optional
+        Row that is selected at first.
+    """
+    present = {name: heading for name, heading in columns.items() if name in rows.columns}
+    shown = rows[list(present)].rename(columns=present).reset_index(drop=True)
+    formats = {heading: _writer(name, rows[name], habits) for name, heading in present.items()}
+    styled = shown.style.format({h: f for h, f in formats.items() if f is not None}, na_rep=NOTHING)
+    config = {
+        heading: st.column_config.Column(width="medium" if name == "reason" else "small", help=_HELP.get(name))
+        for name, heading in present.items()
+        if name in _NARROW or name in _HELP
+    }
+    if mode == "none":
+        st.dataframe(
+            styled,
+            hide_index=True,
+            height=_fitting(height, len(shown)),
+            column_config=config,
+            key=key,
+            placeholder=NOTHING,
+        )
+        return []
+    first: Any = {"selection": {"rows": [selected]}} if selected is not None and selected < len(shown) else None
+    event = st.dataframe(
+        styled,
+        hide_index=True,
+        height=_fitting(height, len(shown)),
+        column_config=config,
+        key=key,
+        on_select="rerun",
+        placeholder=NOTHING,
+        selection_mode=mode,
+        selection_default=first,
+    )
+    return [row for row in event["selection"]["rows"] if row < len(shown)]
+
+
+_NARROW = ("reason",)
+_HELP = {
+    "value_mm": "Height of a rivet head, + proud of the skin; step of a seam, side B above side A",
+    "u95_mm": "Expanded uncertainty, 95 %",
+    "waiting": "Findings without a disposition, on scenes that are not signed off",
+    "worst_mm": "Largest |height| among rivets that do not simply pass",
+}
+
+
+def _fitting(height: int, rows: int) -> int:
+    """No taller than the rows need."""
+    return min(height, 38 + 35 * max(1, rows))
+
+
+def _writer(name: str, values: pd.Series, habits: Habits) -> Callable[[object], str] | None:
+    if name == "decision":
+        return lambda value: DECISION_MARKS.get(str(value), str(value))
+    if isinstance(values.dtype, pd.DatetimeTZDtype):
+        return habits.time
+    if pd.api.types.is_integer_dtype(values.dtype):
+        return habits.whole
+    if pd.api.types.is_float_dtype(values.dtype):
+        return partial(habits.number, digits=_digits(name), sign=name in _SIGNED)
+    return None
+
+
+def _digits(name: str) -> int:
+    if name.startswith("seconds") or name.endswith("_deg"):
+        return 2
+    if name.endswith(("_px", "_fraction")):
+        return 3
+    return 1 if name == "s_mm" else 0 if name.startswith("n_") else 3

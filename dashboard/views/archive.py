@@ -1,0 +1,191 @@
+"""Archive: find scans, look at their pictures, open one or compare two."""
+
+from __future__ import annotations
+
+import pandas as pd
+import streamlit as st
+
+from dashboard.data import Archive
+from dashboard.figures.scene import scene_figure
+from dashboard.filters import scene_filters
+from dashboard.findings import Selection
+from dashboard.frame import Desk, go, plain
+from dashboard.pictures import data_uri, load_picture, shrunk
+from dashboard.scenes import load_features, load_scene_row
+from dashboard.tables import show_table
+from metrology.errors import FlushlineError
+
+TITLE = "Archive"
+_PAGE = 20
+_THUMBNAIL_PX = 132
+_ANY = "any verdict"
+VERDICTS = {
+    _ANY: "true",
+    "with fails": "fail > 0",
+    "needs attention": "bad > 0",
+    "with unmeasured": "not_measured > 0",
+    "all pass": "bad = 0",
+}
+
+
+def render(desk: Desk) -> None:
+    """Show the page."""
+    pair = [part for part in str(st.query_params.get("compare", "")).split(",") if part][:2]
+    if len(pair) == 2:
+        _compare(desk, pair[0], pair[1])
+        return
+    selection = scene_filters(desk.archive, more=True)
+    verdict_field, page_field, actions = st.columns([2, 1, 5], vertical_alignment="bottom")
+    verdict = verdict_field.selectbox("Verdict", list(VERDICTS), key="verdict", bind="query-params")
+    total = _count(desk.archive, selection, verdict)
+    pages = max(1, -(-total // _PAGE))
+    page = page_field.number_input("Page", 1, pages, key="page")
+    scenes = _scenes(desk.archive, selection, verdict, _PAGE, (int(page) - 1) * _PAGE)
+    if scenes.empty:
+        st.info("No scan matches these filters. Clear one of them to see more.")
+        return
+    with actions:
+        buttons = st.container(horizontal=True, vertical_alignment="center")
+    picked = _list(desk, scenes)
+    with buttons:
+        chosen = [str(scenes["scene_id"].iloc[row]) for row in picked]
+        if st.button("Open", type="primary", disabled=len(chosen) != 1, icon=":material/center_focus_strong:"):
+            go("scene", scene=chosen[0])
+        if st.button("Compare two", disabled=len(chosen) != 2, icon=":material/compare:"):
+            go("archive", compare=",".join(chosen))
+        st.caption(
+            f"{desk.habits.whole(total)} scans, page {page} of {desk.habits.whole(pages)}. "
+            "Tick one scan to open it, two to compare them."
+        )
+
+
+_SCENES_SQL = """
+FROM (SELECT * FROM scenes WHERE {condition}) s LEFT JOIN (
+    SELECT scene_id, count(*) FILTER (decision IN ('fail', 'conditional fail')) AS fail,
+        count(*) FILTER (decision = 'not measured') AS not_measured, count(*) AS bad
+    FROM (
+        SELECT scene_id, decision FROM rivets WHERE decision NOT IN ('pass', 'no limit')
+        UNION ALL SELECT scene_id, decision FROM seam_stations WHERE decision NOT IN ('pass', 'no limit')
+    ) GROUP BY scene_id
+) b USING (scene_id)
+"""
+
+
+def _listed(selection: Selection, verdict: str) -> tuple[str, list[object]]:
+    condition, parameters = selection.where()
+    sql = (
+        "FROM (SELECT s.scene_id, s.captured_at, coalesce(fail, 0) AS fail, coalesce(not_measured, 0) AS not_measured, "
+        f"coalesce(bad, 0) AS bad {_SCENES_SQL.format(condition=condition)}) WHERE {VERDICTS.get(verdict, 'true')}"
+    )
+    return sql, parameters
+
+
+def _count(archive: Archive, selection: Selection, verdict: str) -> int:
+    if verdict == _ANY:
+        condition, parameters = selection.where()
+        return int(archive.rows(f"SELECT count(*) AS n FROM scenes WHERE {condition}", parameters)["n"][0])
+    sql, parameters = _listed(selection, verdict)
+    return int(archive.rows(f"SELECT count(*) AS n {sql}", parameters)["n"][0])
+
+
+def _scenes(archive: Archive, selection: Selection, verdict: str, most: int, skip: int) -> pd.DataFrame:
+    sql, parameters = _listed(selection, verdict)
+    return archive.rows(
+        f"WITH page AS (SELECT scene_id, fail, not_measured {sql} ORDER BY captured_at DESC, scene_id "
+        f"LIMIT {most} OFFSET {skip}) "
+        "SELECT s.scene_id, aircraft_serial, panel, station, captured_at, fail, not_measured, n_rivets, n_stations, "
+        "rig_id, status, software_version, preview_path FROM page JOIN scenes s USING (scene_id) "
+        "ORDER BY captured_at DESC, s.scene_id",
+        parameters,
+    )
+
+
+def _list(desk: Desk, scenes: pd.DataFrame) -> list[int]:
+    shown = scenes.copy()
+    shown.insert(0, "picture", [_thumbnail_of(desk.archive, path) for path in scenes["preview_path"]])
+    shown["captured_at"] = [desk.habits.time(moment) for moment in scenes["captured_at"]]
+    shown = shown.drop(columns=["scene_id", "preview_path"])
+    event = st.dataframe(
+        shown,
+        hide_index=True,
+        row_height=76,
+        height=520,
+        key="scenes",
+        on_select="rerun",
+        selection_mode="multi-row",
+        column_config={
+            "picture": st.column_config.ImageColumn("Picture", width="small"),
+            "aircraft_serial": "Aircraft",
+            "panel": "Panel",
+            "station": "Station",
+            "captured_at": "Scanned",
+            "fail": st.column_config.Column("✖ Fail", help="Rivets and seam stations outside their limits"),
+            "not_measured": "? Not measured",
+            "n_rivets": "Rivets",
+            "n_stations": "Seam stations",
+            "rig_id": "Rig",
+            "status": "Status",
+            "software_version": "Version",
+        },
+    )
+    return [row for row in event["selection"]["rows"] if row < len(scenes)]
+
+
+def _thumbnail_of(archive: Archive, path: object) -> str | None:
+    try:
+        return _thumbnail(str(archive.file(path)))
+    except FlushlineError:
+        return None
+
+
+@st.cache_data(max_entries=2000, show_spinner=False)
+def _thumbnail(path: str) -> str:
+    from pathlib import Path
+
+    return data_uri(shrunk(load_picture(Path(path)), _THUMBNAIL_PX))
+
+
+def _compare(desk: Desk, first: str, second: str) -> None:
+    """Two scans side by side, and how their rivets differ."""
+    if st.button("Back to the list", icon=":material/arrow_back:"):
+        go("archive")
+    sides, stations = [], []
+    for column, scene_id in zip(st.columns(2), (first, second), strict=True):
+        with column:
+            row = load_scene_row(desk.archive, scene_id)
+            if row is None:
+                st.warning(f"There is no scene {plain(scene_id)} in this store.")
+                return
+            features = load_features(desk.archive, scene_id)
+            st.markdown(
+                f"**{plain(row.aircraft_serial)} · {plain(row.panel)} · {plain(row.station)}** · "
+                f"{desk.habits.time(row.captured_at)}"
+            )
+            picture = load_picture(desk.archive.file(row.preview_path))
+            st.plotly_chart(
+                scene_figure(picture, features, None, desk.habits, height=330), key=f"picture-{column}-{scene_id}"
+            )
+            sides.append(features)
+            stations.append(str(row.station))
+    if len(set(stations)) > 1:
+        st.caption("These are different stations: rivets of the same name need not be the same rivet.")
+    before, after = (side.rivets[["rivet_id", "height_mean_mm", "height_u95_mm", "decision"]] for side in sides)
+    both = before.merge(after, on="rivet_id", how="outer", suffixes=("_left", "_right"))
+    both["difference_mm"] = both["height_mean_mm_right"] - both["height_mean_mm_left"]
+    both = both.sort_values("difference_mm", key=abs, ascending=False, na_position="last")
+    st.markdown("**Rivets on both scans**, the largest change first")
+    show_table(
+        both,
+        {
+            "rivet_id": "Rivet",
+            "height_mean_mm_left": "Height left, mm",
+            "decision_left": "Verdict left",
+            "height_mean_mm_right": "Height right, mm",
+            "decision_right": "Verdict right",
+            "difference_mm": "Change, mm",
+        },
+        desk.habits,
+        key="differences",
+        height=260,
+        mode="none",
+    )

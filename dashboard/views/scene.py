@@ -1,0 +1,377 @@
+"""Scene: one scan with everything that was found on it, and close-ups of what is clicked."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pandas as pd
+import streamlit as st
+
+from dashboard.closeup import rivet_close_up, seam_section
+from dashboard.deviation import FieldDeviation, field_deviation
+from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
+from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
+from dashboard.findings import feature_from_parameter, feature_parameter
+from dashboard.frame import Desk, link, plain
+from dashboard.palette import DECISION_BADGES, DECISION_MARKS
+from dashboard.pictures import load_picture
+from dashboard.scenes import (
+    find_feature,
+    limits_used,
+    load_features,
+    load_scene_row,
+    seam_neighbours,
+    worst_feature,
+)
+from metrology.errors import FlushlineError
+from metrology.tolerance import Limit
+from storage.cloud import StoredCloud
+from storage.review import Feature
+
+TITLE = "Scene"
+_MAP_POINTS = 120_000
+_CLOUD_POINTS = (30_000, 100_000, 300_000)
+_EXAGGERATIONS = (1, 10, 50, 100)
+_HEIGHT = 500
+
+
+def render(desk: Desk) -> None:
+    """Show the page."""
+    scene_id = str(st.query_params.get("scene") or "") or _newest(desk)
+    row = load_scene_row(desk.archive, scene_id)
+    if row is None:
+        st.warning(f"There is no scene {plain(scene_id)} in this store.")
+        link("archive", "Find a scan in the archive", icon=":material/inventory_2:")
+        return
+    features = load_features(desk.archive, scene_id)
+    chosen = feature_from_parameter(st.query_params.get("feature"))
+    unknown = chosen is not None and find_feature(features, chosen) is None
+    if chosen is None or unknown:
+        chosen = worst_feature(features)
+    _headline(desk, row)
+    if unknown:
+        st.caption(f"This scan has no {plain(st.query_params.get('feature'))}; the gravest finding is shown instead.")
+    left, right = st.columns([11, 9])
+    with left:
+        _views(desk, row, features, chosen)
+    with right:
+        if chosen is None:
+            st.info("Neither a rivet nor a seam was found on this scan.")
+        else:
+            close_up(desk, row, features, chosen)
+
+
+def _newest(desk: Desk) -> str:
+    rows = desk.archive.rows("SELECT scene_id FROM scenes ORDER BY captured_at DESC, scene_id LIMIT 1")
+    return str(rows["scene_id"].iloc[0]) if len(rows) else ""
+
+
+def _headline(desk: Desk, row: Any) -> None:
+    signed = desk.archive.review().sign_offs().get(row.scene_id)
+    with st.container(horizontal=True, vertical_alignment="center"):
+        st.markdown(f"**{plain(row.aircraft_serial)} · panel {plain(row.panel)} · station {plain(row.station)}**")
+        st.caption(
+            f"scanned {desk.habits.time(row.captured_at)} · rivets: {desk.habits.whole(row.n_rivets)}, "
+            f"seams: {desk.habits.whole(row.n_seams)} · rig {plain(row.rig_id)}"
+        )
+        if signed:
+            note = "" if signed.run_id == row.run_id else " (an earlier run)"
+            st.badge(f"signed off by {plain(signed.who)}{note}", icon=":material/lock:", color="green")
+        link(
+            "review",
+            "Review",
+            ":material/fact_check:",
+            aircraft=row.aircraft_serial,
+            panel=row.panel,
+            scene=row.scene_id,
+        )
+    for warning in _texts(row.warnings):
+        st.warning(plain(warning), icon=":material/warning:")
+
+
+def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
+    names = ["Picture", "Deviation map", "3-D", "Overlay", "Table", "Files"]
+    view = st.segmented_control(
+        "View", names, default="Picture", key="view", bind="query-params", label_visibility="collapsed"
+    )
+    show = {
+        "Deviation map": _deviation,
+        "3-D": _cloud_view,
+        "Overlay": _overlay,
+        "Files": _files,
+    }
+    if view == "Table":
+        _table(desk, row, features)
+    elif view in show:
+        show[view](desk, row)
+    else:
+        _picture(desk, row, features, chosen)
+
+
+def _picture(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
+    picture = load_picture(desk.archive.file(row.preview_path))
+    fig = scene_figure(picture, features, chosen, desk.habits, _HEIGHT)
+    event = st.plotly_chart(
+        fig,
+        key="picture",
+        on_select="rerun",
+        selection_mode="points",
+        config={"scrollZoom": True, "displaylogo": False},
+    )
+    st.caption("Click a rivet or a seam station for its close-up; scroll to zoom, drag to move.")
+    clicked = next((p.get("customdata") for p in event["selection"]["points"] if p.get("customdata")), None)
+    clicked = clicked[0] if isinstance(clicked, (list, tuple)) else clicked
+    if (
+        clicked
+        and (chosen is None or clicked != feature_parameter(chosen))
+        and clicked != st.session_state.get("clicked")
+    ):
+        st.session_state["clicked"] = clicked  # the chart keeps its selection; act on it once
+        st.query_params["scene"], st.query_params["feature"] = row.scene_id, str(clicked)
+        st.rerun()
+
+
+def _deviation(desk: Desk, row: Any) -> None:
+    field = _field(desk, row, _MAP_POINTS)
+    if field is None:
+        st.info("This scan has too few points for a map.")
+        return
+    st.plotly_chart(deviation_map(field, desk.habits, _HEIGHT), key="map", config={"displaylogo": False})
+    st.caption("Height above a smooth quadric through the whole field, mm; grey where there is no point.")
+
+
+def _cloud_view(desk: Desk, row: Any) -> None:
+    first, second = st.columns(2)
+    most = first.selectbox("Points", _CLOUD_POINTS, format_func=desk.habits.whole, key="points")
+    relief = second.selectbox("Relief", _EXAGGERATIONS, index=2, format_func=lambda factor: f"× {factor}", key="relief")
+    field = _field(desk, row, int(most))
+    if field is None:
+        st.info("This scan has too few points to show.")
+        return
+    st.plotly_chart(cloud_figure(field, float(relief), desk.habits, _HEIGHT - 60), key="cloud")
+    st.caption("Thinned out so that it turns smoothly; the whole cloud is under Files.")
+
+
+@st.cache_data(max_entries=6, show_spinner=False)
+def _field_of(_cloud: StoredCloud, path: str, most: int) -> FieldDeviation | None:
+    return field_deviation(_cloud, most)
+
+
+def _field(desk: Desk, row: Any, most: int) -> FieldDeviation | None:
+    return _field_of(desk.archive.cloud(row.cloud_path), str(row.cloud_path), most)
+
+
+def _overlay(desk: Desk, row: Any) -> None:
+    path = desk.archive.file(row.overlay_path)
+    st.image(str(path), width="stretch")
+    name = f"{row.scene_id}_overlay.png"
+    with st.container(horizontal=True):
+        st.download_button("Download for the projector (PNG)", path.read_bytes(), name, "image/png")
+        svg = path.with_suffix(".svg")
+        if svg.is_file():
+            st.download_button("SVG", svg.read_bytes(), f"{row.scene_id}_overlay.svg", "image/svg+xml")
+
+
+def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
+    from dashboard.tables import show_table
+
+    rivets = show_table(
+        features.rivets,
+        {
+            "rivet_id": "Rivet",
+            "height_mean_mm": "Height, mm",
+            "height_u95_mm": "± U95, mm",
+            "tilt_deg": "Tilt, °",
+            "diameter_mm": "Ø, mm",
+            "decision": "Verdict",
+            "reason": "Why",
+        },
+        desk.habits,
+        key="rivets",
+        height=270,
+    )
+    stations = show_table(
+        features.stations,
+        {
+            "feature_id": "Seam@mm",
+            "step_mm": "Step, mm",
+            "step_u95_mm": "± U95, mm",
+            "width_mm": "Width, mm",
+            "width_u95_mm": "± U95 width, mm",
+            "decision": "Verdict",
+            "reason": "Why",
+        },
+        desk.habits,
+        key="stations",
+        height=220,
+    )
+    picked = None
+    if rivets:
+        picked = Feature("rivet", str(features.rivets["rivet_id"].iloc[rivets[0]]))
+    elif stations:
+        picked = Feature("seam station", str(features.stations["feature_id"].iloc[stations[0]]))
+    if picked and feature_parameter(picked) != st.query_params.get("feature"):
+        st.query_params["scene"], st.query_params["feature"] = row.scene_id, feature_parameter(picked)
+        st.rerun()
+
+
+def _files(desk: Desk, row: Any) -> None:
+    habits = desk.habits
+    facts = {
+        "Scene": row.scene_id,
+        "Run": row.run_id,
+        "Inspected": habits.time(row.processed_at),
+        "Operator": row.operator,
+        "Rig": f"{row.rig_id} (content {row.rig_hash})",
+        "Software": f"Flushline {row.software_version}",
+        "Settings": row.config_hash,
+        "Limits": row.panel_spec,
+        "Points": f"{habits.whole(row.n_points)} ({habits.percent(row.valid_fraction)} of the picture)",
+        "Noise of a point": f"{habits.number(row.sigma_z_median_mm, 4)} mm",
+        "Rig fit": f"{habits.number(row.epipolar_rms_px)} px",
+        "Folder": row.bundle_path,
+    }
+    rows = [(name, "–" if _absent(value) else str(value)) for name, value in facts.items()]
+    st.dataframe(pd.DataFrame(rows, columns=["What", "Value"]), hide_index=True, height=458)
+    with st.container(horizontal=True):
+        for label, path, kind in (
+            ("Cloud (Parquet)", row.cloud_path, "application/octet-stream"),
+            ("Picture", row.preview_path, "image/png"),
+            ("Rig", f"{row.bundle_path}/rig.json", "application/json"),
+            ("Manifest", f"{row.bundle_path}/manifest.json", "application/json"),
+        ):
+            _download(desk, label, path, kind, row.scene_id)
+
+
+def _download(desk: Desk, label: str, path: object, kind: str, scene_id: str) -> None:
+    try:
+        file = desk.archive.file(path)
+    except FlushlineError:
+        st.button(label, disabled=True, help="The file is not in the store any more.", key=f"no {label}")
+        return
+    # Read when it is asked for: a cloud has 10 MB.
+    st.download_button(label, file.read_bytes, f"{scene_id}_{file.name}", kind, on_click="ignore", key=f"get {label}")
+
+
+def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, compact: bool = False) -> None:
+    """What was measured at one feature, how it stands against its limits, and why.
+
+    Parameters
+    ----------
+    compact : bool
+        Without the maps: for narrow places.
+    """
+    measured = find_feature(features, chosen)
+    if measured is None:
+        st.info("This feature is not on the newest run of the scan.")
+        return
+    with st.container(horizontal=True, vertical_alignment="center"):
+        st.markdown(f"**{'Rivet' if chosen.kind == 'rivet' else 'Seam station'} {plain(chosen.id)}**")
+        decision = str(measured.decision)
+        st.badge(DECISION_MARKS.get(decision, plain(decision)), color=DECISION_BADGES.get(decision, "gray"))  # type: ignore[arg-type]
+        if chosen.kind == "rivet":
+            link(
+                "trends",
+                "Trend",
+                ":material/show_chart:",
+                what="rivet",
+                panel=row.panel,
+                station=row.station,
+                name=chosen.id,
+            )
+        else:
+            link(
+                "trends",
+                "Trend",
+                ":material/show_chart:",
+                what="seam",
+                panel=row.panel,
+                station=row.station,
+                name=str(measured.seam_id),
+            )
+    limits = limits_used(desk.archive, row.bundle_path, getattr(measured, "zone", None))
+    _values(desk, measured, chosen, limits)
+    reason = getattr(measured, "reason", None)
+    if not _absent(reason):
+        st.markdown(f":small[**Why:** {plain(reason)}]")
+    if compact:
+        return
+    try:
+        cloud = desk.archive.cloud(row.cloud_path)
+    except FlushlineError as problem:
+        st.info(f"No close-up: {plain(problem)}")
+        return
+    if chosen.kind == "rivet":
+        _rivet(desk, measured, cloud, limits)
+    else:
+        _seam(desk, measured, cloud, seam_neighbours(features, measured))
+
+
+def _values(desk: Desk, measured: Any, chosen: Feature, limits: dict[str, Limit]) -> None:
+    habits = desk.habits
+    if chosen.kind == "rivet":
+        quantities = [
+            ("Height", measured.height_mean_mm, measured.height_u95_mm, "mm", "height_mm", True),
+            ("Tilt", measured.tilt_deg, measured.tilt_u95_deg, "°", "tilt_deg", False),
+        ]
+    else:
+        quantities = [
+            ("Step", measured.step_mm, measured.step_u95_mm, "mm", "step_mm", True),
+            ("Width", measured.width_mm, measured.width_u95_mm, "mm", "width_mm", False),
+        ]
+    for column, (name, value, u95, unit, limit_name, sign) in zip(st.columns(2), quantities, strict=True):
+        limit = limits.get(limit_name)
+        with column:
+            st.markdown(f":small[{name}] **{plain(habits.measured(value, u95, unit, sign))}**")
+            if limit is None:
+                st.caption("no limit is known")
+            else:
+                st.plotly_chart(
+                    limit_bar(_float(value), _float(u95), limit, unit, habits),
+                    key=f"bar-{name}",
+                    config={"displayModeBar": False, "staticPlot": True},
+                )
+
+
+def _rivet(desk: Desk, measured: Any, cloud: StoredCloud, limits: dict[str, Limit]) -> None:
+    found = rivet_close_up(cloud, measured)
+    if isinstance(found, str):
+        st.info(f"No close-up: {plain(found)}.")
+        return
+    options = {"displaylogo": False}
+    st.plotly_chart(
+        rivet_section(found, _float(measured.height_mean_mm), limits.get("height_mm"), desk.habits, 240),
+        key="section",
+        config=options,
+    )
+    st.plotly_chart(rivet_map(found, desk.habits, 250), key="rivet-map", config=options)
+
+
+def _seam(desk: Desk, measured: Any, cloud: StoredCloud, neighbours: Any) -> None:
+    found = seam_section(cloud, measured, neighbours)
+    if isinstance(found, str):
+        st.info(f"No section: {plain(found)}.")
+        return
+    st.plotly_chart(seam_figure(found, measured, desk.habits, 360), key="section", config={"displaylogo": False})
+    st.caption(
+        "L1, L2: skin lines of sides A and B. D, G: last points before the gap. D′, G′: ideal edges on the lines. "
+        "H: step, B above A. W: width."
+    )
+
+
+def _float(value: object) -> float | None:
+    return None if _absent(value) else float(value)  # type: ignore[arg-type]
+
+
+def _absent(value: object) -> bool:
+    return value is None or (isinstance(value, float) and value != value)
+
+
+def _texts(values: object) -> list[str]:
+    if isinstance(values, str):
+        try:
+            values = json.loads(values)
+        except ValueError:
+            return [str(values)]
+    return [str(value) for value in values] if hasattr(values, "__iter__") else []

@@ -1,0 +1,116 @@
+"""SQL: questions to the archive that no page answers, read-only."""
+
+from __future__ import annotations
+
+import streamlit as st
+
+from dashboard.frame import Desk, plain
+from dashboard.sql_runner import MOST_ROWS, MOST_SECONDS, run_query
+from dashboard.sql_worker import DISPOSITIONS_COLUMNS
+from metrology.errors import FlushlineError
+from storage.archive.schema import TABLES
+from storage.archive.views import VIEWS
+from storage.saved_queries import SavedQueries
+
+TITLE = "SQL"
+_EXAMPLES = {
+    "Worst rivets of the newest scans": "SELECT * FROM worst_rivets LIMIT 100",
+    "How each panel stands": "SELECT * FROM panel_summary\n"
+    "ORDER BY n_rivets_failing + n_seam_stations_failing DESC\nLIMIT 200",
+    "Steps of each seam": "SELECT * FROM seam_summary ORDER BY step_abs_p95_mm DESC LIMIT 200",
+    "What could not be measured, and why": "SELECT reason, count(*) AS n\nFROM rivets WHERE decision = 'not measured'\n"
+    "GROUP BY reason ORDER BY n DESC",
+    "Rivets that people let pass": "SELECT r.*, d.who, d.comment\nFROM rivets r JOIN dispositions d\n"
+    "ON r.scene_id = d.scene_id AND r.rivet_id = d.feature_id\nWHERE d.disposition = 'use as is'",
+    "Seconds per scene and rig": "SELECT rig_id, count(*) AS scenes, median(seconds_total) AS seconds\n"
+    "FROM scenes GROUP BY rig_id ORDER BY scenes DESC",
+}
+
+
+def render(desk: Desk) -> None:
+    """Show the page."""
+    saved = SavedQueries(desk.archive.root)
+    known = {**_EXAMPLES, **_saved(saved)}
+    left, right = st.columns([9, 4])
+    with right:
+        _describe_tables()
+    with left:
+        _ask(desk, known, saved)
+
+
+def _saved(saved: SavedQueries) -> dict[str, str]:
+    try:
+        return saved.read()
+    except FlushlineError as problem:
+        st.warning(plain(problem), icon=":material/warning:")
+        return {}
+
+
+def _ask(desk: Desk, known: dict[str, str], saved: SavedQueries) -> None:
+    name = st.selectbox("Examples and saved queries", list(known), key="query", bind="query-params")
+    if st.session_state.get("sql_of") != name:
+        st.session_state["sql_of"], st.session_state["sql"] = name, known.get(str(name), "")
+    sql = st.text_area(
+        "Query", key="sql", height=150, help="DuckDB SQL. Ctrl+Enter takes the text over; it can not change anything."
+    )
+    with st.container(horizontal=True, vertical_alignment="bottom"):
+        run = st.button("Run", type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
+        _keep(desk, known, saved, str(name), sql)
+        st.caption(f"at most {desk.habits.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s")
+    if run:
+        st.session_state["answer"] = None
+        try:
+            with st.spinner("Asking the archive …"):
+                st.session_state["answer"] = run_query(desk.archive.root, sql)
+        except FlushlineError as problem:
+            st.error(plain(problem), icon=":material/error:")
+    answer = st.session_state.get("answer")
+    if answer is not None:
+        note = f", the first {desk.habits.whole(len(answer.rows))} shown" if answer.truncated else ""
+        st.caption(f"{'more than ' if answer.truncated else ''}{desk.habits.whole(len(answer.rows))} rows{note}")
+        st.dataframe(answer.rows, hide_index=True, height=330)
+        separator, decimal = (";", ",") if desk.habits.style == "de" else (",", ".")
+        st.download_button(
+            "Download CSV",
+            lambda: answer.rows.to_csv(index=False, sep=separator, decimal=decimal).encode("utf-8-sig"),
+            "query.csv",
+            "text/csv",
+            on_click="ignore",
+            icon=":material/download:",
+        )
+
+
+def _keep(desk: Desk, known: dict[str, str], saved: SavedQueries, chosen: str, sql: str) -> None:
+    """Save this query for everyone, or forget a saved one."""
+    if not desk.person.may_review:
+        return
+    with st.popover("Save", icon=":material/bookmark:"):
+        name = st.text_input("Name", key="query_name", max_chars=80)
+        try:
+            if st.button("Save this query", disabled=not (name or "").strip() or not sql.strip()):
+                saved.save(str(name), sql)
+                st.rerun()
+            if chosen in known and chosen not in _EXAMPLES and st.button(f"Forget {plain(chosen)}"):
+                saved.save(chosen, None)
+                st.rerun()
+        except FlushlineError as problem:
+            st.error(plain(problem))
+
+
+def _describe_tables() -> None:
+    st.markdown("**Tables and views**")
+    with st.container(height=560, border=False):
+        for table in TABLES:
+            with st.expander(f"`{table.name}`"):
+                st.caption(plain(table.comment))
+                _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
+        with st.expander("`dispositions`"):
+            st.caption("The last disposition of each rivet and seam station that has one")
+            _columns([(name, "", comment) for name, comment in DISPOSITIONS_COLUMNS.items()])
+        for view in VIEWS:
+            with st.expander(f"`{view.name}`"):
+                st.caption(plain(view.comment))
+
+
+def _columns(columns: list[tuple[str, str, str]]) -> None:
+    st.markdown("\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(comment)}" for name, kind, comment in columns))

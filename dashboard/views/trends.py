@@ -1,0 +1,207 @@
+"""Trends: is the process steady, and can it hold its limits?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+import streamlit as st
+
+from dashboard.data import Archive
+from dashboard.figures.trends import control_figure, histogram, layout_figure, pareto_figure
+from dashboard.filters import names, newest_scan
+from dashboard.findings import PERIODS, Selection, start_of
+from dashboard.frame import Desk, go, plain
+from dashboard.habits import Habits
+from dashboard.scenes import limits_used
+from dashboard.trends import (
+    FASTENER_TYPE,
+    QUANTITIES,
+    SUBJECTS,
+    Quantity,
+    Subject,
+    capability_of,
+    events,
+    failing_panels,
+    layout,
+    options,
+    series,
+    spread,
+)
+from metrology.statistics import (
+    NELSON_RULES,
+    WESTERN_ELECTRIC_RULES,
+    Capability,
+    Index,
+    RunRule,
+    individuals_chart,
+    pareto,
+    rule_violations,
+)
+from metrology.tolerance import Limit
+
+TITLE = "Trends"
+_RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
+_MEASURES = {"mean value": "mean", "share outside": "outside"}
+
+
+def render(desk: Desk) -> None:
+    """Show the page."""
+    subject, quantity, selection, rules = _choose(desk)
+    if subject is None:
+        st.info("There is nothing of this kind on that panel and station.")
+        return
+    rows = series(desk.archive, subject, quantity, selection)
+    rows = rows[rows["n"] > 0].reset_index(drop=True)
+    limit = _limit(desk.archive, subject, quantity)
+    control, panels, place = st.tabs(["Control chart and capability", "Pareto of panels", "Map of the panel"])
+    with control:
+        if rows.empty:
+            st.info("Nothing was measured here in that time. Choose a longer one, or another feature.")
+        else:
+            _control(desk, rows, subject, quantity, selection, limit, rules)
+    with panels:
+        _pareto(desk, selection)
+    with place:
+        _map(desk, subject, quantity, selection)
+
+
+def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
+    archive = desk.archive
+    boxes = st.columns([1.2, 1.2, 1, 1.2, 1.2, 1.2, 1.2])
+    kind = boxes[0].selectbox("Trend of", list(SUBJECTS), key="what", bind="query-params")
+    panel = station = name = ""
+    if kind != FASTENER_TYPE:
+        panel = boxes[1].selectbox("Panel", names(archive, "panel"), key="panel", bind="query-params") or ""
+    if kind in ("rivet", "seam"):
+        within = Selection(panels=(panel,))
+        station = (
+            boxes[2].selectbox("Station", names(archive, "station", within), key="station", bind="query-params") or ""
+        )
+    if kind != "panel":
+        title = {"rivet": "Rivet", "seam": "Seam", FASTENER_TYPE: "Head Ø, mm"}[kind]
+        known = options(archive, kind, panel, station)
+        name = boxes[3].selectbox(title, known, key="name", bind="query-params") or "" if known else ""
+    quantity = boxes[4].selectbox(
+        "Quantity",
+        SUBJECTS[kind],
+        key="quantity",
+        bind="query-params",
+    )
+    period = boxes[5].selectbox("Scanned", list(PERIODS), key="period", bind="query-params")
+    rules = boxes[6].selectbox("Run rules", list(_RULES), key="rules", bind="query-params")
+    subject = Subject(kind, panel, station, name) if kind == "panel" or name else None
+    return subject, QUANTITIES[quantity], Selection(since=start_of(period, newest_scan(archive))), rules
+
+
+def _limit(archive: Archive, subject: Subject, quantity: Quantity) -> Limit | None:
+    """The limit by which the newest scan was judged."""
+    condition, parameters = ("panel = ?", [subject.panel]) if subject.panel else ("true", [])
+    rows = archive.rows(
+        f"SELECT bundle_path FROM scenes WHERE {condition} ORDER BY captured_at DESC LIMIT 1", parameters
+    )
+    return limits_used(archive, rows["bundle_path"].iloc[0], None).get(quantity.limit) if len(rows) else None
+
+
+def _control(
+    desk: Desk,
+    rows: pd.DataFrame,
+    subject: Subject,
+    quantity: Quantity,
+    selection: Selection,
+    limit: Limit | None,
+    rules: str,
+) -> None:
+    chart = individuals_chart(rows["value"].to_numpy(float))
+    tests = _RULES[rules]
+    violations = rule_violations(chart, tests)
+    left, right = st.columns([7, 4])
+    with left:
+        fig = control_figure(rows, chart, violations, quantity, limit, events(rows), desk.habits)
+        event = st.plotly_chart(
+            fig, key="control", on_select="rerun", selection_mode="points", config={"displaylogo": False}
+        )
+        _open_clicked(event)
+        each = "the mean over each aircraft" if subject.kind in ("panel", FASTENER_TYPE) else "one scan"
+        st.caption(f"Each point is {each}; click one to open the scan. Dashed: tolerance limits.")
+        _rules(rules, tests, violations, len(rows))
+    with right:
+        values = spread(desk.archive, subject, quantity, selection)
+        if values is None:
+            st.info("A distribution needs at least two values.")
+            return
+        st.plotly_chart(histogram(values, quantity, limit, desk.habits), key="histogram", config={"displaylogo": False})
+        _capability(capability_of(subject, rows, values, limit), subject, limit, desk.habits)
+
+
+def _open_clicked(event: Any) -> None:
+    points = event["selection"]["points"] if event else []
+    clicked = next((p.get("customdata") for p in points if p.get("customdata")), None)
+    if clicked:
+        go("scene", scene=str(clicked[0] if isinstance(clicked, (list, tuple)) else clicked))
+
+
+def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n: int) -> None:
+    if not violations:
+        st.markdown(f":green[●] In control: no point breaks a {title} rule ({n} points).")
+        return
+    said = "; ".join(
+        f"**{t.name}** {t.meaning}: {len(violations[t.name])} points" for t in tests if t.name in violations
+    )
+    st.markdown(f":red[✖] Not steady by {title} rules: {said}.")
+
+
+def _capability(found: Capability | None, subject: Subject, limit: Limit | None, habits: Habits) -> None:
+    if found is None:
+        st.caption("No limit is known for this quantity, so there is no capability.")
+        return
+    boxes = st.columns(4)
+    for box, (name, index) in zip(
+        boxes, (("Cp", found.cp), ("Cpk", found.cpk), ("Pp", found.pp), ("Ppk", found.ppk)), strict=True
+    ):
+        box.metric(name, habits.number(index.value, 2) if index else "–")
+        box.caption(_interval(index, habits))
+    if subject.averaged:
+        st.caption("Cp and Cpk need single values in the order of time; they are given for a single rivet.")
+    elif found.cp is None and limit is not None and (limit.lower is None or limit.upper is None):
+        st.caption("Cp and Pp need both limits.")
+    st.caption(
+        f"n {habits.whole(found.n)}, mean {habits.number(found.mean, sign=True)}, "
+        f"σ {habits.number(found.sigma_overall, 4)}; "
+        f"expected outside {habits.percent(found.outside_fraction, 2)}. 95 % intervals; limits {plain(limit)}"
+    )
+
+
+def _interval(index: Index | None, habits: Habits) -> str:
+    return f"{habits.number(index.low, 2)} … {habits.number(index.high, 2)}" if index else "–"
+
+
+def _pareto(desk: Desk, selection: Selection) -> None:
+    bars = pareto(failing_panels(desk.archive, selection))
+    if not bars:
+        st.success("No finding of the newest scans is outside its limits.")
+        return
+    st.plotly_chart(pareto_figure(bars, desk.habits, 380), key="pareto", config={"displaylogo": False})
+    st.caption(
+        "Rivets and seam stations outside their limits on the newest scan of every station, all aircraft together."
+    )
+
+
+def _map(desk: Desk, subject: Subject, quantity: Quantity, selection: Selection) -> None:
+    if not subject.panel:
+        st.info("Choose a rivet, a seam or a panel to see its map.")
+        return
+    measure = st.segmented_control("Colour", list(_MEASURES), default="mean value", key="measure", bind="query-params")
+    rows = layout(desk.archive, subject.panel, quantity, selection)
+    if rows.empty:
+        st.info("Nothing was measured on this panel in that time.")
+        return
+    st.plotly_chart(
+        layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity, desk.habits),
+        key="layout",
+        config={"displaylogo": False},
+    )
+    frame = (
+        "in the panel's frame" if rows.attrs.get("registered") else "as each station's picture shows them, side by side"
+    )
+    st.caption(f"{quantity.title} of panel {plain(subject.panel)}, over all aircraft; places {frame}.")
