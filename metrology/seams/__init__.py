@@ -1,1 +1,8 @@
-"""Seams: detection in the image (paper §3.2), step and width from the cloud (paper §4.2)."""
+"""Seams: their centre lines, and step and width at stations along them (paper §3.2 and §4.2)."""
+
+from metrology.seams.detect import detect_seams
+from metrology.seams.lines import ImageLine, detect_lines
+from metrology.seams.settings import LineSettings, SeamSettings
+from metrology.seams.stations import measure_seams
+
+__all__ = ["ImageLine", "LineSettings", "SeamSettings", "detect_lines", "detect_seams", "measure_seams"]

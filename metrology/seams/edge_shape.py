@@ -1,0 +1,264 @@
+"""The shape that both cameras see of a seam's edges, shared by all its stations: chamfers and blur.
+
+Paper Fig. 8: L1 ends at C, the chamfer runs down to the inflection point D, and the ideal edge D′ is D's projection onto
+L1. A camera shows C where the bright skin ends and D where the chamfer turns into the gap's wall or hides its floor. C
+lies on the skin and is sharp in both views. D lies deeper by an unknown depth d: in a view whose rays lean by the tangent
+t towards the gap (t > 0: it sees this side's wall), the chamfer of width w appears ``a = w + d t`` wide on the skin. Two
+views with different t give w and d; a chamfer is about as deep as wide, which decides where the views lean alike.
+
+A station alone shows too little of this. So the profiles of all stations in a stretch are laid over each other,
+aligned on C, and give a; the stretches then share one chamfer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from metrology.seams.bands import BandFit, fit_bands
+from metrology.seams.blur import EdgeResponse, PixelBlur
+
+Array = NDArray[np.float64]
+
+# Chamfers to begin with, px.
+_START_CHAMFERS_PX = (0.8, 1.6, 3.0)
+# Narrower than this, a chamfer and a blur's tail look alike, px.
+_LEAST_CHAMFER_PX = 0.4
+_STATIONS_PER_STRETCH = 8
+_BIN_PX = 0.05
+_BLUR_BOUNDS = ((0.03, 2.5), (-0.1, 0.24))
+_BLUR_SIMPLEX = np.array([[0.1, 0.15], [0.6, 0.02], [0.3, 0.2]])
+# Least reduction of the residuals' squares, in units of their variance, that proves a second border along a seam.
+_SIGNIFICANT = 50.0
+# What an imperfect blur model leaves in a chamfer's apparent width, however many pixels see it, px: its misfit is a share
+# of the skin's contrast against the chamfer, and moves D by that over the chamfer's contrast against the gap.
+_CHAMFER_FLOOR_PX = 0.02
+# A chamfer's depth is its width give or take this share.
+_DEPTH_SHARE = 0.5
+# A view leaning less than this towards the gap need not see the wall.
+_FACING = 0.05
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What one camera shows of one side's edge at one station.
+
+    Attributes
+    ----------
+    x : (n,) ndarray
+        Into the gap from the skin's border C, on the reference curve, mm.
+    grey : (n,) ndarray
+        Grey levels relative to the skin's.
+    t : float
+        Ray slope, positive where the camera sees this side's wall.
+    px_mm : float
+        Pixels per mm across the seam.
+    gradient : (float, float)
+        Change of x per pixel in u and v, mm.
+    """
+
+    x: Array
+    grey: Array
+    t: float
+    px_mm: float
+    gradient: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What a stretch of one side's edge looks like in one camera.
+
+    Attributes
+    ----------
+    offset_mm, apparent_mm : float
+        Where C lies relative to the profiles' zero, and the chamfer's apparent width a.
+    sigma_mm : float
+        Standard deviation of `apparent_mm`.
+    contrast : float
+        Brightness step at C over that at D.
+    t, px_mm : float
+        As in `Profile`, mean.
+    gain : float
+        By how much a second border lessens the residuals' squares, in units of their variance.
+    """
+
+    offset_mm: float
+    apparent_mm: float
+    sigma_mm: float
+    contrast: float
+    t: float
+    px_mm: float
+    gain: float
+
+
+@dataclass(frozen=True)
+class Chamfer:
+    """One side's chamfer.
+
+    Attributes
+    ----------
+    width_mm, depth_mm : float
+        From C to D, along the skin and down.
+    covariance : (2, 2) ndarray
+    """
+
+    width_mm: float
+    depth_mm: float
+    covariance: Array
+
+    def apparent(self, t: float) -> float:
+        """Width on the skin as seen along rays of slope t, mm."""
+        return max(self.width_mm + self.depth_mm * t, 0.0)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The profiles of a stretch laid over each other, in bins of a fraction of a pixel.
+
+    Attributes
+    ----------
+    x, grey, counts : (n,) ndarray
+        Mean position (mm), mean relative grey level, and number of pixels of each bin.
+    gradient : (float, float)
+    t, px_mm : float
+        As in `Profile`, mean.
+    """
+
+    x: Array
+    grey: Array
+    counts: Array
+    gradient: tuple[float, float]
+    t: float
+    px_mm: float
+
+    @property
+    def pixel(self) -> float:
+        """Change of x per pixel where it changes most, mm."""
+        return float(np.hypot(*self.gradient))
+
+    def fits(self, blur: PixelBlur) -> tuple[BandFit | None, BandFit | None]:
+        """The best fit without and with a chamfer."""
+        response = EdgeResponse.along(self.gradient, blur)
+
+        def fitted(edges: list[float]) -> BandFit | None:
+            return fit_bands(self.x, self.grey, edges, response, slopes=(True, False), counts=self.counts)
+
+        starts = [[-0.3 * self.pixel, (px - 0.3) * self.pixel] for px in _START_CHAMFERS_PX]
+        chamfered = [fit for start in starts if (fit := fitted(start)) is not None and self._sound(fit)]
+        return fitted([0.0]), min(chamfered, key=lambda fit: fit.cost, default=None)
+
+    def _sound(self, fit: BandFit) -> bool:
+        """Whether a fit with a chamfer means one: wide enough to be seen, and not darker than darkness."""
+        return bool(fit.edges[1] - fit.edges[0] > _LEAST_CHAMFER_PX * self.pixel and fit.levels[1] > 0)
+
+
+def stacks(profiles: Sequence[Profile | None]) -> list[Stack]:
+    """Stacks of neighbouring stations' profiles.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile or None
+        One per station, in order, of one side and camera.
+    """
+    found = []
+    for first in range(0, len(profiles), _STATIONS_PER_STRETCH):
+        some = [p for p in profiles[first : first + _STATIONS_PER_STRETCH] if p is not None]
+        if 2 * len(some) >= _STATIONS_PER_STRETCH:
+            found.append(_stack(some))
+    return found
+
+
+def _stack(profiles: Sequence[Profile]) -> Stack:
+    x = np.concatenate([p.x for p in profiles])
+    grey = np.concatenate([p.grey for p in profiles])
+    gradient = np.mean([p.gradient for p in profiles], axis=0)
+    bins = np.floor(x / (_BIN_PX * np.hypot(*gradient))).astype(int)
+    bins -= bins.min()
+    counts = np.bincount(bins)
+    held = counts > 0
+    return Stack(
+        x=np.bincount(bins, x)[held] / counts[held],
+        grey=np.bincount(bins, grey)[held] / counts[held],
+        counts=counts[held].astype(float),
+        gradient=(float(gradient[0]), float(gradient[1])),
+        t=float(np.mean([p.t for p in profiles])),
+        px_mm=float(np.mean([p.px_mm for p in profiles])),
+    )
+
+
+def stretch(stack: Stack, blur: PixelBlur) -> Stretch | None:
+    """What a stretch shows, given the camera's blur."""
+    plain, best = stack.fits(blur)
+    if best is None or plain is None:
+        return None
+    c = best.covariance
+    variance = max(float(c[0, 0] + c[1, 1] - 2 * c[0, 1]), 0.0)
+    apparent = float(best.edges[1] - best.edges[0])
+    return Stretch(
+        offset_mm=float(best.edges[0]),
+        apparent_mm=apparent,
+        sigma_mm=float(np.sqrt(variance)),
+        contrast=float(abs((best.levels[0] - best.levels[1]) / (best.levels[1] - best.levels[2]))),
+        t=stack.t,
+        px_mm=stack.px_mm,
+        gain=best.n * max(plain.cost / best.cost - 1, 0.0),
+    )
+
+
+def estimate_blur(found: Sequence[Stack]) -> PixelBlur:
+    """One camera's blur: the most likely one, given stretches of both sides' edges."""
+    if not found:
+        return PixelBlur()
+
+    def unlikelihood(parameters: Array) -> float:
+        blur = PixelBlur(float(parameters[0]), float(parameters[1]))
+        total = 0.0
+        for stack in found:
+            costs = [fit.cost for fit in stack.fits(blur) if fit is not None]
+            total += 0.5 * len(stack.x) * np.log(min(costs)) if costs else 0.0
+        return total
+
+    best = minimize(
+        unlikelihood,
+        _BLUR_SIMPLEX[0],
+        method="Nelder-Mead",
+        bounds=_BLUR_BOUNDS,
+        options={"initial_simplex": _BLUR_SIMPLEX, "xatol": 0.01, "fatol": 0.5, "maxfev": 60},
+    )
+    return PixelBlur(float(best.x[0]), float(best.x[1]))
+
+
+def solve_chamfer(views: Sequence[Sequence[Stretch]]) -> Chamfer:
+    """Width and depth of one side's chamfer from what each camera's stretches show.
+
+    Least squares on ``a = w + d t``, one row per camera (median of its stretches), and ``d = w`` give or take half of it.
+    """
+    rows, values = [], []
+    facing_without = False
+    for found in views:
+        clear = [s for s in found if s.sigma_mm < 0.5 * s.apparent_mm]
+        if sum(s.gain for s in found) < _SIGNIFICANT or not clear:
+            facing_without |= bool(found) and float(np.median([s.t for s in found])) > _FACING
+            continue
+        apparent = np.array([s.apparent_mm for s in clear])
+        scatter = 1.4826 * np.median(np.abs(apparent - np.median(apparent))) / np.sqrt(len(clear))
+        own = np.median([s.sigma_mm for s in clear]) / np.sqrt(len(clear))
+        floor = _CHAMFER_FLOOR_PX * np.median([s.contrast for s in clear]) / np.median([s.px_mm for s in clear])
+        sigma = np.hypot(max(scatter, own), floor)
+        rows.append(np.array([1.0, np.median([s.t for s in clear])]) / sigma)
+        values.append(np.median(apparent) / sigma)
+    if not rows:
+        # A wall in full view without a chamfer above it; otherwise a chamfer as dark as the gap cannot be excluded.
+        sigma = 0.03 if facing_without else 0.1
+        return Chamfer(0.0, 0.0, np.diag([sigma**2, sigma**2]))
+    scale = _DEPTH_SHARE * float(np.median([v / r[0] for v, r in zip(values, rows, strict=True)]))
+    rows.append(np.array([1.0, -1.0]) / scale)
+    values.append(0.0)
+    design = np.array(rows)
+    covariance = np.linalg.inv(design.T @ design)
+    width, depth = covariance @ design.T @ np.array(values)
+    return Chamfer(float(max(width, 0.0)), float(max(depth, 0.0)), covariance)

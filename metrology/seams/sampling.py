@@ -1,0 +1,104 @@
+"""Pixels of one image around a place, in coordinates across and along a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from metrology.jit import kernel
+
+Array = NDArray[np.float64]
+
+_GRID = np.linspace(-1, 1, 5)
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """Where pixels near a place lie: ``(x, z) = C · (1, a, b, a², ab, b²)`` with (a, b) = pixel − centre.
+
+    Attributes
+    ----------
+    centre : (2,) ndarray
+        u, v, px.
+    coefficients : (2, 6) ndarray
+        Rows for x (across the line) and z (along it), in the unit of those.
+    """
+
+    centre: Array
+    coefficients: Array
+
+    @classmethod
+    def in_image(cls, centre: ArrayLike, normal: ArrayLike) -> LocalMap:
+        """x along the unit `normal`, z across it, both in pixels: for work in one image alone."""
+        nu, nv = np.asarray(normal, float)
+        return cls(np.asarray(centre, float), np.array([[0, nu, nv, 0, 0, 0], [0, -nv, nu, 0, 0, 0.0]]))
+
+    @property
+    def px_per_unit(self) -> float:
+        """Pixels per unit of x, across the line."""
+        gradient = self.coefficients[:, 1:3]
+        return float(np.linalg.norm(np.linalg.inv(gradient)[:, 0]))
+
+    @property
+    def gradient(self) -> tuple[float, float]:
+        """Change of x per pixel in u and in v."""
+        return float(self.coefficients[0, 1]), float(self.coefficients[0, 2])
+
+
+def grid_offsets(half_x: float, half_z: float) -> Array:
+    """(25, 2) x, z of a grid over ±half_x, ±half_z: project the points there and hand the pixels to `fit_map`."""
+    x, z = np.meshgrid(half_x * _GRID, half_z * _GRID)
+    return np.stack([x.ravel(), z.ravel()], axis=-1)
+
+
+def fit_map(offsets: Array, pixels: Array) -> LocalMap:
+    """The map that takes `pixels` (n, 2) to their `offsets` (n, 2): exact to the third order of the patch's size."""
+    centre = pixels.mean(axis=0)
+    a, b = (pixels - centre).T
+    design = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=-1)
+    coefficients, *_ = np.linalg.lstsq(design, offsets, rcond=None)
+    return LocalMap(centre, np.ascontiguousarray(coefficients.T))
+
+
+def sample(
+    image: NDArray[np.float32], local: LocalMap, low_x: float, high_x: float, half_z: float
+) -> tuple[Array, Array, Array]:
+    """Pixels with low_x ≤ x ≤ high_x and |z| ≤ half_z.
+
+    Returns
+    -------
+    x, z, grey : (n,) ndarray
+    """
+    inverse = np.linalg.inv(local.coefficients[:, 1:3])
+    corners = np.array([[low_x, -half_z], [low_x, half_z], [high_x, -half_z], [high_x, half_z]])
+    reach = np.abs((corners - local.coefficients[:, 0]) @ inverse.T).max(axis=0) + 1.5
+    return _sample(image, local.centre, local.coefficients, reach, low_x, high_x, half_z)
+
+
+@kernel
+def _sample(image, centre, coefficients, reach, low_x, high_x, half_z):  # type: ignore[no-untyped-def]
+    """Collect the pixels of a rectangle in (x, z)."""
+    height, width = image.shape
+    u0, u1 = max(0, int(centre[0] - reach[0])), min(width - 1, int(centre[0] + reach[0] + 1))
+    v0, v1 = max(0, int(centre[1] - reach[1])), min(height - 1, int(centre[1] + reach[1] + 1))
+    room = max(0, u1 - u0 + 1) * max(0, v1 - v0 + 1)
+    xs, zs, grey = np.empty(room), np.empty(room), np.empty(room)
+    count = 0
+    for v in range(v0, v1 + 1):
+        b = v - centre[1]
+        for u in range(u0, u1 + 1):
+            a = u - centre[0]
+            x = coefficients[0, 0] + coefficients[0, 1] * a + coefficients[0, 2] * b
+            x += coefficients[0, 3] * a * a + coefficients[0, 4] * a * b + coefficients[0, 5] * b * b
+            if x < low_x or x > high_x:
+                continue
+            z = coefficients[1, 0] + coefficients[1, 1] * a + coefficients[1, 2] * b
+            z += coefficients[1, 3] * a * a + coefficients[1, 4] * a * b + coefficients[1, 5] * b * b
+            value = image[v, u]
+            if abs(z) > half_z or not np.isfinite(value):
+                continue
+            xs[count], zs[count], grey[count] = x, z, value
+            count += 1
+    return xs[:count], zs[:count], grey[:count]

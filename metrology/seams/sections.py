@@ -1,0 +1,257 @@
+"""Cross-sections of a seam: a plane across it at each station, and the two skin lines in that plane (paper §4.2, Fig. 7).
+
+The points within ε_d of the plane are projected onto it. Each side has its line ``h = c_0 + c_1 x + c_2 x²``; both sides
+share the curvature c_2 (one skin, bent as a whole), which a strip of a dozen millimetres on one side alone determines
+poorly. A slope along the seam on each side takes out what the strip's finite length would smear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.jit import kernel
+from metrology.surfaces import Frame
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ROUNDS = 6
+_CLIP_SIGMAS = 4.0
+# Skin lies this near to the frame's plane while the frame is being turned into it.
+_SKIN_BAND_MM = (6.0, 3.0, 3.0)
+
+
+@dataclass(frozen=True)
+class SkinLine:
+    """One side's skin in a section: ``h(x) = c_0 + c_1 x + c_2 x²``.
+
+    Attributes
+    ----------
+    coefficients : (3,) ndarray
+        c_0 (mm), c_1, c_2 (1/mm).
+    n : int
+        Points it rests on.
+    """
+
+    coefficients: Array
+    n: int
+
+    def height(self, x: float) -> float:
+        """h at x, mm."""
+        return float(self.coefficients @ (1.0, x, x * x))
+
+    def slope(self, x: float) -> float:
+        """dh/dx at x."""
+        return float(self.coefficients[1] + 2 * self.coefficients[2] * x)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section plane with both skin lines.
+
+    Attributes
+    ----------
+    frame : Frame
+        x across the seam from side A to side B, y along it, h along the skins' normal towards the rig.
+    a, b : SkinLine
+    covariance : (5, 5) ndarray
+        Of a's c_0, c_1, b's c_0, c_1 and the common c_2.
+    chi : float
+        Residuals over their expected standard deviation; 1 where σ is right.
+    """
+
+    frame: Frame
+    a: SkinLine
+    b: SkinLine
+    covariance: Array
+    chi: float
+
+    def point(self, x: float, h: float, y: float = 0.0) -> Array:
+        """(3,) rig-frame point of section coordinates."""
+        return self.frame.rig(np.array([x, y, h]))
+
+
+def usable_points(reconstruction: Reconstruction) -> Mask:
+    """(h, w) pixels whose points may carry a skin line: present, and not mixed across an edge."""
+    doubtful = reconstruction.flags & np.uint16(MISSING | PixelFlag.EDGE)
+    return reconstruction.valid & (doubtful == 0)
+
+
+def strip(
+    reconstruction: Reconstruction, usable: Mask, centre_px: Array, frame: Frame, half_length: float, extent: float
+) -> Array:
+    """Points near a section plane.
+
+    Parameters
+    ----------
+    usable : (h, w) ndarray of bool
+    centre_px : (2,) ndarray
+        Where the left image shows the frame's origin.
+    half_length : float
+        ε_d, mm.
+    extent : float
+        Largest |x|, mm.
+
+    Returns
+    -------
+    (n, 5) ndarray
+        x, y, h, σ_h and the pixel's index into the flattened image.
+    """
+    rig = reconstruction.rig
+    reach = np.array([[extent, half_length, 0], [-extent, half_length, 0], [extent, -half_length, 0]])
+    corners = rig.left.project(frame.rig(np.concatenate([reach, -reach]))) - centre_px
+    radius = np.ceil(np.abs(corners).max(axis=0)).astype(np.int64) + 2
+    return _strip(
+        reconstruction.points,
+        reconstruction.sigma_z,
+        usable,
+        centre_px,
+        radius,
+        frame.origin,
+        np.ascontiguousarray(frame.axes),
+        half_length,
+        extent,
+    )
+
+
+@kernel
+def _strip(points, sigma_z, usable, centre, radius, origin, axes, half_length, extent):  # type: ignore[no-untyped-def]
+    """Collect points with |x| ≤ extent and |y| ≤ half_length from the pixels around the station."""
+    height, width = usable.shape
+    u0, u1 = max(0, int(centre[0]) - radius[0]), min(width, int(centre[0]) + radius[0] + 1)
+    v0, v1 = max(0, int(centre[1]) - radius[1]), min(height, int(centre[1]) + radius[1] + 1)
+    out = np.empty((max(0, u1 - u0) * max(0, v1 - v0), 5))
+    count = 0
+    for v in range(v0, v1):
+        for u in range(u0, u1):
+            if not usable[v, u]:
+                continue
+            px, py, pz = points[v, u, 0], points[v, u, 1], points[v, u, 2]
+            dx, dy, dz = px - origin[0], py - origin[1], pz - origin[2]
+            x = dx * axes[0, 0] + dy * axes[0, 1] + dz * axes[0, 2]
+            y = dx * axes[1, 0] + dy * axes[1, 1] + dz * axes[1, 2]
+            if abs(x) > extent or abs(y) > half_length:
+                continue
+            along_ray = abs((px * axes[2, 0] + py * axes[2, 1]) / pz + axes[2, 2])
+            out[count, 0] = x
+            out[count, 1] = y
+            out[count, 2] = dx * axes[2, 0] + dy * axes[2, 1] + dz * axes[2, 2]
+            out[count, 3] = sigma_z[v, u] * along_ray
+            out[count, 4] = v * width + u
+            count += 1
+    return out[:count]
+
+
+def fit_skin_lines(
+    points: Array, inner_a: float, inner_b: float, max_height: float
+) -> tuple[Array, Array, float, int, int] | None:
+    """Both skin lines at once by weighted least squares with outliers clipped.
+
+    Parameters
+    ----------
+    points : (n, ≥4) ndarray
+        x, y, h, σ_h.
+    inner_a, inner_b : float
+        Side A is x < inner_a, side B is x > inner_b, mm.
+    max_height : float
+        Points farther from h = 0 than this are not skin.
+
+    Returns
+    -------
+    coefficients (7,), covariance (7, 7), chi, n_a, n_b, or None
+        Of a's c_0, c_1, b's c_0, c_1, common c_2, slopes along the seam on A and B.
+    """
+    x, y, h, sigma = points[:, :4].T
+    side_a, side_b = x < inner_a, x > inner_b
+    keep = (side_a | side_b) & (np.abs(h) < max_height)
+    if min((keep & side_a).sum(), (keep & side_b).sum()) < 10:
+        return None
+    design = np.stack([side_a, x * side_a, side_b, x * side_b, x * x, y * side_a, y * side_b], axis=-1)
+    weighted, target = design / sigma[:, None], h / sigma
+    solution = np.zeros(7)
+    spread = 1.0
+    for _ in range(_ROUNDS):
+        kept = weighted[keep]
+        normal = kept.T @ kept
+        try:
+            solution = np.linalg.solve(normal, kept.T @ target[keep])
+        except np.linalg.LinAlgError:
+            return None
+        residual = target - weighted @ solution
+        spread = 1.4826 * float(np.median(np.abs(residual[keep]))) + 1e-9
+        now = (side_a | side_b) & (np.abs(residual) < _CLIP_SIGMAS * spread)
+        if min((now & side_a).sum(), (now & side_b).sum()) < 10:
+            return None
+        if np.array_equal(now, keep):
+            break
+        keep = now
+    covariance = np.linalg.inv(normal) * spread**2
+    return solution, covariance, spread, int((keep & side_a).sum()), int((keep & side_b).sum())
+
+
+def section_at(
+    reconstruction: Reconstruction,
+    usable: Mask,
+    origin: Array,
+    direction: Array,
+    towards_b: Array,
+    centre_px: Array,
+    inner: tuple[float, float],
+    outer: tuple[float, float],
+    half_length: float,
+    min_points: int,
+) -> Section | str:
+    """The section of a station, or the reason why there is none.
+
+    Parameters
+    ----------
+    usable : (h, w) ndarray of bool
+    origin, direction : (3,) ndarray
+        Point of the centre line on the skin, and the line's unit tangent.
+    towards_b : (3,) ndarray
+        Roughly from side A to side B.
+    centre_px : (2,) ndarray
+        The origin in the left image.
+    inner, outer : (float, float)
+        Where the skin line of A and that of B begins and ends, as distances from the centre line, mm.
+    half_length : float
+        ε_d, mm.
+    min_points : int
+        Fewest points of a skin line.
+    """
+    view = origin / np.linalg.norm(origin)
+    frame = _frame(origin, direction, towards_b, -view)
+    for turn in range(3):
+        points = strip(reconstruction, usable, centre_px, frame, half_length, max(outer))
+        side_ok = np.where(points[:, 0] < 0, -points[:, 0] <= outer[0], points[:, 0] <= outer[1])
+        fitted = fit_skin_lines(points[side_ok], -inner[0], inner[1], _SKIN_BAND_MM[turn])
+        if fitted is None:
+            return "too few points of skin beside the seam"
+        solution, covariance, chi, n_a, n_b = fitted
+        slope = 0.5 * (solution[1] + solution[3])
+        along = 0.5 * (solution[5] + solution[6])
+        if turn == 2:
+            break
+        normal = frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1]
+        frame = _frame(origin, direction, towards_b, normal)
+    if min(n_a, n_b) < min_points:
+        side, n = ("A", n_a) if n_a <= n_b else ("B", n_b)
+        return f"{n} points of skin on side {side}, {min_points} needed"
+    a = SkinLine(np.array([solution[0], solution[1], solution[4]]), n_a)
+    b = SkinLine(np.array([solution[2], solution[3], solution[4]]), n_b)
+    return Section(frame, a, b, covariance[:5, :5], chi)
+
+
+def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:
+    """x across from A to B, h along the normal, y along the seam (right-handed: either way along it)."""
+    across = np.cross(direction, normal)
+    across /= np.linalg.norm(across)
+    if across @ towards_b < 0:
+        across = -across
+    # The section plane is normal to the seam, so the frame's y is the seam's direction and h follows from it.
+    along = direction if np.cross(across, direction) @ normal > 0 else -direction
+    return Frame(origin, np.stack([across, along, np.cross(across, along)]))

@@ -1,0 +1,123 @@
+"""What a user may set about seams; units and meaning beside each value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from metrology.errors import UsageError
+
+EdgeMethod = Literal["image", "points"]
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """Settings of line detection in one image.
+
+    Attributes
+    ----------
+    min_contrast : float
+        Least darkness (or brightness) of a line relative to the skin beside it.
+    noise_sigmas : float
+        Least line strength in standard deviations of what noise and surface grain give.
+    min_length_px : float
+        Shortest line reported.
+    min_segment_px : float
+        Shortest straight piece that may become part of a line.
+    straightness_px : float
+        How far points of a straight piece may lie from it.
+    max_gap_px : float
+        Longest interruption of one line: a rivet head, a highlight.
+    max_bend_deg : float
+        Largest angle between neighbouring pieces of one line.
+    coarsest_level : int
+        Lines are sought in the image reduced 2, 4 … 2^coarsest_level times; the last finds the widest bands.
+    seed : int
+        Of the random samples that straight pieces are found with.
+    """
+
+    min_contrast: float = 0.08
+    noise_sigmas: float = 6.0
+    min_length_px: float = 150.0
+    min_segment_px: float = 30.0
+    straightness_px: float = 1.5
+    max_gap_px: float = 120.0
+    max_bend_deg: float = 6.0
+    coarsest_level: int = 3
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.min_contrast < 1:
+            raise UsageError(f"min_contrast: found {self.min_contrast:g}, expected 0 … 1")
+        for name in ("noise_sigmas", "min_length_px", "min_segment_px", "straightness_px", "max_bend_deg"):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"{name}: found {getattr(self, name):g}, expected more than 0")
+        if self.max_gap_px < 0:
+            raise UsageError(f"max_gap_px: found {self.max_gap_px:g}, expected 0 or more")
+        if not 1 <= self.coarsest_level <= 5:
+            raise UsageError(f"coarsest_level: found {self.coarsest_level}, expected 1 … 5")
+
+
+@dataclass(frozen=True)
+class SeamSettings:
+    """Settings of seam detection and measurement.
+
+    Attributes
+    ----------
+    lines : LineSettings
+    min_step_mm : float
+        Step between the two skins from which a line without a groove counts as a seam.
+    min_groove_mm : float
+        How much deeper than the skins a groove must be.
+    edges : "image" or "points"
+        Where the gap's edges come from: the grey-level model in both images, or the paper's piecewise fit of points.
+    station_step_mm : float
+        Distance between stations along the seam.
+    half_length_mm : float
+        ε_d: points and pixels this near to a station's section plane belong to it (paper: 1–2 mm).
+    skin_extent_mm : float
+        How far from the edge the skin lines are fitted.
+    guard_px : float
+        Points nearer to an edge than this are mixed with what lies behind it and stay out of the skin lines.
+    min_points : int
+        Fewest points of a skin line.
+    min_edge_snr : float
+        Least ratio of an edge's contrast to the noise around it.
+    merge_angle_deg : float
+        θ: neighbouring pieces with a smaller angle are one line (`edges: points`; paper: 20°).
+    tolerance_sigmas : float
+        ε in units of the measured point noise (`edges: points`; paper: 5).
+    """
+
+    lines: LineSettings = field(default_factory=LineSettings)
+    min_step_mm: float = 0.03
+    min_groove_mm: float = 0.15
+    edges: EdgeMethod = "image"
+    station_step_mm: float = 2.0
+    half_length_mm: float = 2.0
+    skin_extent_mm: float = 14.0
+    guard_px: float = 4.0
+    min_points: int = 150
+    min_edge_snr: float = 3.0
+    merge_angle_deg: float = 20.0
+    tolerance_sigmas: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.edges not in ("image", "points"):
+            raise UsageError(f"edges: found {self.edges!r}, expected 'image' or 'points'")
+        positive = (
+            "min_step_mm",
+            "min_groove_mm",
+            "station_step_mm",
+            "half_length_mm",
+            "skin_extent_mm",
+            "min_points",
+            "min_edge_snr",
+            "merge_angle_deg",
+            "tolerance_sigmas",
+        )
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise UsageError(f"{name}: found {getattr(self, name):g}, expected more than 0")
+        if self.guard_px < 0:
+            raise UsageError(f"guard_px: found {self.guard_px:g}, expected 0 or more")
