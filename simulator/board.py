@@ -107,7 +107,8 @@ def _pack(board: PrintedBoard) -> _Print:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
         size = dictionary.markerSize + 2
         count = board.cols * board.rows // 2
-        modules = np.stack([cv2.aruco.generateImageMarker(dictionary, k, size) for k in range(count)]) // 255
+        markers = [cv2.aruco.generateImageMarker(dictionary, k, size) // 255 for k in range(count)]
+        modules = np.stack(markers).astype(np.uint8)
     return _Print(
         _KINDS.index(board.kind), board.cols, board.rows, board.spacing_mm, board.dot_diameter_mm / 2,
         board.marker_mm, np.array(board.corners_mm), board.paper, board.ink, np.ascontiguousarray(modules, np.uint8),
@@ -169,8 +170,11 @@ def _build(source_fingerprint: int) -> tuple[Any, Any]:
                     values[i, j, k] = _printed(board, p[0], p[1])
 
     @entry
-    def gather(board, camera, centre, projector, source, level, reference, ambient_level, few, many, d, p, busy, top,
-               first, column, row, direct, ambient):  # type: ignore[no-untyped-def]  # fmt: skip
+    def gather(  # type: ignore[no-untyped-def]
+        board, camera, centre, projector, source, level, reference, ambient_level, few, many, d, p, busy, top,
+        first, column, row, direct, ambient,
+    ):  # fmt: skip
+        """All samples of some rows."""
         width = busy.shape[1]
         for i in range(busy.shape[0] if source_fingerprint else 0):
             for j in range(width):

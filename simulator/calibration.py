@@ -27,7 +27,7 @@ Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class DotGrid:
-    """The projected dots, bright on black, at `origin_px + ((2c + r mod 2) s, r s)`; `markers` are larger (row, col)."""
+    """Projected dots, bright on black, at `origin_px + ((2c + r mod 2) s, r s)`; `markers` (row, col) are larger."""
 
     cols: int = 13
     rows: int = 16
@@ -227,4 +227,5 @@ def _shoot(
 def _capture(light: Float32, settings: CaptureSettings, rng: np.random.Generator) -> Picture:
     if light.ndim == 2:
         return settings.sensor.capture(light, 1.0, rng)
-    return np.stack([settings.sensor.capture(frame, 1.0, rng) for frame in light])
+    frames: Picture = np.stack([settings.sensor.capture(frame, 1.0, rng) for frame in light])
+    return frames

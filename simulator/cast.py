@@ -12,7 +12,18 @@ import math
 from simulator.compiled import kernel
 from simulator.relief import (
     BACKGROUND,
+    CABLE,
     COURSE,
+    F_ABOVE,
+    F_BACKGROUND,
+    F_BELOW,
+    F_ORIGIN_X,
+    F_ORIGIN_Y,
+    F_X_MAX,
+    F_X_MIN,
+    F_Y_MAX,
+    F_Y_MIN,
+    HEAD,
     PLATE,
     R_HEAD_GX,
     R_HEAD_GY,
@@ -25,6 +36,7 @@ from simulator.relief import (
     R_RING_GY,
     R_RING_X,
     R_RING_Y,
+    R_SIZE,
     R_SLOT_COS,
     R_SLOT_CROSS,
     R_SLOT_LENGTH,
@@ -54,28 +66,32 @@ _WALL_TOLERANCE = 1e-9  # mm: less than that below a piece is rounding, not a wa
 
 
 @kernel
-def _meet_skin(relief: Relief, o: Floats, d: Floats, lift: float) -> float:
-    """Ray parameter where o + λ d meets the skin raised by `lift`, to about a micrometre: tells where to look."""
-    a = (lift - o[2]) / d[2]
-    fa = o[2] + a * d[2] - skin_height(relief.skin, o[0] + a * d[0], o[1] + a * d[1]) - lift
-    b = a - fa / d[2]
+def _meet_skin(relief: Relief, o: Floats, d: Floats, guess: float) -> tuple[float, float]:
+    """About where o + λ d meets the undisturbed skin, to a micrometre, and how fast it nears it there (mm per λ)."""
+    a = guess
+    fa = o[2] + a * d[2] - skin_height(relief.frame, o[0] + a * d[0], o[1] + a * d[1])
+    b, rate = a - fa / d[2], d[2]
     for _ in range(50):
-        fb = o[2] + b * d[2] - skin_height(relief.skin, o[0] + b * d[0], o[1] + b * d[1]) - lift
-        if fb == fa or abs(b - a) < 1e-2:
+        fb = o[2] + b * d[2] - skin_height(relief.frame, o[0] + b * d[0], o[1] + b * d[1])
+        if fb == fa:
             break
-        a, b, fa = b, b - fb * (b - a) / (fb - fa), fb
-    return b
+        step = abs(b - a)
+        rate = (fb - fa) / (b - a)
+        a, b, fa = b, b - fb / rate, fb
+        if step < 1e-1:
+            break
+    return b, rate
 
 
 @kernel
-def _meet_plate(relief: Relief, o: Floats, d: Floats, sides: int, start: float) -> float:
-    """Where it meets a plate with its step, exactly, from a start nearby (secant method)."""
+def _meet_plate(relief: Relief, o: Floats, d: Floats, sides: int, start: float, rate: float) -> float:
+    """Where it meets a plate with its step, exactly, from the skin nearby (secant method)."""
     a = start
     fa = o[2] + a * d[2] - plate_height(relief, o[0] + a * d[0], o[1] + a * d[1], sides, -1)
-    b = a - fa / d[2]
+    b = a - fa / rate
     for _ in range(50):
         fb = o[2] + b * d[2] - plate_height(relief, o[0] + b * d[0], o[1] + b * d[1], sides, -1)
-        if fb == fa:
+        if abs(fb) < 1e-12 or fb == fa:
             break
         c = b - fb * (b - a) / (fb - fa)
         if abs(c - b) < _TOLERANCE:
@@ -130,11 +146,9 @@ def _add_rivet(borders, n, low, high, o, d, relief, r):  # type: ignore[no-untyp
         return n
     n = _add_circle(borders, n, low, high, o, d, rivet[R_HEAD_X], rivet[R_HEAD_Y], rivet[R_HEAD_GX],
                     rivet[R_HEAD_GY], rivet[R_RADIUS])  # fmt: skip
-    for k in range(relief.arcs.shape[1]):
-        if math.isnan(relief.arcs[r, k, 0]):
-            break
-        for e in range(2):
-            angle = relief.arcs[r, k, e]
+    for k in range(R_SIZE, relief.rivets.shape[1]):
+        angle = relief.rivets[r, k]
+        if not math.isnan(angle):
             n = _add_line(borders, n, low, high, o, d, rivet[R_RING_X], rivet[R_RING_Y],
                           -math.sin(angle), math.cos(angle))  # fmt: skip
     if rivet[R_SLOT_WIDTH] > 0.0:
@@ -196,20 +210,20 @@ def _borders(relief, o, d, low, high, row, column, beside, borders):  # type: ig
     """All borders crossed between `low` and `high`, in order, with both ends; returns how many."""
     n = 1
     if row >= 0:
-        for k in range(relief.cells.shape[2]):
+        for k in range(relief.cells.shape[2] - 1):
             r = relief.cells[row, column, k]
             if r < 0:
                 break
             n = _add_rivet(borders, n, low, high, o, d, relief, r)
-    if beside or (row >= 0 and relief.near_seam[row, column]):
+    if beside or (row >= 0 and relief.cells[row, column, -1] > 0):
         for s in range(relief.seams.shape[0]):
             n = _add_seam(borders, n, low, high, o, d, relief, s)
     if beside:
-        limits = relief.limits
-        n = _add_line(borders, n, low, high, o, d, limits[0], 0.0, 1.0, 0.0)
-        n = _add_line(borders, n, low, high, o, d, limits[1], 0.0, 1.0, 0.0)
-        n = _add_line(borders, n, low, high, o, d, 0.0, limits[2], 0.0, 1.0)
-        n = _add_line(borders, n, low, high, o, d, 0.0, limits[3], 0.0, 1.0)
+        frame = relief.frame
+        n = _add_line(borders, n, low, high, o, d, frame[F_X_MIN], 0.0, 1.0, 0.0)
+        n = _add_line(borders, n, low, high, o, d, frame[F_X_MAX], 0.0, 1.0, 0.0)
+        n = _add_line(borders, n, low, high, o, d, 0.0, frame[F_Y_MIN], 0.0, 1.0)
+        n = _add_line(borders, n, low, high, o, d, 0.0, frame[F_Y_MAX], 0.0, 1.0)
     borders[0, 0] = low
     for i in range(2, n):
         at, nx, ny = borders[i, 0], borders[i, 1], borders[i, 2]
@@ -226,11 +240,11 @@ def _borders(relief, o, d, low, high, row, column, beside, borders):  # type: ig
 @kernel
 def cell_of(relief: Relief, x: float, y: float) -> tuple[int, int]:
     """Row and column of the cell of (x, y); (−1, −1) outside or where no rivet and no seam is near."""
-    column = math.floor(x - relief.origin[0])
-    row = math.floor(y - relief.origin[1])
+    column = math.floor(x - relief.frame[F_ORIGIN_X])
+    row = math.floor(y - relief.frame[F_ORIGIN_Y])
     if row < 0 or column < 0 or row >= relief.cells.shape[0] or column >= relief.cells.shape[1]:
         return -1, -1
-    if relief.cells[row, column, 0] < 0 and not relief.near_seam[row, column]:
+    if relief.cells[row, column, 0] < 0 and relief.cells[row, column, -1] == 0:
         return -1, -1
     return row, column
 
@@ -238,9 +252,10 @@ def cell_of(relief: Relief, x: float, y: float) -> tuple[int, int]:
 @kernel
 def beside_border(relief: Relief, x: float, y: float) -> bool:
     """Whether a ray that meets the skin at (x, y) may pass the panel's border."""
-    limits, margin = relief.limits, relief.reach[0] + relief.reach[1] + 1.0
-    inner_x = x > limits[0] + margin and x < limits[1] - margin
-    return not (inner_x and y > limits[2] + margin and y < limits[3] - margin)
+    frame = relief.frame
+    margin = frame[F_ABOVE] + frame[F_BELOW] + 1.0
+    inner_x = x > frame[F_X_MIN] + margin and x < frame[F_X_MAX] - margin
+    return not (inner_x and y > frame[F_Y_MIN] + margin and y < frame[F_Y_MAX] - margin)
 
 
 @kernel
@@ -273,23 +288,24 @@ def _root(relief, kind, index, sides, o, d, a, b, fa, fb):  # type: ignore[no-un
 
 
 @kernel
-def cast(relief, o, d, borders):  # type: ignore[no-untyped-def]
-    """First meeting of the ray o + λ d (d[2] < 0, from above) with the panel or the background.
+def cast(relief, o, d, guess, borders):  # type: ignore[no-untyped-def]
+    """First meeting of the ray o + λ d (d[2] < 0, from above) with the panel or the background; `guess` is about where.
 
     Returns
     -------
     λ, kind, index, sides, wall_x, wall_y
         Kind is the piece behind a wall where the wall normal is not zero.
     """
-    skin = _meet_skin(relief, o, d, 0.0)
+    skin, rate = _meet_skin(relief, o, d, guess)
     x, y = o[0] + skin * d[0], o[1] + skin * d[1]
     row, column = cell_of(relief, x, y)
     beside = beside_border(relief, x, y)
     if row < 0 and not beside:
         sides = sides_of(relief, x, y)
-        return _meet_plate(relief, o, d, sides, skin), PLATE, 0, sides, 0.0, 0.0
-    low = _meet_skin(relief, o, d, relief.reach[0])
-    high = (relief.limits[4] - o[2]) / d[2] if beside else _meet_skin(relief, o, d, -relief.reach[1])
+        return _meet_plate(relief, o, d, sides, skin, rate), PLATE, 0, sides, 0.0, 0.0
+    # The reach is generous, so the skin's slope at one place will do.
+    low = skin + 1.1 * relief.frame[F_ABOVE] / rate
+    high = (relief.frame[F_BACKGROUND] - o[2]) / d[2] if beside else skin - 1.1 * relief.frame[F_BELOW] / rate
     n = _borders(relief, o, d, low, high + 1e-6, row, column, beside, borders)
     kind, index, sides = PLATE, 0, 0
     for i in range(n - 1):
@@ -328,7 +344,8 @@ def lit(relief, p, light, borders):  # type: ignore[no-untyped-def]
         d[k] /= norm
     if d[2] <= 0.0:
         return False
-    high = _meet_skin(relief, p, d, relief.reach[0])
+    skin, rate = _meet_skin(relief, p, d, 0.0)
+    high = skin + 1.1 * relief.frame[F_ABOVE] / rate
     if high <= 0.0:
         return True
     n = _borders(relief, p, d, 0.0, high, row, column, beside, borders)
@@ -340,8 +357,12 @@ def lit(relief, p, light, borders):  # type: ignore[no-untyped-def]
         kind, index, sides = piece_at(relief, row, column, p[0] + middle * d[0], p[1] + middle * d[1])
         if kind == BACKGROUND:
             continue
-        # A smooth piece seen along a ray bulges less than the middle of its interval tells.
-        for k in range(3):
+        # The ray starts on the surface and ends above everything.
+        first = 1 if i == 0 else 0
+        last = 2 if i == n - 2 else 3
+        if kind not in (HEAD, CABLE) and n == 2:
+            return True
+        for k in range(first, last):
             if _excess(relief, kind, index, sides, p, d, a + 0.5 * k * (b - a)) < -1e-7:
                 return False
     return True

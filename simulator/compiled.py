@@ -1,8 +1,8 @@
 """How the simulator's kernels are compiled.
 
 Inner kernels are compiled into the few that Python calls, and only those are cached on disk. Numba's cache notices a
-change of the file a kernel stands in, not of the kernels it calls from other files; it does take a closure's values into
-its key, so an entry kernel is built with the fingerprint of the files it draws from.
+change of the file a kernel stands in, not of the kernels it calls from other files; it does take a closure's values
+into its key, so an entry kernel is built with the fingerprint of the files it draws from.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, PPoly
 
 from metrology.errors import SpecError
@@ -12,6 +13,8 @@ from simulator import relief as r
 from simulator.panel import Cable, Hole, Panel, Rivet, Seam
 from simulator.relief import Floats, Relief
 from simulator.survey import sides_at, survey
+
+Mask = NDArray[np.bool_]
 
 CORNER_MM = 4.0  # half length over which a polyline's corners are rounded
 _STEEPEST = 1.0  # tangent of the steepest angle against the panel's normal at which a ray may come in
@@ -23,39 +26,31 @@ def pack(panel: Panel) -> Relief:
     Rivets rest on the skin with its steps, so the seams are packed first.
     """
     lines: list[Seam | Cable] = [*panel.seams, *panel.cables]
-    bare = Relief(
-        skin=_skin(panel), limits=_limits(panel), rivets=np.zeros((0, r.R_SIZE)), arcs=np.zeros((0, 1, 2)),
-        seams=np.array([_line(line) for line in lines]).reshape(-1, r.S_SIZE),
-        **_tables(lines), bounds=np.full((len(lines), 2, 2), -1, np.int64),
-        cells=np.full((1, 1, 1), -1, np.int32), near_seam=np.zeros((1, 1), bool), origin=np.zeros(2),
-        reach=np.zeros(2),
-    )  # fmt: skip
-    bare = bare._replace(bounds=_bounds(panel, bare))
+    seams = np.array([_line(line) for line in lines]).reshape(-1, r.S_SIZE)
+    bare = Relief(_frame(panel), np.zeros((0, r.R_SIZE)), np.hstack([seams, _tables(lines)]), _cells((1, 1), [], None))
+    _bind(panel, bare)
     items: list[Rivet | Hole] = [*panel.rivets, *panel.holes]
     rivets = [_rivet(i, bare) if isinstance(i, Rivet) else _hole(i, bare) for i in items]
-    packed = bare._replace(rivets=np.array(rivets).reshape(-1, r.R_SIZE), arcs=_arcs(items), reach=_reach(panel))
-    return _with_cells(packed)
+    return _with_cells(bare._replace(rivets=np.hstack([np.array(rivets).reshape(-1, r.R_SIZE), _arcs(items)])))
 
 
-def _skin(panel: Panel) -> Floats:
+def _frame(panel: Panel) -> Floats:
     skin = panel.skin
     direction, wave = math.radians(skin.direction_deg), math.radians(skin.wave_direction_deg)
     number = 2 * math.pi / skin.wavelength_mm
+    x, y = panel.width_mm / 2, panel.height_mm / 2
     return np.array([
         1 / skin.radius_1_mm, 1 / skin.radius_2_mm, math.cos(direction), math.sin(direction), skin.waviness_mm,
         number * math.cos(wave), number * math.sin(wave), math.radians(skin.wave_phase_deg),
+        -x, x, -y, y, -panel.background_mm, -x - 1.0, -y - 1.0, *_reach(panel),
     ])  # fmt: skip
-
-
-def _limits(panel: Panel) -> Floats:
-    x, y = panel.width_mm / 2, panel.height_mm / 2
-    return np.array([-x, x, -y, y, -panel.background_mm])
 
 
 def _line(line: Seam | Cable) -> Floats:
     start, end = np.array(line.points_mm[0]), np.array(line.points_mm[-1])
     along = (end - start) / np.linalg.norm(end - start)
     row = np.zeros(r.S_SIZE)
+    row[[r.S_BOUNDS, r.S_BOUNDS + 2]] = -1.0
     row[[r.S_X, r.S_Y, r.S_EX, r.S_EY]] = [*start, *along]
     if isinstance(line, Cable):
         row[[r.S_CABLE, r.S_FLOOR_REFLECTANCE, r.S_FILLED]] = 1.0, line.reflectance, 1.0
@@ -131,8 +126,8 @@ def _profile(values: tuple[float, ...], length: float) -> PPoly:
     return PPoly(np.column_stack([first, inner.c, last]), np.array([-500.0, *inner.x, length + 500.0]))
 
 
-def _tables(lines: list[Seam | Cable]) -> dict[str, Floats]:
-    """Piecewise cubics of all lines, padded to equal length."""
+def _tables(lines: list[Seam | Cable]) -> Floats:
+    """(lines, 15 size) piecewise cubics of all lines as `relief.table` reads them, padded to equal length."""
     rows = []
     for line in lines:
         length = float(_chord_coordinates(line)[-1, 0])
@@ -140,27 +135,26 @@ def _tables(lines: list[Seam | Cable]) -> dict[str, Floats]:
         step = line.step_mm if isinstance(line, Seam) else (0.0,)
         rows.append((course(line), _profile(width, length), _profile(step, length)))
     size = max((p.c.shape[1] for row in rows for p in row), default=1)
-    breaks = np.full((len(lines), 3, size + 1), np.inf)
-    coefficients = np.zeros((len(lines), 3, size, 4))
+    tables = np.zeros((len(lines), 3, 5 * size))
+    tables[:, :, :size] = np.inf
     for i, row in enumerate(rows):
         for k, p in enumerate(row):
             n = p.c.shape[1]
-            breaks[i, k, :n] = p.x[:-1]
-            coefficients[i, k, :n] = p.c.T
-    return {"seam_breaks": breaks, "seam_coefficients": coefficients}
+            tables[i, k, :n] = p.x[:-1]
+            tables[i, k, size : size + 4 * n] = p.c.T.ravel()
+    return tables.reshape(len(lines), 15 * size)
 
 
-def _bounds(panel: Panel, bare: Relief) -> r.Ints:
-    """For seams that begin or end at another: that one's index and the side of it on which they lie."""
+def _bind(panel: Panel, bare: Relief) -> None:
+    """Note in the seams that begin or end at another: that one's index and the side of it on which they lie."""
     index = {seam.id: k for k, seam in enumerate(panel.seams)}
-    bounds = np.full((len(bare.seams), 2, 2), -1, np.int64)
     for k, seam in enumerate(panel.seams):
         middle = np.array(seam.points_mm).mean(axis=0)
         sides = int(sides_at(bare, middle[:1], middle[1:])[0])
         for end, other in enumerate((seam.starts_at, seam.ends_at)):
             if other is not None:
-                bounds[k, end] = index[other], (sides >> index[other]) & 1
-    return bounds
+                column = r.S_BOUNDS + 2 * end
+                bare.seams[k, column : column + 2] = index[other], (sides >> index[other]) & 1
 
 
 def head_pose(rivet: Rivet, height: float, normal: Floats) -> tuple[Floats, Floats]:
@@ -206,7 +200,7 @@ def _hole(hole: Hole, bare: Relief) -> Floats:
 
 
 def _arcs(items: list[Rivet | Hole]) -> Floats:
-    """Open arcs of all rings in rad; a ring open all around is one arc of a full turn."""
+    """(items, 2 arcs) open arcs of all rings in rad; a ring open all around is one arc of a full turn."""
     full = ((0.0, 360.0),)
     rows = [full if isinstance(i, Hole) or i.arcs_deg is None else i.arcs_deg for i in items]
     arcs = np.full((len(items), max((len(row) for row in rows), default=1) or 1, 2), np.nan)
@@ -215,10 +209,10 @@ def _arcs(items: list[Rivet | Hole]) -> Floats:
             arcs[k, : len(row)] = np.radians(row)
             # A full turn has no ends; a little over it leaves none to rounding.
             arcs[k, : len(row), 1] += np.where(np.ptp(arcs[k, : len(row)], axis=1) > 2 * np.pi - 1e-6, 1e-6, 0)
-    return arcs
+    return arcs.reshape(len(items), -1)
 
 
-def _reach(panel: Panel) -> Floats:
+def _reach(panel: Panel) -> tuple[float, float]:
     """The most that anything stands above the undisturbed skin and lies below it."""
     plates = 0.5 * sum(max(abs(s) for s in seam.step_mm) for seam in panel.seams)
     up, down = [0.0], [0.0]
@@ -232,30 +226,37 @@ def _reach(panel: Panel) -> Floats:
     down += [hole.depth_mm for hole in panel.holes]
     for seam in panel.seams:
         down.append(max(seam.depth_mm, seam.chamfer_mm * math.tan(math.radians(seam.chamfer_deg))))
-    return np.array([max(up) + plates + 0.05, max(down) + plates + 0.05])
+    return max(up) + plates + 0.05, max(down) + plates + 0.05
 
 
 def _with_cells(packed: Relief) -> Relief:
     """Fill the grid that tells which rivets and whether a seam may be met near a place."""
-    limits, margin = packed.limits, _STEEPEST * float(packed.reach.sum()) + 1.5
-    origin = np.array([limits[0], limits[2]]) - 1.0
-    shape = (int(np.ceil(limits[3] - origin[1])) + 2, int(np.ceil(limits[1] - origin[0])) + 2)
+    frame = packed.frame
+    margin = _STEEPEST * float(frame[r.F_ABOVE] + frame[r.F_BELOW]) + 1.5
+    width, height = frame[r.F_X_MAX] - frame[r.F_X_MIN], frame[r.F_Y_MAX] - frame[r.F_Y_MIN]
+    shape = (math.ceil(height) + 3, math.ceil(width) + 3)
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
-    x, y = x + origin[0], y + origin[1]
+    x, y = x + frame[r.F_ORIGIN_X], y + frame[r.F_ORIGIN_Y]
     near = [
         np.hypot(x - rivet[r.R_RING_X], y - rivet[r.R_RING_Y]) < rivet[r.R_OUTER] + margin for rivet in packed.rivets
     ]
-    count = np.sum(near, axis=0, dtype=int) if near else np.zeros(shape, int)
-    cells = np.full((*shape, max(1, int(count.max()) + 1)), -1, np.int32)
+    return packed._replace(cells=_cells(shape, near, _near_seam(packed, x, y, margin)))
+
+
+def _cells(shape: tuple[int, int], near: list[Mask], near_seam: Mask | None) -> NDArray[np.int32]:
+    """The grid from one mask per rivet and one for all seams."""
+    most = int(np.sum(near, axis=0).max()) if near else 0
+    cells = np.full((*shape, most + 2), -1, np.int32)
     filled = np.zeros(shape, int)
     for k, mask in enumerate(near):
         rows, columns = np.nonzero(mask)
         cells[rows, columns, filled[rows, columns]] = k
         filled[rows, columns] += 1
-    return packed._replace(cells=cells, near_seam=_near_seam(packed, x, y, margin), origin=origin)
+    cells[..., -1] = 0 if near_seam is None else near_seam
+    return cells
 
 
-def _near_seam(packed: Relief, x: Floats, y: Floats, margin: float) -> np.ndarray:
+def _near_seam(packed: Relief, x: Floats, y: Floats, margin: float) -> Mask:
     near = np.zeros(x.shape, bool)
     for k, seam in enumerate(packed.seams):
         dx, dy = x - seam[r.S_X], y - seam[r.S_Y]
@@ -268,9 +269,11 @@ def _near_seam(packed: Relief, x: Floats, y: Floats, margin: float) -> np.ndarra
 
 def evaluate(packed: Relief, seam: int, which: int, xi: Floats, derivative: int = 0) -> Floats:
     """A seam's course, width or step at distances along its chord (numpy twin of `relief.table`)."""
-    breaks = packed.seam_breaks[seam, which]
-    i = np.clip(np.searchsorted(breaks[:-1], xi, side="right") - 1, 0, None)
-    c, u = packed.seam_coefficients[seam, which][i], xi - breaks[i]
+    pieces = (packed.seams.shape[1] - r.S_SIZE) // 15
+    table = packed.seams[seam, r.S_SIZE :].reshape(3, 5 * pieces)[which]
+    breaks = table[:pieces]
+    i = np.clip(np.searchsorted(breaks, xi, side="right") - 1, 0, None)
+    c, u = table[pieces:].reshape(pieces, 4)[i], xi - breaks[i]
     if derivative:
         return np.asarray((3 * c[..., 0] * u + 2 * c[..., 1]) * u + c[..., 2])
     return np.asarray(((c[..., 0] * u + c[..., 1]) * u + c[..., 2]) * u + c[..., 3])

@@ -182,9 +182,9 @@ class _Places:
         for _ in range(100):
             # All of the outer ring of the measurement, twice the radius, lies on the panel.
             x, y = (float(v) for v in rng.uniform(-0.5, 0.5, 2) * (np.array(self._size) - 2.2 * diameter))
-            clear = all(
-                math.hypot(x - a, y - b) > 0.5 * distance * (diameter + d) for a, b, d in self._taken
-            ) and all(_distance(seam, x, y) > 0.8 * diameter + max(seam.width_mm) + 1.5 for seam in self._seams)
+            clear = all(math.hypot(x - a, y - b) > 0.5 * distance * (diameter + d) for a, b, d in self._taken) and all(
+                _distance(seam, x, y) > 0.8 * diameter + max(seam.width_mm) + 1.5 for seam in self._seams
+            )
             if clear:
                 self._taken.append((x, y, diameter))
                 return x, y
@@ -261,7 +261,9 @@ def _varied(rng: np.random.Generator, bounds: Range, change: float) -> np.ndarra
     return np.asarray(np.clip(values, *bounds))
 
 
-def crossing_seams(rng: np.random.Generator, joint: str = "cross", variety: SeamVariety | None = None) -> tuple[Seam, ...]:
+def crossing_seams(
+    rng: np.random.Generator, joint: str = "cross", variety: SeamVariety | None = None
+) -> tuple[Seam, ...]:
     """Two seams that cross ("cross"), or of which the second ends at the first ("T")."""
     turn = rng.uniform(-15, 15)
     first = random_seam(rng, _directed(variety, 90 + turn), "J01")

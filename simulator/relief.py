@@ -21,9 +21,17 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # What a piece is.
-PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE, WALL = range(10)
+PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE = range(9)
 
-# Rows of Relief.rivets.
+# Entries of Relief.frame: curvatures (1/mm, + convex), cos and sin of the direction of the first, waviness amplitude
+# (mm), its wave numbers (rad/mm) and phase; the panel's limits and the height of the background behind it; the corner
+# of the first cell; the most that anything stands above the skin and lies below it.
+(
+    F_K1, F_K2, F_COS, F_SIN, F_WAVE, F_WAVE_X, F_WAVE_Y, F_PHASE,
+    F_X_MIN, F_X_MAX, F_Y_MIN, F_Y_MAX, F_BACKGROUND, F_ORIGIN_X, F_ORIGIN_Y, F_ABOVE, F_BELOW, F_SIZE,
+) = range(18)  # fmt: skip
+
+# Columns of Relief.rivets; from R_SIZE on start and end (rad) of the ring's open arcs, NaN where unused.
 (
     R_HEAD_X, R_HEAD_Y, R_HEAD_Z, R_HEAD_GX, R_HEAD_GY, R_RADIUS, R_DOME,
     R_RING_X, R_RING_Y, R_RING_GX, R_RING_GY, R_OUTER, R_RING_DEPTH,
@@ -31,86 +39,76 @@ PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE, WALL = ran
     R_HEAD_REFLECTANCE, R_RING_REFLECTANCE, R_SIZE,
 ) = range(23)  # fmt: skip
 
-# Rows of Relief.seams.
+# Columns of Relief.seams. S_BOUNDS: twice another seam's index (−1: none) and the side (0 or 1) of it on which this
+# seam exists. From S_SIZE on the tables of COURSE, WIDTH and STEP: of each k pieces the k breaks and the 4 k
+# coefficients.
 (
     S_X, S_Y, S_EX, S_EY, S_CHAMFER, S_SLOPE, S_DEPTH, S_FILLED, S_CABLE,
-    S_FLOOR_REFLECTANCE, S_EDGE_REFLECTANCE, S_SIZE,
+    S_FLOOR_REFLECTANCE, S_EDGE_REFLECTANCE, S_BOUNDS,
 ) = range(12)  # fmt: skip
-
-# Tables along a seam.
+S_SIZE = S_BOUNDS + 4
 COURSE, WIDTH, STEP = range(3)
 
 
 class Relief(NamedTuple):
-    """A panel packed into arrays.
+    """A panel packed into few arrays (a kernel's call copies the description of each).
 
     Attributes
     ----------
-    skin : (8,) curvatures k1, k2 (1/mm, + convex), cos and sin of the direction of k1, waviness amplitude (mm), its
-        wave numbers along x and y (rad/mm) and phase.
-    limits : (5,) x_min, x_max, y_min, y_max of the panel, z of the background behind it.
-    rivets : (n, R_SIZE); arcs : (n, k, 2) open arcs of the ring in rad, NaN where unused.
-    seams : (m, S_SIZE); seam_breaks : (m, 3, k+1) and seam_coefficients : (m, 3, k, 4): piecewise cubics of the
-        course, width and step over the distance along the chord; bounds : (m, 2, 2): another seam's index (−1: none)
-        and the side (0 or 1) of it on which this seam exists.
-    cells : (rows, columns, n) indices of the rivets near a cell of 1 mm, −1 where none; near_seam : (rows, columns)
-        whether a seam is; origin : (2,) x, y of the first cell's corner.
-    reach : (2,) the most that anything stands above the skin and lies below it, mm.
+    frame : (F_SIZE,) float64
+    rivets : (n, R_SIZE + 2 arcs) float64
+    seams : (m, S_SIZE + 15 pieces) float64
+    cells : (rows, columns, k) int32
+        For each cell of 1 mm the indices of the rivets near it, −1 where none; last, whether a seam is near (0 or 1).
     """
 
-    skin: Floats
-    limits: Floats
+    frame: Floats
     rivets: Floats
-    arcs: Floats
     seams: Floats
-    seam_breaks: Floats
-    seam_coefficients: Floats
-    bounds: Ints
     cells: NDArray[np.int32]
-    near_seam: NDArray[np.bool_]
-    origin: Floats
-    reach: Floats
 
 
 @kernel
-def skin_height(skin: Floats, x: float, y: float) -> float:
+def skin_height(frame: Floats, x: float, y: float) -> float:
     """Height of the undisturbed skin: a torus with the two radii (sphere, cylinder and plane are its special cases).
 
     The profile along b is a circular arc of curvature k2, f(b) = −k2 b² / (1 + √(1 − k2² b²)); across it, along a, an
     arc about the torus's axis, whose radius is 1/k1 + f(b). Written so that a curvature of zero is exact.
     """
-    a = skin[2] * x + skin[3] * y
-    b = -skin[3] * x + skin[2] * y
-    k1, k2 = skin[0], skin[1]
+    a = frame[F_COS] * x + frame[F_SIN] * y
+    b = -frame[F_SIN] * x + frame[F_COS] * y
+    k1, k2 = frame[F_K1], frame[F_K2]
     f = -k2 * b * b / (1.0 + math.sqrt(max(1.0 - k2 * k2 * b * b, 0.0)))
     k = k1 / (1.0 + k1 * f)
     z = f - k * a * a / (1.0 + math.sqrt(max(1.0 - k * k * a * a, 0.0)))
-    if skin[4] != 0.0:
-        z += skin[4] * math.sin(skin[5] * x + skin[6] * y + skin[7])
+    if frame[F_WAVE] != 0.0:
+        z += frame[F_WAVE] * math.sin(frame[F_WAVE_X] * x + frame[F_WAVE_Y] * y + frame[F_PHASE])
     return z
 
 
 @kernel
 def table(relief: Relief, seam: int, which: int, xi: float) -> tuple[float, float]:
     """Value and slope of a seam's piecewise cubic (COURSE, WIDTH or STEP) at the distance xi along its chord."""
-    breaks = relief.seam_breaks[seam, which]
-    last = breaks.size - 2
+    seams = relief.seams
+    pieces = (seams.shape[1] - S_SIZE) // 15
+    breaks = S_SIZE + 5 * pieces * which
     i = 0
-    while i < last and xi >= breaks[i + 1]:
+    while i < pieces - 1 and xi >= seams[seam, breaks + i + 1]:
         i += 1
-    c = relief.seam_coefficients[seam, which, i]
-    u = xi - breaks[i]
-    return ((c[0] * u + c[1]) * u + c[2]) * u + c[3], (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
+    u, c = xi - seams[seam, breaks + i], breaks + pieces + 4 * i
+    c0, c1, c2, c3 = seams[seam, c], seams[seam, c + 1], seams[seam, c + 2], seams[seam, c + 3]
+    return ((c0 * u + c1) * u + c2) * u + c3, (3.0 * c0 * u + 2.0 * c1) * u + c2
 
 
 @kernel
 def lateral(relief: Relief, seam: int, x: float, y: float) -> tuple[float, float]:
     """Signed distance from a seam's centre line (+ to the left of its course) and distance along its chord, mm."""
-    s = relief.seams[seam]
-    dx, dy = x - s[S_X], y - s[S_Y]
-    xi = dx * s[S_EX] + dy * s[S_EY]
-    eta = -dx * s[S_EY] + dy * s[S_EX]
+    ex, ey = relief.seams[seam, S_EX], relief.seams[seam, S_EY]
+    dx, dy = x - relief.seams[seam, S_X], y - relief.seams[seam, S_Y]
+    xi, eta = dx * ex + dy * ey, -dx * ey + dy * ex
     centre, slope = table(relief, seam, COURSE, xi)
+    if slope == 0.0:
+        return eta - centre, xi
     return (eta - centre) / math.sqrt(1.0 + slope * slope), xi
 
 
@@ -135,8 +133,8 @@ def sides_of(relief: Relief, x: float, y: float) -> int:
 def exists(relief: Relief, seam: int, sides: int) -> bool:
     """Whether a seam exists in the region that `sides` names: one that ends at another does so on one side only."""
     for k in range(2):
-        other = relief.bounds[seam, k, 0]
-        if other >= 0 and ((sides >> other) & 1) != relief.bounds[seam, k, 1]:
+        other = int(relief.seams[seam, S_BOUNDS + 2 * k])
+        if other >= 0 and ((sides >> other) & 1) != int(relief.seams[seam, S_BOUNDS + 2 * k + 1]):
             return False
     return True
 
@@ -144,7 +142,7 @@ def exists(relief: Relief, seam: int, sides: int) -> bool:
 @kernel
 def plate_height(relief: Relief, x: float, y: float, sides: int, without: int) -> float:
     """Height of a plate of skin, its edges not broken; the seam `without` (−1: none) adds no step."""
-    z = skin_height(relief.skin, x, y)
+    z = skin_height(relief.frame, x, y)
     for s in range(relief.seams.shape[0]):
         if s != without and relief.seams[s, S_CABLE] == 0.0 and exists(relief, s, sides):
             half = 0.5 * table(relief, s, STEP, along(relief, s, x, y))[0]
@@ -194,8 +192,8 @@ def _in_slot(rivet: Floats, x: float, y: float) -> bool:
 @kernel
 def _in_open_arc(relief: Relief, r: int, x: float, y: float) -> bool:
     angle = math.atan2(y - relief.rivets[r, R_RING_Y], x - relief.rivets[r, R_RING_X])
-    for k in range(relief.arcs.shape[1]):
-        start, end = relief.arcs[r, k, 0], relief.arcs[r, k, 1]
+    for k in range(R_SIZE, relief.rivets.shape[1], 2):
+        start, end = relief.rivets[r, k], relief.rivets[r, k + 1]
         if math.isnan(start):
             break
         if (angle - start) % (2.0 * math.pi) < end - start:
@@ -209,12 +207,18 @@ def piece_at(relief: Relief, row: int, column: int, x: float, y: float) -> tuple
 
     `row`, `column` are the cell whose rivets come into question (row −1: none do).
     """
-    limits = relief.limits
-    if x < limits[0] or x > limits[1] or y < limits[2] or y > limits[3]:
+    frame = relief.frame
+    if x < frame[F_X_MIN] or x > frame[F_X_MAX] or y < frame[F_Y_MIN] or y > frame[F_Y_MAX]:
         return BACKGROUND, 0, 0
-    sides = sides_of(relief, x, y)
+    sides, grooves = 0, 0
+    for s in range(relief.seams.shape[0]):
+        t, xi = lateral(relief, s, x, y)
+        if t > 0.0:
+            sides |= 1 << s
+        if abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0]:
+            grooves |= 1 << s
     if row >= 0:
-        for k in range(relief.cells.shape[2]):
+        for k in range(relief.cells.shape[2] - 1):
             r = relief.cells[row, column, k]
             if r < 0:
                 break
@@ -230,13 +234,11 @@ def piece_at(relief: Relief, row: int, column: int, x: float, y: float) -> tuple
                 return (RING if _in_open_arc(relief, r, x, y) else FILLED_RING), r, sides
     kind, deepest = PLATE, 0
     for s in range(relief.seams.shape[0]):
-        if exists(relief, s, sides):
-            t, xi = lateral(relief, s, x, y)
-            if abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0]:
-                if relief.seams[s, S_CABLE] > 0.0:
-                    return CABLE, s, sides
-                if kind == PLATE or relief.seams[s, S_DEPTH] > relief.seams[deepest, S_DEPTH]:
-                    kind, deepest = FLOOR, s
+        if (grooves >> s) & 1 and exists(relief, s, sides):
+            if relief.seams[s, S_CABLE] > 0.0:
+                return CABLE, s, sides
+            if kind == PLATE or relief.seams[s, S_DEPTH] > relief.seams[deepest, S_DEPTH]:
+                kind, deepest = FLOOR, s
     return kind, deepest, sides
 
 
@@ -250,7 +252,7 @@ def _head_plane(rivet: Floats, x: float, y: float) -> float:
 def piece_height(relief: Relief, kind: int, index: int, sides: int, x: float, y: float) -> float:
     """Height of one piece's smooth surface at (x, y), also beyond its own borders."""
     if kind == BACKGROUND:
-        return relief.limits[4]
+        return relief.frame[F_BACKGROUND]
     if kind == PLATE:
         return plate_height(relief, x, y, sides, -1) - chamfer_cut(relief, x, y, sides)
     if kind == FLOOR:

@@ -135,9 +135,11 @@ def fringe_light(spec: SimulationSpec, stage: Stage, rng: np.random.Generator) -
 
 def expose(spec: SimulationSpec, light: Float32, rng: np.random.Generator) -> Frames:
     """(exposures, frames, h, w) what the sensor makes of (frames, h, w) light."""
-    return np.stack([
-        np.stack([spec.camera.sensor.capture(frame, exposure, rng) for frame in light]) for exposure in spec.camera.exposures
-    ])  # fmt: skip
+    camera = spec.camera
+    frames: Frames = np.stack(
+        [np.stack([camera.sensor.capture(frame, exposure, rng) for frame in light]) for exposure in camera.exposures]
+    )
+    return frames
 
 
 def look_at_image(stage: Stage, spec: SimulationSpec, image: NDArray[np.generic]) -> dict[str, Float32]:

@@ -28,6 +28,8 @@ from simulator.lens import pack_device, pixel, ray
 from simulator.relief import (
     BACKGROUND,
     CABLE,
+    F_X_MIN,
+    F_Y_MIN,
     FLOOR,
     HEAD,
     HOLE,
@@ -225,15 +227,14 @@ def _shade(relief, light, hit, d, source, p, n, borders):  # type: ignore[no-unt
 @kernel
 def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
     """Whether a border lies within `tolerance` mm of (x, y)."""
-    limits = relief.limits
     if beside_border(relief, x, y):
         for k in range(2):
-            if abs(x - limits[k]) < tolerance or abs(y - limits[2 + k]) < tolerance:
+            if abs(x - relief.frame[F_X_MIN + k]) < tolerance or abs(y - relief.frame[F_Y_MIN + k]) < tolerance:
                 return True
     row, column = cell_of(relief, x, y)
     if row < 0:
         return False
-    for k in range(relief.cells.shape[2]):
+    for k in range(relief.cells.shape[2] - 1):
         r = relief.cells[row, column, k]
         if r < 0:
             break
@@ -246,7 +247,7 @@ def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
                 return True
             if rivet[_relief.R_SLOT_WIDTH] > 0.0 and rho < rivet[R_RADIUS]:
                 return True
-    if relief.near_seam[row, column]:
+    if relief.cells[row, column, -1] > 0:
         for s in range(relief.seams.shape[0]):
             t, xi = lateral(relief, s, x, y)
             edge = 0.5 * table(relief, s, WIDTH, xi)[0]
@@ -266,7 +267,7 @@ def _build(source_fingerprint: int) -> tuple[Any, Any]:
         for i in range(codes.shape[0]):
             for j in range(codes.shape[1]):
                 ray(camera, float(j), float(top + i), d)
-                hit = cast(relief, centre, d, borders)
+                hit = cast(relief, centre, d, -centre[2] / d[2] if j == 0 else distances[i, j - 1], borders)
                 lam, kind, index, sides, wall_x, wall_y = hit
                 for k in range(3):
                     p[k] = centre[k] + lam * d[k]
@@ -280,8 +281,10 @@ def _build(source_fingerprint: int) -> tuple[Any, Any]:
                 codes[i, j] = ((sides * 512 + index) * 16 + kind) * 2 + bright
 
     @entry
-    def gather(relief, light, values, origin, texel, camera, centre, projector, source, few, many, borders, d, p, n,
-               busy, codes, distances, top, first, column, row, direct, ambient):  # type: ignore[no-untyped-def]  # fmt: skip
+    def gather(  # type: ignore[no-untyped-def]
+        relief, light, values, origin, texel, camera, centre, projector, source, few, many, borders, d, p, n,
+        busy, codes, distances, top, first, column, row, direct, ambient,
+    ):  # fmt: skip
         """All samples of some rows. Within a smooth pixel the surface is its tangent plane (to 0.05 µm)."""
         if source_fingerprint == 0:
             return
@@ -304,7 +307,7 @@ def _build(source_fingerprint: int) -> tuple[Any, Any]:
                 for k in range(spread.shape[0]):
                     ray(camera, j + spread[k, 0], top + i + spread[k, 1], d)
                     if busy[i, j]:
-                        hit = cast(relief, centre, d, borders)
+                        hit = cast(relief, centre, d, distances[i, j], borders)
                         for m in range(3):
                             p[m] = centre[m] + hit[0] * d[m]
                         bright, dim = _shade(relief, light, hit, d, source, p, n, borders)

@@ -142,11 +142,10 @@ def stations(seam: int, relief: Relief, panel: Panel) -> Floats:
     row = relief.seams[seam]
     fine = np.linspace(-20.0, _length(panel.seams[seam]) + 20.0, 8001)
     x, y = _on_course(relief, seam, fine, np.zeros_like(fine))
-    limits = relief.limits
-    on = (x > limits[0]) & (x < limits[1]) & (y > limits[2]) & (y < limits[3])
+    on = _inside(relief, x, y, 0.0)
     on &= (fine >= 0) & (fine <= _length(panel.seams[seam]))
     sides = sides_at(relief, x, y)
-    for other, side in relief.bounds[seam]:
+    for other, side in relief.seams[seam, r.S_BOUNDS : r.S_BOUNDS + 4].astype(int).reshape(2, 2):
         if other >= 0:
             on &= ((sides >> other) & 1) == side
     fine, x, y = fine[on], x[on], y[on]
@@ -155,6 +154,13 @@ def stations(seam: int, relief: Relief, panel: Panel) -> Floats:
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     count = int(arc[-1] / STATION_MM)
     return np.interp(np.arange(count + 1) * STATION_MM + 0.5 * (arc[-1] - count * STATION_MM), arc, fine)
+
+
+def _inside(relief: Relief, x: Floats, y: Floats, margin: float) -> NDArray[np.bool_]:
+    """Whether places are on the panel, `margin` away from its border."""
+    x_min, x_max, y_min, y_max = relief.frame[r.F_X_MIN : r.F_Y_MAX + 1]
+    inside = (x > x_min + margin) & (x < x_max - margin) & (y > y_min + margin) & (y < y_max - margin)
+    return np.asarray(inside)
 
 
 def _length(seam: Seam) -> float:
@@ -247,9 +253,7 @@ def _visible(index: int, xi: Floats, panel: Panel, relief: Relief, rig: Rig, pos
         x, y = _on_course(relief, index, xi, sign * (half + 0.5))
         sides = sides_at(relief, x, y)
         points = np.stack([x, y, plate_heights(relief, x, y, sides) + _LIFT], axis=1)
-        limits = relief.limits
-        visible &= (x > limits[0] + _CLEAR_MM) & (x < limits[1] - _CLEAR_MM)
-        visible &= (y > limits[2] + _CLEAR_MM) & (y < limits[3] - _CLEAR_MM)
+        visible &= _inside(relief, x, y, _CLEAR_MM)
         visible &= _in_all_fields(rig, pose.to_rig(points)) & _unhidden(relief, rig, pose, points)
         for other in range(len(panel.seams)):
             if other != index:
@@ -264,7 +268,7 @@ def _clear_of(relief: Relief, seam: int, x: Floats, y: Floats, sides: Ints) -> N
     xi, eta = dx * row[r.S_EX] + dy * row[r.S_EY], -dx * row[r.S_EY] + dy * row[r.S_EX]
     t = (eta - evaluate(relief, seam, r.COURSE, xi)) / np.sqrt(1 + evaluate(relief, seam, r.COURSE, xi, 1) ** 2)
     clear = np.abs(t) > 0.5 * evaluate(relief, seam, r.WIDTH, xi) + row[r.S_CHAMFER] + _CLEAR_MM
-    for other, side in relief.bounds[seam]:
+    for other, side in relief.seams[seam, r.S_BOUNDS : r.S_BOUNDS + 4].astype(int).reshape(2, 2):
         if other >= 0:
             clear |= ((sides >> other) & 1) != side
     return np.asarray(clear)
