@@ -10,17 +10,20 @@ import pytest
 from flows.cli import main
 from flows.prefect_server import answers, configured_api
 from storage.archive import Store
+from tests.flows.conftest import write_small_scene
+from tests.storage.results import small_key
 
 
-@pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setenv("DO_NOT_TRACK", "1")
-    monkeypatch.setenv("PREFECT_SERVER_ANALYTICS_ENABLED", "false")
-    monkeypatch.setenv("PREFECT_LOGGING_LEVEL", "ERROR")
-    from prefect.testing.utilities import prefect_test_harness
+@pytest.fixture(scope="module")
+def server() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DO_NOT_TRACK", "1")
+        patch.setenv("PREFECT_SERVER_ANALYTICS_ENABLED", "false")
+        patch.setenv("PREFECT_LOGGING_LEVEL", "ERROR")
+        from prefect.testing.utilities import prefect_test_harness
 
-    with prefect_test_harness(server_startup_timeout=180):
-        yield
+        with prefect_test_harness(server_startup_timeout=180):
+            yield
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -40,10 +43,35 @@ def test_scenes_run_as_a_flow_of_tasks(
     assert "running as Prefect flow" in capsys.readouterr().err
     assert Store(store).query("SELECT station FROM scenes").to_pylist() == [{"station": "S2"}]
     with get_client(sync_client=True) as client:
-        runs = client.read_flow_runs()
-        assert [run.state_name for run in runs] == ["Completed"]
+        assert [run.state_name for run in client.read_flow_runs()] == ["Completed"]
         names = {run.name.rsplit("-", 1)[0] for run in client.read_task_runs()}
     assert {"load", "reconstruct-scene", "measure-seams", "publish"} <= names
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_inbox_runs_as_a_flow_with_pages_of_its_own(
+    rig_file: Path, tmp_path: Path, fake_metrology: list[str], server: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from prefect.client.orchestration import get_client
+
+    inbox, store = tmp_path / "inbox", tmp_path / "store"
+    for station in ("S1", "S2", "S3"):
+        write_small_scene(inbox / station, small_key(station))
+    (inbox / "S2" / "scene.json").write_text("{")
+    arguments = ["run", "--inbox", str(inbox), "--store", str(store), "--rig", str(rig_file), "--settle", "0"]
+    assert main([*arguments, "--server", "--runner", "threads", "--workers", "2"]) == 1
+    said = capsys.readouterr()
+    assert said.out.endswith("2 inspected, 1 put aside\n")
+    assert "broken JSON" in said.err
+    assert Store(store).query("SELECT count(*) FROM scenes").column(0).to_pylist() == [2]
+    with get_client(sync_client=True) as client:
+        pages = {artifact.key: str(artifact.data) for artifact in client.read_latest_artifacts()}
+    assert "| R1 | 0.050 |" in pages["scene"]
+    assert "data:image/jpeg;base64," in pages["scene"]
+    assert "put aside" in pages["inbox-summary"]
+    assert float(pages["inbox-progress"]) == 100.0
+    assert main([*arguments, "--server", "--runner", "threads"]) == 0
+    assert capsys.readouterr().out == "2 known already\n"
 
 
 def test_a_configured_server_is_found_without_prefect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
