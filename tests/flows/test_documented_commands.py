@@ -1,0 +1,35 @@
+"""Every command that the pages show is one that the command line takes, and every view they name exists."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from flows.cli import build_parser
+from storage.archive.views import VIEWS
+
+PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))
+
+
+def commands(page: Path) -> list[str]:
+    """Lines of code blocks that begin with flushline; what follows wide space or # explains."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    lines = [line for block in blocks for line in block.splitlines() if line.startswith("flushline ")]
+    return [re.split(r"\s{3,}|\s#", line)[0] for line in lines]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_documented_commands_are_taken(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in commands(page):
+        try:
+            build_parser().parse_args(shlex.split(command)[1:])
+        except SystemExit:
+            pytest.fail(f"{page.name}: {command}: {capsys.readouterr().err}")
+
+
+def test_the_archives_page_names_every_view() -> None:
+    page = next(page for page in PAGES if page.stem == "archive").read_text(encoding="utf-8")
+    assert {view.name for view in VIEWS} <= set(re.findall(r"`(\w+)`", page))
