@@ -103,24 +103,25 @@ def _candidates(
 
 
 def _with_evidence(image: Float32, candidates: Array, polarity: int) -> Array:
-    """Candidates with coverage and agreement replaced by the ring's coverage and score in the image, hopeless ones left out."""
+    """Candidates for which the image shows some ring near the ellipse."""
     evidence = np.zeros((len(candidates), 2))
     ring_evidence(image, candidates[:, :5], np.full(len(candidates), float(polarity)), 24, evidence)
     keep = (evidence[:, 0] > 7.5) & (evidence[:, 1] >= 0.5)
-    return np.column_stack([candidates[keep, :5], evidence[keep, ::-1]])
+    return candidates[keep]
 
 
 def _distinct(candidates: Array) -> Array:
     """Candidates in order of support without those that repeat a better one."""
-    kept: list[Array] = []
-    for c in candidates[np.argsort(-candidates[:, 5] * candidates[:, 6], kind="stable")]:
-        if all(
-            np.hypot(c[0] - q[0], c[1] - q[1]) > 0.3 * min(c[3], q[3]) + 1.0
-            or abs(np.sqrt(c[2] * c[3]) - np.sqrt(q[2] * q[3])) > 3
-            for q in kept
-        ):
-            kept.append(c)
-    return np.array(kept).reshape(-1, candidates.shape[1])
+    order = np.argsort(-candidates[:, 5] * candidates[:, 6], kind="stable")
+    candidates = candidates[order]
+    radius = np.sqrt(candidates[:, 2] * candidates[:, 3])
+    alive = np.ones(len(candidates), bool)
+    for k in range(len(candidates)):
+        if alive[k]:
+            c = candidates[k]
+            near = np.hypot(candidates[k + 1 :, 0] - c[0], candidates[k + 1 :, 1] - c[1]) < 0.1 * c[3] + 1.0
+            alive[k + 1 :] &= ~(near & (np.abs(radius[k + 1 :] - radius[k]) < 0.04 * radius[k] + 1.0))
+    return candidates[alive]
 
 
 @dataclass(frozen=True)
@@ -178,17 +179,40 @@ def detect_ellipses(
     settings = settings or RivetSettings()
     image = np.ascontiguousarray(texture, np.float32)
     bounds = radii or (settings.min_diameter_px / 2, settings.max_diameter_px / 2)
-    rings: list[Ring] = []
-    for level in levels_for(*bounds):
+    if shapes is not None:
+        return suppress_repeats(_rings(image, bounds, shapes, [], settings))
+    rings = _rings(image, bounds, None, [], settings)
+    shapes = shapes_of([r.ellipse for r in suppress_repeats(rings) if r.confident], image.shape)
+    if shapes is None:
+        return suppress_repeats(rings)
+    sure = [r for r in rings if r.confident and _agrees(r.ellipse, shapes)]
+    return suppress_repeats(_rings(image, bounds, shapes, sure, settings))
+
+
+def _rings(
+    image: Float32,
+    radii: tuple[float, float],
+    shapes: CircleShapes | None,
+    known: list[Ring],
+    settings: RivetSettings,
+) -> list[Ring]:
+    """Known rings and those that suspects lead to, repeats included."""
+    rings = list(known)
+    for level in levels_for(*radii):
         for start in _suspects(image, level, shapes or CircleShapes.round(), settings):
-            if not any(r.confident and _within(start, r.ellipse) for r in rings):
-                ring = _verified(image, start, shapes, bounds, settings)
+            if not any(_same(start, r.ellipse) for r in rings):
+                ring = _verified(image, start, shapes, radii, settings)
                 if ring is not None:
                     rings.append(ring)
-    rings = suppress_repeats(rings)
-    if shapes is None:
-        rings = suppress_repeats(_agreeing(image, rings, bounds, settings))
     return rings
+
+
+def _same(ellipse: Ellipse, other: Ellipse) -> bool:
+    """Whether a suspect would only lead to a ring that has been found."""
+    return bool(
+        np.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
+        and abs(ellipse.radius - other.radius) < 0.15 * other.radius
+    )
 
 
 def _within(ellipse: Ellipse, other: Ellipse) -> bool:
@@ -230,13 +254,18 @@ def _verified(
 
 
 def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
-    """Whether a fit is a rim and not a blob or a crossing of lines: a thin line, darker or brighter than both sides."""
+    """Whether a fit is a rim and not a blob, an edge or a crossing of lines.
+
+    A rim is a thin line that shows all round and stands out against skin and head alike. At the edge of a sticker or a
+    hole the step in brightness is the larger part, and what the model's ring finds is its misfit.
+    """
     beside_head = abs(ring.amplitude) - 0.5 * max(0.0, np.sign(ring.amplitude) * ring.step)
     return bool(
         ring.score >= settings.min_score
         and ring.coverage >= settings.min_coverage
-        and ring.sigma_px < min(2.8, 0.4 * ring.ellipse.b)
-        and beside_head > 0.45 * abs(ring.amplitude)
+        and ring.sigma_px < min(2.1, 0.4 * ring.ellipse.b)
+        and beside_head > 0.3 * abs(ring.amplitude)
+        and abs(ring.amplitude) > settings.min_ring_share * abs(ring.step)
     )
 
 
@@ -245,37 +274,39 @@ def _log_shape(ellipse: Ellipse) -> Array:
     return np.log(ellipse.a / ellipse.b) * np.array([np.cos(2 * ellipse.angle), np.sin(2 * ellipse.angle)])
 
 
-def _agreeing(image: Float32, rings: list[Ring], radii: tuple[float, float], settings: RivetSettings) -> list[Ring]:
-    """Rings that look like the confident ones: all lie on one panel, which the camera sees at one slant.
+def shapes_of(ellipses: list[Ellipse], size: tuple[int, ...]) -> CircleShapes | None:
+    """What circles look like where rings tell it: all lie on one panel, which the camera sees at one slant.
 
-    The elongation is taken as linear over the image. Rings that are not confident are fitted again with that shape.
+    The elongation is taken as linear over the image, or constant where there are fewer than eight rings; those that
+    disagree are left out. None below four rings.
     """
-    confident = [r for r in rings if r.confident]
-    if len(confident) < 4:
-        return rings
-    at = np.array([[1.0, r.ellipse.u, r.ellipse.v] for r in confident]) / [1, image.shape[1], image.shape[0]]
-    values = np.array([_log_shape(r.ellipse) for r in confident])
-    columns = 3 if len(confident) >= 8 else 1
-    keep = np.ones(len(values), bool)
+    if len(ellipses) < 4:
+        return None
+    columns = 3 if len(ellipses) >= 8 else 1
+    at = np.array([[1.0, e.u / size[1], e.v / size[0]] for e in ellipses])[:, :columns]
+    values = np.array([_log_shape(e) for e in ellipses])
+    keep = np.linalg.norm(values - np.median(values, axis=0), axis=1) < 0.15
     for _ in range(3):
-        model, *_ = np.linalg.lstsq(at[keep, :columns], values[keep], rcond=None)
-        error = np.linalg.norm(values - at[:, :columns] @ model, axis=1)
+        if keep.sum() < 4:
+            return None
+        model, *_ = np.linalg.lstsq(at[keep], values[keep], rcond=None)
+        error = np.linalg.norm(values - at @ model, axis=1)
         keep = error <= max(0.03, 3 * 1.4826 * float(np.median(error)))
-    kept = []
-    for ring in rings:
-        e = ring.ellipse
-        place = np.array([1.0, e.u / image.shape[1], e.v / image.shape[0]])[:columns]
-        expected = place @ model
-        if np.linalg.norm(_log_shape(e) - expected) < 0.05 and ring.confident:
-            kept.append(ring)
-            continue
-        elongation, angle = np.linalg.norm(expected), 0.5 * np.arctan2(expected[1], expected[0])
-        shape = Ellipse(0.0, 0.0, np.exp(elongation / 2), np.exp(-elongation / 2), angle).shape
-        one = CircleShapes(np.array([[[shape[0, 0], shape[1, 1], shape[0, 1]]]]), 1e9)
-        again = _verified(image, e, one, radii, settings)
-        if again is not None:
-            kept.append(again)
-    return kept
+    cell = 64.0
+    v, u = np.mgrid[0 : np.ceil(size[0] / cell), 0 : np.ceil(size[1] / cell)]
+    place = np.stack([np.ones_like(u), (u + 0.5) * cell / size[1], (v + 0.5) * cell / size[0]], axis=-1)[..., :columns]
+    elongation = place @ model
+    e = np.linalg.norm(elongation, axis=-1)
+    # exp of the symmetric matrix [[x, y], [y, -x]] with x² + y² = e².
+    ratio = np.sinh(e) / np.maximum(e, 1e-9)
+    x, y = elongation[..., 0] * ratio, elongation[..., 1] * ratio
+    return CircleShapes(np.stack([np.cosh(e) + x, np.cosh(e) - x, y], axis=-1), cell)
+
+
+def _agrees(ellipse: Ellipse, shapes: CircleShapes) -> bool:
+    uu, vv, uv = shapes.at(np.array([ellipse.u]), np.array([ellipse.v]))[0]
+    expected = ellipse_of_shape(0.0, 0.0, np.array([[uu, uv], [uv, vv]]))
+    return bool(np.linalg.norm(_log_shape(ellipse) - _log_shape(expected)) < 0.05)
 
 
 def suppress_repeats(rings: list[Ring]) -> list[Ring]:

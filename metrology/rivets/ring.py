@@ -26,14 +26,18 @@ Array = NDArray[np.float64]
 
 BACKGROUND = 6  # 1, x, y, x², xy, y²
 STEP = 3  # 1, x, y inside
-AMPLITUDE = BACKGROUND + STEP  # index of the first knot
-KNOTS = 16  # of the amplitude over the angle
-LINEAR = AMPLITUDE + KNOTS
-SIGMA = LINEAR  # index of the ring's half-width
-GEOMETRY = LINEAR + 1  # u, v and the three entries of the inverse shape matrix
-UNKNOWNS = GEOMETRY + 5
-NONZERO = BACKGROUND + STEP + 2 + 1 + 5  # derivatives of one pixel that are not zero
+SIGMA = BACKGROUND + STEP  # index of the ring's half-width
+GEOMETRY = SIGMA + 1  # u, v and the three entries of the inverse shape matrix
+DENSE = GEOMETRY + 5  # unknowns that every pixel depends on
+KNOTS = 16  # of the amplitude over the angle; a pixel depends on two
+UNKNOWNS = DENSE + KNOTS
 SECTORS = 24  # in which the ring must show itself
+_LINEAR_STEPS = 2  # iterations for the brightness alone
+_SETTLED = 5  # iteration by which the ring is in place
+# Least median of the amplitude over its standard deviation from the scatter of the knots, by iteration.
+_STEADY = np.array([0.0, 1.0, 1.0, 1.2, 1.5, 2.0])
+_CONVERGED_PX = 0.01
+_SIGMA_PRIOR_PX = 0.3  # how much rings of one image differ in σ from where the fit starts
 TUKEY = 5.0  # residuals beyond this many sigmas count nothing
 # For normal noise of variance 1 and Tukey's weights w with that limit: 1 / (Σ w r² / Σ w), and the estimate's variance
 # times Σ w against plain least squares' (E ψ² / (E ψ')² · E w).
@@ -85,7 +89,10 @@ class RingFit:
 
 @kernel
 def _collect(image, e, reach, x, y, value):
-    """Pixels within `reach` of the ellipse, and the share of the ellipse on the image."""
+    """Pixels within `reach` of the ellipse, those of one colour of the chessboard first.
+
+    Returns how many there are of that colour and in all, and the share of the ellipse on the image.
+    """
     height, width = image.shape
     size = max(e[2], e[3]) + reach + 1.0
     u0 = max(0, int(e[0] - size))
@@ -95,17 +102,21 @@ def _collect(image, e, reach, x, y, value):
     c = math.cos(e[4])
     s = math.sin(e[4])
     n = 0
-    for v in range(v0, v1):
-        for u in range(u0, u1):
-            p = (c * (u - e[0]) + s * (v - e[1])) / e[2]
-            q = (c * (v - e[1]) - s * (u - e[0])) / e[3]
-            f = math.sqrt(p * p + q * q)
-            slope = math.sqrt((p / e[2]) ** 2 + (q / e[3]) ** 2) / max(f, 1e-9)
-            if abs(f - 1.0) < reach * slope and not np.isnan(image[v, u]) and n < len(x):
-                x[n] = u
-                y[n] = v
-                value[n] = image[v, u]
-                n += 1
+    half = 0
+    for colour in range(2):
+        for v in range(v0, v1):
+            for u in range(u0 + (u0 + v + colour) % 2, u1, 2):
+                p = (c * (u - e[0]) + s * (v - e[1])) / e[2]
+                q = (c * (v - e[1]) - s * (u - e[0])) / e[3]
+                f = math.sqrt(p * p + q * q)
+                slope = math.sqrt((p / e[2]) ** 2 + (q / e[3]) ** 2) / max(f, 1e-9)
+                if abs(f - 1.0) < reach * slope and not np.isnan(image[v, u]) and n < len(x):
+                    x[n] = u
+                    y[n] = v
+                    value[n] = image[v, u]
+                    n += 1
+        if colour == 0:
+            half = n
     seen = 0
     for k in range(72):
         t = k * (2.0 * math.pi / 72.0)
@@ -113,7 +124,7 @@ def _collect(image, e, reach, x, y, value):
         v = e[1] + s * e[2] * math.cos(t) + c * e[3] * math.sin(t)
         if 0.0 <= u <= width - 1 and 0.0 <= v <= height - 1:
             seen += 1
-    return n, seen / 72.0
+    return half, n, seen / 72.0
 
 
 @kernel
@@ -159,11 +170,11 @@ def _scaled(normal, size, damping, work, scale):
 
 
 @kernel
-def _row(x, y, geometry, scale, sigma, params, row, place):
-    """Model value at a pixel and the derivatives that are not zero.
+def _row(x, y, geometry, scale, sigma, params, row):
+    """Model value at a pixel; its derivatives by the dense unknowns in `row`.
 
-    row : (NONZERO,) values; place : (NONZERO,) which unknown each belongs to. Also returns the ring's profile and the
-    polar angle.
+    Also the ring's profile, the polar angle, the amplitude, and which knots the amplitude comes from: the first of two,
+    and the share of the second.
     """
     dx = x - geometry[0]
     dy = y - geometry[1]
@@ -181,7 +192,6 @@ def _row(x, y, geometry, scale, sigma, params, row, place):
     position = (theta + math.pi) / (2.0 * math.pi) * KNOTS
     knot = min(int(position), KNOTS - 1)
     part = position - knot
-    after = (knot + 1) % KNOTS
     xs = dx / scale
     ys = dy / scale
     row[0] = 1.0
@@ -195,28 +205,19 @@ def _row(x, y, geometry, scale, sigma, params, row, place):
     row[8] = inside * ys
     model = 0.0
     for j in range(BACKGROUND + STEP):
-        place[j] = j
         model += params[j] * row[j]
-    # Ascending order of the unknowns keeps the lower triangle.
-    first = min(knot, after)
-    place[9] = AMPLITUDE + first
-    place[10] = AMPLITUDE + max(knot, after)
-    row[9] = ring * (1.0 - part) if first == knot else ring * part
-    row[10] = ring * part if first == knot else ring * (1.0 - part)
-    amplitude = params[AMPLITUDE + knot] * (1.0 - part) + params[AMPLITUDE + after] * part
+    amplitude = params[DENSE + knot] * (1.0 - part) + params[DENSE + (knot + 1) % KNOTS] * part
     step = params[6] + params[7] * xs + params[8] * ys
     model += amplitude * ring
     by_rho = -ring * (amplitude * z + step * 0.3989422804014327) / sigma
     by_f = by_rho / slope
-    row[11] = -by_rho * z
-    row[12] = -by_f * gx
-    row[13] = -by_f * gy
-    row[14] = by_f * dx * dx / (2.0 * f)
-    row[15] = by_f * dy * dy / (2.0 * f)
-    row[16] = by_f * dx * dy / f
-    for j in range(6):
-        place[11 + j] = SIGMA + j
-    return model, ring, theta, amplitude
+    row[SIGMA] = -by_rho * z
+    row[GEOMETRY] = -by_f * gx
+    row[GEOMETRY + 1] = -by_f * gy
+    row[GEOMETRY + 2] = by_f * dx * dx / (2.0 * f)
+    row[GEOMETRY + 3] = by_f * dy * dy / (2.0 * f)
+    row[GEOMETRY + 4] = by_f * dx * dy / f
+    return model, ring, theta, amplitude, knot, part
 
 
 @kernel
@@ -226,39 +227,61 @@ def _tukey(residual, noise):
 
 
 @kernel
-def _hide_glints(x, y, residual, noise, hidden):
-    """Hide pixels next to clusters of outliers: a glint's skirt is too faint to be an outlier itself."""
+def _hide_clusters(x, y, magnitude, limit, reach, hidden):
+    """Hide pixels with three or more beyond `limit` within `reach`: a glint's skirt is too faint to stand out itself."""
     n = len(x)
     low_x = x.min()
     low_y = y.min()
     width = int(x.max() - low_x) + 1
     height = int(y.max() - low_y) + 1
-    out = np.zeros((height, width), np.uint8)
+    count = np.zeros((height, width), np.int32)
     for i in range(n):
-        if abs(residual[i]) > TUKEY * noise:
-            out[int(y[i] - low_y), int(x[i] - low_x)] = 1
+        if magnitude[i] > limit:
+            px = int(x[i] - low_x)
+            py = int(y[i] - low_y)
+            for v in range(max(py - reach, 0), min(py + reach + 1, height)):
+                for u in range(max(px - reach, 0), min(px + reach + 1, width)):
+                    count[v, u] += 1
     for i in range(n):
-        px = int(x[i] - low_x)
-        py = int(y[i] - low_y)
-        count = 0
-        for dy in range(-2, 3):
-            for dx in range(-2, 3):
-                if 0 <= py + dy < height and 0 <= px + dx < width:
-                    count += out[py + dy, px + dx]
-        hidden[i] = count >= 3
+        hidden[i] = count[int(y[i] - low_y), int(x[i] - low_x)] >= 3
 
 
 @kernel
-def _accumulate(weight, residual, row, place, count, normal, right):
-    """Add one pixel to the normal equations of the first `count` unknowns."""
-    for j in range(NONZERO):
-        a = place[j]
-        if a >= count:
-            break
+def _glint_limit(x, y, magnitude, ellipse):
+    """Departure from the band's median beyond which a pixel is a glint.
+
+    Twice what the median sector reaches: a ring departs all round, a glint in a few sectors.
+    """
+    largest = np.zeros(SECTORS)
+    for i in range(len(x)):
+        theta = math.atan2(y[i] - ellipse[1], x[i] - ellipse[0])
+        sector = min(int((theta + math.pi) / (2.0 * math.pi) * SECTORS), SECTORS - 1)
+        largest[sector] = max(largest[sector], magnitude[i])
+    return 2.0 * np.median(largest)
+
+
+@kernel
+def _accumulate(weight, residual, row, ring, knot, part, normal, right):
+    """Add one pixel to the normal equations (lower triangle)."""
+    for j in range(DENSE):
         wj = row[j] * weight
-        right[a] += wj * residual
+        right[j] += wj * residual
         for k in range(j + 1):
-            normal[a, place[k]] += wj * row[k]
+            normal[j, k] += wj * row[k]
+    first = DENSE + knot
+    second = DENSE + (knot + 1) % KNOTS
+    a = ring * (1.0 - part)
+    b = ring * part
+    wa = weight * a
+    wb = weight * b
+    right[first] += wa * residual
+    right[second] += wb * residual
+    for k in range(DENSE):
+        normal[first, k] += wa * row[k]
+        normal[second, k] += wb * row[k]
+    normal[first, first] += wa * a
+    normal[second, second] += wb * b
+    normal[max(first, second), min(first, second)] += wa * b
 
 
 @kernel
@@ -324,11 +347,12 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     x = np.empty(room)
     y = np.empty(room)
     value = np.empty(room)
-    n, share = _collect(image, ellipse, reach, x, y, value)
-    if n < 4 * UNKNOWNS or share < 0.5:
+    half_n, n, share = _collect(image, ellipse, reach, x, y, value)
+    if half_n < 3 * UNKNOWNS or share < 0.5:
         return False
     x = x[:n]
     y = y[:n]
+    value = value[:n]
     c = math.cos(ellipse[4])
     s = math.sin(ellipse[4])
     ia = 1.0 / ellipse[2] ** 2
@@ -342,68 +366,86 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     scale = math.sqrt(ellipse[2] * ellipse[3])
     params = np.zeros(UNKNOWNS)
     residual = np.empty(n)
+    magnitude = np.empty(n)
     hidden = np.zeros(n, np.bool_)
-    row = np.empty(NONZERO)
-    place = np.empty(NONZERO, np.int64)
+    row = np.empty(DENSE)
     step = np.zeros(UNKNOWNS)
     diagonal = np.empty(UNKNOWNS)
     work = np.empty((UNKNOWNS, UNKNOWNS))
     normal = np.zeros((UNKNOWNS, UNKNOWNS))
+    start_sigma = sigma
+    middle = np.median(value)
+    for i in range(n):
+        magnitude[i] = abs(value[i] - middle)
+    _hide_clusters(x, y, magnitude, _glint_limit(x, y, magnitude, ellipse), 3, hidden)
     noise = 0.0
     for iteration in range(iterations):
-        # First the brightness alone on the starting ellipse, then everything.
-        count = LINEAR if iteration < 3 else UNKNOWNS
+        # First the brightness alone on the starting ellipse, then everything; half of the pixels will do to get there.
+        linear = iteration < _LINEAR_STEPS
+        pixels = half_n if iteration < _SETTLED else n
         normal[:] = 0.0
         step[:] = 0.0
-        for i in range(n):
-            model, ring, theta, amplitude = _row(x[i], y[i], geometry, scale, sigma, params, row, place)
+        for i in range(pixels):
+            model, ring, theta, amplitude, knot, part = _row(x[i], y[i], geometry, scale, sigma, params, row)
             residual[i] = value[i] - model
+            magnitude[i] = abs(residual[i])
             weight = 1.0 if iteration == 0 else _tukey(residual[i], noise)
             if weight > 0.0 and not hidden[i]:
-                _accumulate(weight, residual[i], row, place, count, normal, step)
-        if count == UNKNOWNS:
-            # The width is poorly known on weak rings: a mild pull towards where it is.
-            normal[SIGMA, SIGMA] *= 1.02
+                _accumulate(weight, residual[i], row, ring, knot, part, normal, step)
+        if linear:
+            for j in range(SIGMA, DENSE):
+                step[j] = 0.0
+                for k in range(UNKNOWNS):
+                    normal[max(j, k), min(j, k)] = 1.0 if j == k else 0.0
+        else:
+            # The width of a weak ring is poorly known: it stays near that of others.
+            precision = (noise / _SIGMA_PRIOR_PX) ** 2
+            normal[SIGMA, SIGMA] += precision
+            step[SIGMA] += precision * (start_sigma - sigma)
             if shape_sd > 0.0:
                 _add_prior(geometry, shape, (noise / shape_sd) ** 2, normal, step)
-        if not _scaled(normal, count, 1e-6, work, diagonal):
+        if not _scaled(normal, UNKNOWNS, 1e-6, work, diagonal):
             return False
-        for j in range(count):
+        for j in range(UNKNOWNS):
             step[j] *= diagonal[j]
-        _substitute(work, count, step)
-        for j in range(count):
+        _substitute(work, UNKNOWNS, step)
+        for j in range(UNKNOWNS):
             step[j] *= diagonal[j]
-        for j in range(LINEAR):
+        for j in range(SIGMA):
             params[j] += step[j]
-        if count == UNKNOWNS:
-            sigma = min(max(sigma + min(max(step[SIGMA], -0.3), 0.3), sigma_low), sigma_high)
-            size = 0.5 * (geometry[2] + geometry[3])
-            move = 0.0
-            for j in range(5):
-                limit = 1.0 if j < 2 else 0.12 * size
-                d = min(max(step[GEOMETRY + j], -limit), limit)
-                geometry[j] += d
-                move = max(move, abs(d) if j < 2 else 0.5 * abs(d) / size * scale)
-            half = math.sqrt(0.25 * (geometry[2] - geometry[3]) ** 2 + geometry[4] ** 2)
-            low = 0.5 * (geometry[2] + geometry[3]) - half
-            high = 0.5 * (geometry[2] + geometry[3]) + half
-            if low <= 0.0 or low < high * flattest**2 or low * largest**2 < 1.0 or high * least**2 > 1.0:
+        for j in range(DENSE, UNKNOWNS):
+            params[j] += step[j]
+        strength = np.median(np.abs(params[DENSE:]))
+        if iteration <= _SETTLED:
+            # Hopeless starts show early: a ring is dark all round, or bright.
+            middle = np.median(params[DENSE:])
+            scatter = 1.4826 * np.median(np.abs(params[DENSE:] - middle)) / math.sqrt(KNOTS)
+            if iteration > 0 and abs(middle) < _STEADY[iteration] * scatter:
                 return False
-            if abs(geometry[0] - ellipse[0]) + abs(geometry[1] - ellipse[1]) > 0.5 * scale + 2.0:
-                return False
-            if iteration > 5 and move < 0.003:
-                break
-        if iteration < 6:
-            for i in range(n):
-                model, ring, theta, amplitude = _row(x[i], y[i], geometry, scale, sigma, params, row, place)
-                residual[i] = value[i] - model
             # A strong ring that is not yet in place leaves residuals of its own: they must not count as outliers.
-            mean = 0.0
-            for k in range(KNOTS):
-                mean += abs(params[AMPLITUDE + k]) / KNOTS
-            noise = 1.4826 * np.median(np.abs(residual)) + (0.15 if iteration < 5 else 0.05) * mean + 1e-6
-            if iteration == 5:
-                _hide_glints(x, y, residual, noise, hidden)
+            floor = 0.15 if iteration < _SETTLED else 0.05
+            noise = 1.4826 * np.median(magnitude[:pixels]) + floor * strength + 1e-6
+            if iteration == _SETTLED:
+                _hide_clusters(x, y, magnitude, TUKEY * noise, 2, hidden)
+        if linear:
+            continue
+        sigma = min(max(sigma + min(max(step[SIGMA], -0.3), 0.3), sigma_low), sigma_high)
+        size = 0.5 * (geometry[2] + geometry[3])
+        move = 0.0
+        for j in range(5):
+            limit = 1.0 if j < 2 else 0.12 * size
+            d = min(max(step[GEOMETRY + j], -limit), limit)
+            geometry[j] += d
+            move = max(move, abs(d) if j < 2 else 0.5 * abs(d) / size * scale)
+        half = math.sqrt(0.25 * (geometry[2] - geometry[3]) ** 2 + geometry[4] ** 2)
+        low = 0.5 * (geometry[2] + geometry[3]) - half
+        high = 0.5 * (geometry[2] + geometry[3]) + half
+        if low <= 0.0 or low < high * flattest**2 or low * largest**2 < 1.0 or high * least**2 > 1.0:
+            return False
+        if abs(geometry[0] - ellipse[0]) + abs(geometry[1] - ellipse[1]) > 0.5 * scale + 2.0:
+            return False
+        if iteration > _SETTLED and move < _CONVERGED_PX:
+            break
     scores = np.zeros(SECTORS)
     norms = np.zeros(SECTORS)
     gradients = np.zeros((SECTORS, 5))
@@ -412,7 +454,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     normal[:] = 0.0
     step[:] = 0.0
     for i in range(n):
-        model, ring, theta, amplitude = _row(x[i], y[i], geometry, scale, sigma, params, row, place)
+        model, ring, theta, amplitude, knot, part = _row(x[i], y[i], geometry, scale, sigma, params, row)
         residual[i] = value[i] - model
         weight = _tukey(residual[i], noise)
         if hidden[i] or weight == 0.0:
@@ -423,8 +465,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         total += weight * residual[i] ** 2
         used += weight
         for j in range(5):
-            gradients[sector, j] += weight * residual[i] * row[12 + j]
-        _accumulate(weight, residual[i], row, place, UNKNOWNS, normal, step)
+            gradients[sector, j] += weight * residual[i] * row[GEOMETRY + j]
+        _accumulate(weight, residual[i], row, ring, knot, part, normal, step)
     norm = norms.sum()
     if used < 0.35 * n or norm <= 0.0:
         return False

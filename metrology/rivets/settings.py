@@ -31,6 +31,8 @@ class RivetSettings:
     min_quality : float
         How far the ring stands out from its surroundings, in their standard deviations, times the square of its
         coverage, to be a rivet.
+    min_ring_share : float
+        Amplitude of the ring as a share of the brightness step from head to skin: below it the ring is an edge.
     reference : "quadric" or "plane"
         What the skin round a head is taken for: the tangent plane at the head's centre of a quadric, or a plane
         (the paper's).
@@ -57,9 +59,10 @@ class RivetSettings:
     ridge_low: float = 2.2
     ridge_high: float = 3.2
     min_support: float = 0.12
-    min_coverage: float = 0.55
+    min_coverage: float = 0.52
     min_score: float = 8.0
-    min_quality: float = 4.5
+    min_quality: float = 3.0
+    min_ring_share: float = 0.5
     reference: Reference = "quadric"
     inner_radius: float = 0.85
     outer_radii: tuple[float, float] = (1.1, 2.0)
