@@ -15,6 +15,8 @@ from metrology.rig import Device
 Array = NDArray[np.float64]
 
 _CELL_PX = 8.0
+_FIT_ROUNDS = 10
+_OFF_PANEL_MM = 10.0
 _STRIDE = 8  # left pixels between samples of the cloud
 
 
@@ -56,6 +58,8 @@ def map_skin(reconstruction: Reconstruction) -> SkinMap:
     valid = np.isfinite(grid[..., 2])
     if not valid.any():
         raise UsageError("overlay: found no measured point in the scene, expected a reconstructed skin")
+    valid[valid] = _on_panel(grid[valid])
+    grid[~valid] = np.nan
     projector = reconstruction.rig.projector
     pixels = np.full((*valid.shape, 2), np.nan)
     pixels[valid] = projector.project(grid[valid])
@@ -63,6 +67,21 @@ def map_skin(reconstruction: Reconstruction) -> SkinMap:
     # Cells no finer than the samples of a coarse camera.
     cell = max(_CELL_PX, 1.2 * _STRIDE * scale * float(np.median(grid[valid][:, 2])) / reconstruction.rig.left.K[1, 1])
     return SkinMap(scale, _angle(pixels), cell, _coverage(pixels[valid], projector, cell))
+
+
+def _on_panel(points: Array) -> NDArray[np.bool_]:
+    """(n,) which points belong to the panel and not to what stands behind it.
+
+    A panel is a smooth surface and most of what is measured: a quadric z(x, y), fitted with Cauchy weights.
+    """
+    x, y = ((points[:, k] - points[:, k].mean()) / max(float(np.ptp(points[:, k])), 1.0) for k in (0, 1))
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    away = points[:, 2] - np.median(points[:, 2])
+    for _ in range(_FIT_ROUNDS):
+        weight = 1 / (1 + (away / _OFF_PANEL_MM) ** 2)
+        normal = design.T @ (design * weight[:, None]) + 1e-9 * np.eye(6)
+        away = points[:, 2] - design @ np.linalg.solve(normal, design.T @ (weight * points[:, 2]))
+    return np.asarray(np.abs(away) <= _OFF_PANEL_MM)
 
 
 def _scale(grid: Array, pixels: Array, projector: Device) -> float:

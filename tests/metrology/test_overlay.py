@@ -179,6 +179,14 @@ def test_text_stays_on_the_skin_and_in_the_picture(scene: Reconstruction) -> Non
         assert (centre + half < (1280, 800)).all()
 
 
+def test_text_keeps_off_what_stands_behind_the_panel(scene: Reconstruction) -> None:
+    points = scene.points.copy()
+    points[:, 200:] *= 1.15  # a wall, measured like the panel
+    overlay = draw_overlay([rivet("R", 34, 0, "red", scene.rig)], [], replace(scene, points=points), ["T"])
+    edge = scene.rig.projector.project((38.0, 0.0, 704.0))[0]
+    assert all(centre[0] + half[0] < edge + 10 for centre, half in boxes(overlay.labels))
+
+
 def test_rivets_cut_by_the_edge_are_drawn_and_listed(scene: Reconstruction) -> None:
     edge = next(x for x in range(400) if scene.rig.projector.project((float(x), 0.0, 700 + 0.1 * x))[0] > 1279)
     overlay = draw_overlay([rivet("R01", edge, 0, "red", scene.rig)], [], scene, ["T"])
