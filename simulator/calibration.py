@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,5 +227,4 @@ def _shoot(
 def _capture(light: Float32, settings: CaptureSettings, rng: np.random.Generator) -> Picture:
     if light.ndim == 2:
         return settings.sensor.capture(light, 1.0, rng)
-    frames: Picture = np.stack([settings.sensor.capture(frame, 1.0, rng) for frame in light])
-    return frames
+    return cast(Picture, np.stack([settings.sensor.capture(frame, 1.0, rng) for frame in light]))

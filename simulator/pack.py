@@ -209,7 +209,7 @@ def _arcs(items: list[Rivet | Hole]) -> Floats:
             arcs[k, : len(row)] = np.radians(row)
             # A full turn has no ends; a little over it leaves none to rounding.
             arcs[k, : len(row), 1] += np.where(np.ptp(arcs[k, : len(row)], axis=1) > 2 * np.pi - 1e-6, 1e-6, 0)
-    return arcs.reshape(len(items), -1)
+    return arcs.reshape(len(items), 2 * arcs.shape[1])
 
 
 def _reach(panel: Panel) -> tuple[float, float]:

@@ -297,6 +297,7 @@ class Panel:
     def __post_init__(self) -> None:
         _require(min(self.width_mm, self.height_mm) > 10, "panel size", (self.width_mm, self.height_mm), "above 10 mm")
         _require(self.background_mm >= 25, "background_mm", self.background_mm, "at least 25 mm")
+        _require(len(self.rivets) + len(self.holes) <= 500, "rivets", len(self.rivets), "at most 500 with the holes")
         _require(len(self.seams) + len(self.cables) <= 20, "seams", len(self.seams), "at most 20 with the cables")
         for kind, ids in (("rivet", [r.id for r in self.rivets]), ("seam", [s.id for s in self.seams])):
             _require(len(set(ids)) == len(ids), f"{kind} ids", ids, "each only once")

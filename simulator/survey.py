@@ -8,12 +8,12 @@ import numpy as np
 
 from simulator import cast as _cast
 from simulator import relief as _relief
-from simulator.cast import MAX_BORDERS, lit
+from simulator.cast import MAX_BORDERS, cast, lit
 from simulator.compiled import entry, fingerprint
 from simulator.relief import Floats, Ints, Relief, piece_at, piece_height, plate_height, sides_of
 
 
-def _build(source_fingerprint: int) -> tuple[Any, Any, Any, Any]:
+def _build(source_fingerprint: int) -> tuple[Any, Any, Any, Any, Any]:
     """The entry kernels; the fingerprint only serves the cache's key (see `simulator.compiled`)."""
 
     @entry
@@ -39,10 +39,19 @@ def _build(source_fingerprint: int) -> tuple[Any, Any, Any, Any]:
         for i in range(points.shape[0] if source_fingerprint else 0):
             out[i] = lit(relief, points[i], eye, borders)
 
-    return sides, plates, surface, sight
+    @entry
+    def meet(relief, eye, directions, borders, d, distances, kinds):  # type: ignore[no-untyped-def]
+        for i in range(directions.shape[0] if source_fingerprint else 0):
+            for k in range(3):
+                d[k] = directions[i, k]
+            hit = cast(relief, eye, d, -eye[2] / d[2], borders)
+            distances[i] = hit[0]
+            kinds[i] = -1 if hit[4] != 0.0 or hit[5] != 0.0 else hit[1]
+
+    return sides, plates, surface, sight, meet
 
 
-_sides, _plates, _surface, _sight = _build(fingerprint(_relief, _cast))
+_sides, _plates, _surface, _sight, _meet = _build(fingerprint(_relief, _cast))
 
 
 def sides_at(relief: Relief, x: Floats, y: Floats) -> Ints:
@@ -87,3 +96,23 @@ def seen(relief: Relief, points: Floats, eye: Floats) -> np.ndarray:
     out = np.empty(len(points), np.bool_)
     _sight(relief, np.ascontiguousarray(points, float), np.asarray(eye, float), np.empty((MAX_BORDERS, 3)), out)
     return out
+
+
+def meet(relief: Relief, eye: Floats, directions: Floats) -> tuple[Floats, Ints]:
+    """Where rays meet the panel.
+
+    Parameters
+    ----------
+    eye : (3,) array
+    directions : (n, 3) array
+
+    Returns
+    -------
+    points : (n, 3) ndarray
+    kinds : (n,) ndarray
+        Kind of the piece (`simulator.relief`), −1 for a wall.
+    """
+    distances, kinds = np.empty(len(directions)), np.empty(len(directions), np.int64)
+    rays, eye = np.ascontiguousarray(directions, float), np.asarray(eye, float)
+    _meet(relief, eye, rays, np.empty((MAX_BORDERS, 3)), np.empty(3), distances, kinds)
+    return eye + distances[:, None] * rays, kinds
