@@ -223,8 +223,8 @@ def _epipolar(calibration: Calibration) -> go.Figure | str:
 def _field_text(field: FieldUncertainty) -> str:
     return (
         f"<p>What the calibration's covariance alone makes uncertain, on a plane {field.distance_mm:.0f} mm away; "
-        "the scan's own noise comes on top. Height: of a head of 8 mm diameter standing 0.5 mm proud over the skin around. "
-        "Overlay: where a mark falls on the skin.</p>"
+        "the scan's own noise comes on top. Height: of a head of 8 mm diameter standing 0.5 mm proud over the "
+        "skin around. Overlay: where a mark falls on the skin.</p>"
     )
 
 

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 _ROBUST_AT = 3.0  # standard deviations at which the loss turns from square to linear
 _MAX_EVALUATIONS = 200
+_UNDETERMINED = 1e-13  # smallest over largest eigenvalue of the scaled normal matrix: nothing but rounding
 
 
 @dataclass(frozen=True)
@@ -136,9 +137,13 @@ class _Problem:
 
     def jacobian(self, x: Array) -> Array:
         rows = []
+        projector = self.unpack(x).devices.get("projector")
         for sighting in self.sightings:
             block = np.zeros((len(sighting), 2, len(self.names)))
-            (self._board_rows if sighting.kind == "board" else self._dot_rows)(x, sighting, block)
+            if sighting.kind == "board":
+                self._board_rows(x, sighting, block)
+            elif projector is not None:
+                self._dot_rows(x, projector, sighting, block)
             rows.append(block.reshape(-1, len(self.names)) / sighting.sigma_px)
         return np.concatenate(rows)
 
@@ -149,10 +154,10 @@ class _Problem:
         left = left_jacobian(x[self._pose(sighting.pose)][:3])
         block[..., self._pose(sighting.pose)] += np.concatenate([-by_point @ skew(turned) @ left, by_point], -1)
 
-    def _dot_rows(self, x: Array, sighting: Sighting, block: Array) -> None:
+    def _dot_rows(self, x: Array, projector: Device, sighting: Sighting, block: Array) -> None:
         """The point X on the plane follows from F = (projector(X) − p, n·(X − t)) = 0, so dX = −F_X⁻¹ dF."""
         rotation, t = self._motion(x, sighting.pose)
-        points = on_plane(self.unpack(x).devices["projector"], sighting.known, rotation, t)
+        points = on_plane(projector, sighting.known, rotation, t)
         emitted = np.zeros((len(sighting), 2, len(self.names)))
         projector_by_point = self._device_rows(x, "projector", points, emitted)
         normal = rotation[:, 2]
@@ -163,9 +168,11 @@ class _Problem:
             [-(points - t) @ skew(normal) @ left, np.broadcast_to(-normal, points.shape)], -1
         )
         by_x = np.concatenate([projector_by_point, np.broadcast_to(normal, (len(points), 1, 3))], 1)
-        moved = -np.linalg.solve(by_x, constraint)
+        lens = np.arange(len(self.lens_terms["projector"])) + self.lens_at["projector"]
+        columns = np.concatenate([lens, *(np.arange(6) + self.pose_at[key] for key in ("projector", sighting.pose))])
+        moved = -np.linalg.solve(by_x, constraint[..., columns])
         by_point = self._device_rows(x, sighting.device, points, block)
-        block += by_point @ moved
+        block[..., columns] += by_point @ moved
 
     def _device_rows(self, x: Array, name: DeviceName, points: Array, block: Array) -> Array:
         """Fill in the device's own columns; (n, 2, 3) derivative by the point in the rig frame."""
@@ -248,13 +255,12 @@ def adjust(
     chi2, freedom = float(residuals @ residuals), count - len(problem.names)
     jacobian = problem.jacobian(solution.x)
     size = np.linalg.norm(jacobian, axis=0)
-    try:
-        inverse = np.linalg.inv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
-    except np.linalg.LinAlgError:
-        raise CalibrationError(
-            "the poses leave a parameter undetermined: expected boards tilted in different ways"
-        ) from None
-    covariance = inverse * max(chi2 / freedom, 0.0)
+    if not (size > 0).all():
+        raise CalibrationError(f"{problem.names[int(np.argmin(size))]}: found nothing that depends on it")
+    values, vectors = np.linalg.eigh((jacobian / size).T @ (jacobian / size))
+    if values[0] < _UNDETERMINED * values[-1]:
+        raise CalibrationError("the poses leave a parameter undetermined, expected boards tilted in different ways")
+    covariance = (vectors / values) @ vectors.T / np.outer(size, size) * (chi2 / freedom)
     n = problem.device_parameters
     split = np.split(residuals.reshape(-1, 2), np.cumsum([len(s) for s in sightings])[:-1])
     unscaled = [part * s.sigma_px for part, s in zip(split, sightings, strict=True)]

@@ -30,6 +30,8 @@ _OUTLIER_SIGMAS = 6.0
 _BAD_PART = 0.3  # of a picture's features being outliers: the picture itself is bad
 _BAD_RMS_TIMES = 4.0
 _ROUNDS = 3
+_BLUR_PX = 2.0
+_BLUR_TIMES = 3.0  # the median of the capture
 _ENOUGH_POSES = 6
 _NOTABLE_FOCAL_U95 = 1e-3  # of the focal length
 _NOTABLE_CENTRE_U95_PX = 3.0
@@ -146,6 +148,7 @@ def calibrate(
     reasons: dict[int, list[str]] = {d.pose: [] for d in detections}
     for detection in detections:
         reasons[detection.pose] += [f"{detection.camera}: {reason}" for reason in detection.reasons]
+    detections = _refuse_blurred(detections, reasons)
     sightings = sightings_of(detections, board, pattern)
     sizes: dict[DeviceName, tuple[int, int]] = {d.camera: d.size for d in detections}
     _require_poses(sightings, sizes, reasons)
@@ -210,6 +213,21 @@ def sightings_of(detections: Sequence[Detection], board: Board, pattern: Project
                 Sighting("board", "projector", d.pose, d.coded.index, xy, none, d.coded.projector_px, 0.05)
             )
     return sightings + [_merged(of) for of in coded.values()]
+
+
+def _refuse_blurred(detections: Sequence[Detection], reasons: dict[int, list[str]]) -> list[Detection]:
+    """Leave out what is much more blurred than the rest: shaken, or out of the camera's depth of field."""
+    blurs = [d.board.blur_px for d in detections if d.board is not None and np.isfinite(d.board.blur_px)]
+    limit = max(_BLUR_TIMES * float(np.median(blurs)), _BLUR_PX) if blurs else np.inf
+    kept = []
+    for detection in detections:
+        if detection.board is not None and detection.board.blur_px > limit:
+            reasons[detection.pose].append(
+                f"{detection.camera}: blurred: edges have σ {detection.board.blur_px:.1f} px, not over {limit:.1f}"
+            )
+        else:
+            kept.append(detection)
+    return kept
 
 
 def _merged(views: Sequence[Sighting]) -> Sighting:
@@ -323,12 +341,16 @@ def _choose_model(state: State, sightings: Sequence[Sighting]) -> tuple[Terms, l
     """The lens model of each device in turn, the others as they stand."""
     terms: Terms = dict.fromkeys(state.devices, USUAL)
     evidence: list[Evidence] = []
+    tried: dict[tuple[tuple[DeviceName, tuple[str, ...]], ...], tuple[float, int]] = {}
     count = 2 * sum(len(s) for s in sightings)
     for name in state.devices:
 
         def fit(candidate: tuple[str, ...], name: DeviceName = name) -> tuple[float, int]:
-            tried = adjust(state, sightings, _free(terms | {name: candidate}), robust=False)
-            return tried.chi2, tried.freedom
+            model = tuple((terms | {name: candidate}).items())
+            if model not in tried:
+                adjusted = adjust(state, sightings, _free(dict(model)), robust=False)
+                tried[model] = adjusted.chi2, adjusted.freedom
+            return tried[model]
 
         terms[name], found = choose_terms(name, fit, count)
         evidence += found
@@ -341,8 +363,6 @@ def _free(terms: Terms) -> dict[DeviceName, Sequence[str]]:
 
 def _check(adjusted: Adjusted) -> None:
     devices = adjusted.state.devices
-    if not np.isfinite(adjusted.covariance).all() or (np.diag(adjusted.covariance) <= 0).any():
-        raise CalibrationError("the poses leave a parameter undetermined: expected boards tilted in different ways")
     if "right" in devices and devices["right"].centre[0] <= 0:
         raise CalibrationError(
             f"the right camera came out {-devices['right'].centre[0]:.0f} mm to the left of the left one: "

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from metrology.calibration.blobs import printed_blobs
 from metrology.calibration.board import Board
+from metrology.calibration.corner_edge import fit_corner
 from metrology.calibration.dot_edge import DotFit, fit_dot
 from metrology.calibration.frames import BoardFrames
-from metrology.calibration.homography import fit_homography, unit_area
+from metrology.calibration.homography import apply_homography, fit_homography, unit_area
 from metrology.calibration.lattice import Labels, diagonal_to_grid, label_lattice, turned
 from metrology.errors import CalibrationError
 
@@ -21,11 +22,12 @@ Array = NDArray[np.float64]
 LARGEST_SIGMA_PX = 0.03
 _LEAST_PART = 0.75  # of the features: with fewer the board is only half in view
 _LEAST_RIM = 0.8
+_OVEREXPOSED = 0.02
 _STRAY_DOTS = 2  # blobs that fit the lattice by chance
 _SIZE_TOLERANCE = 0.1  # of a dot's diameter over its spacing against the board's description
 _BLUR_OF_DOT = 0.35  # blur over a dot's smaller radius at which its middle no longer reaches its own level
-_CORNER_SIGMA_PX = 0.03
-_BLURRED_RISE_PX = 8.0  # of a chessboard's edges from 10 to 90 %
+_REACH = 0.4  # of a square: how far from a corner its edges are used
+_BLUR_OF_SQUARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,13 @@ def detect_board(frames: BoardFrames, board: Board) -> BoardView:
     lit = frames.lit
     if np.quantile(lit, 0.99) < 8:
         raise CalibrationError("the picture is dark: white and dark frames hardly differ")
+    overexposed = float(frames.saturated.mean())
+    if overexposed > _OVEREXPOSED:
+        raise CalibrationError(f"overexposed: {overexposed:.0%} of the white frame is saturated, expected next to none")
     if board.has_dots:
         return _detect_dots(frames, lit, board)
     grey = np.clip(lit * (255.0 / np.quantile(lit, 0.995)), 0, 255).astype(np.uint8)
-    return _detect_charuco(grey, board) if board.kind == "charuco" else _detect_chessboard(grey, board)
+    return _detect_charuco(grey, lit, board) if board.kind == "charuco" else _detect_chessboard(grey, lit, board)
 
 
 def _detect_dots(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
@@ -167,7 +172,7 @@ def _check_dots(view: BoardView, fits: list[DotFit], board: Board) -> None:
         )
 
 
-def _detect_chessboard(grey: NDArray[np.uint8], board: Board) -> BoardView:
+def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardView:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     pattern = (board.cols, board.rows)
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, pattern, flags | cv2.CALIB_CB_LARGER)
@@ -178,18 +183,14 @@ def _detect_chessboard(grey: NDArray[np.uint8], board: Board) -> BoardView:
             f"found a chessboard of {meta.shape[1]} × {meta.shape[0]} inner corners, expected {board.cols} × "
             f"{board.rows}: wrong board size"
         )
-    rise = float(np.ravel(cv2.estimateChessboardSharpness(grey, pattern, corners)[0])[0])
-    if rise > _BLURRED_RISE_PX:
-        raise CalibrationError(f"blurred: edges rise over {rise:.1f} px, expected at most {_BLURRED_RISE_PX:g} px")
     pixels = np.asarray(corners, float).reshape(-1, 2)
     index = np.arange(len(pixels))
     if _along_u(board.grid, pixels) < 0:
         index = index[::-1].copy()
-    blur = rise / 2.563  # a Gaussian edge rises from 10 to 90 % over 2.563 σ
-    return BoardView(index, pixels, np.full(len(pixels), _CORNER_SIGMA_PX), blur, (grey.shape[1], grey.shape[0]))
+    return _refine_corners(lit, board, index, pixels)
 
 
-def _detect_charuco(grey: NDArray[np.uint8], board: Board) -> BoardView:
+def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardView:
     identifier = getattr(cv2.aruco, board.dictionary or "", None)
     if not isinstance(identifier, int):
         raise CalibrationError(f"ChArUco dictionary: found {board.dictionary!r}, expected a name such as DICT_5X5_100")
@@ -206,20 +207,34 @@ def _detect_charuco(grey: NDArray[np.uint8], board: Board) -> BoardView:
         raise CalibrationError(
             f"found {found} of {expected} corners of the {board}: half in view, blurred or another one"
         )
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
-    pixels = np.ascontiguousarray(np.asarray(corners, np.float32).reshape(-1, 1, 2))
-    half = max(2, int(0.2 * _least_distance(pixels[:, 0])))
-    refined = cv2.cornerSubPix(grey, pixels, (half, half), (-1, -1), criteria).reshape(-1, 2)
-    return BoardView(
-        np.asarray(ids).ravel().astype(np.intp),
-        refined.astype(float),
-        np.full(found, _CORNER_SIGMA_PX),
-        float("nan"),
-        (grey.shape[1], grey.shape[0]),
+    return _refine_corners(
+        lit, board, np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, float).reshape(-1, 2)
     )
 
 
-def _least_distance(pixels: NDArray[np.float32]) -> float:
-    distance = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    return float(np.median(distance.min(1)))
+def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: Array) -> BoardView:
+    """Fit the crossing edges at every corner; the homography tells their directions."""
+    points = board.points[index, :2]
+    homography = fit_homography(points, pixels)
+    reach = _REACH * board.spacing_mm * np.sqrt(unit_area(homography, points))
+    fits, kept = [], []
+    for k, start in enumerate(pixels):
+        ends = apply_homography(homography, points[k] + np.eye(2)) - apply_homography(homography, points[k] - np.eye(2))
+        fit = fit_corner(lit, start, ends / np.linalg.norm(ends, axis=1, keepdims=True), float(reach[k]))
+        if fit is not None and fit.sigma_px < 3 * LARGEST_SIGMA_PX:
+            fits.append(fit)
+            kept.append(k)
+    if len(fits) < _LEAST_PART * len(pixels):
+        raise CalibrationError(
+            f"{len(fits)} of {len(pixels)} corners of the {board} are sharp enough to be measured: blurred or too dark"
+        )
+    blur, spacing = float(np.median([fit.blur_px for fit in fits])), float(np.median(reach)) / _REACH
+    if blur > _BLUR_OF_SQUARE * spacing:
+        raise CalibrationError(f"blurred: edges have σ {blur:.1f} px on squares of {spacing:.0f} px")
+    return BoardView(
+        index[kept],
+        np.array([fit.centre for fit in fits]),
+        np.array([fit.sigma_px for fit in fits]),
+        blur,
+        (lit.shape[1], lit.shape[0]),
+    )

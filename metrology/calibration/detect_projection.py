@@ -27,7 +27,7 @@ _GUARD_PX = 3  # kept off the edge of the print, where the blur of the two frame
 _SMOOTH_PX = 1.5
 _LEAST_RIM = 0.7
 _LARGEST_SIGMA_PX = 0.06
-_LEAST_DOTS = 20
+_LEAST_DOTS = 12
 _CONTRADICTIONS = 2  # blobs that are no dots, or a dot half hidden
 _SIZE_TOLERANCE = 0.15
 

@@ -89,6 +89,8 @@ def _seed_basis(points: Array, tree: cKDTree, seed: int) -> Array | None:
     for second in opposed[1:]:
         area = first[0] * second[1] - first[1] * second[0]
         if abs(area) > 0.5 * np.linalg.norm(first) * np.linalg.norm(second):
+            # A diagonal, where the nearer neighbours are missing, spans the same lattice: take the squarest step.
+            second = second - np.rint(second @ first / (first @ first)) * first
             return np.stack([first, second if area > 0 else -second])
     return None
 
