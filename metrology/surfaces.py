@@ -198,7 +198,8 @@ def _consensus(
 ) -> Array | None:
     """Coefficients of the sample with the smallest truncated squares (MSAC), points scaled to unit noise."""
     n = len(target)
-    picks = np.array([generator.choice(n, unknowns, replace=False) for _ in range(trials)])
+    # Now and then a point is drawn twice; such a sample is singular and drops out below.
+    picks = generator.integers(n, size=(trials, unknowns))
     matrices, values = design[picks], target[picks]
     sizes = np.abs(np.linalg.det(matrices / np.linalg.norm(matrices, axis=2, keepdims=True)))
     good = sizes > 1e-6 * sizes.max() if sizes.max() > 0 else np.zeros(trials, bool)

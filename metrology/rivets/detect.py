@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from metrology.rivets.arc_fit import fit_candidates
 from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
-from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
+from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_evidence
 from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
+from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -34,39 +35,6 @@ class Level:
     reduction: int
     least: float
     most: float
-
-
-@dataclass(frozen=True)
-class CircleShapes:
-    """What a circle on the surface looks like: one ellipse shape of determinant 1 per cell of the image.
-
-    Attributes
-    ----------
-    matrices : (rows, columns, 3) ndarray
-        Entries uu, vv, uv of Σ, see `Ellipse.shape`.
-    cell : float
-        Size of a cell, px.
-    """
-
-    matrices: Array
-    cell: float
-
-    @property
-    def known(self) -> bool:
-        """Whether the shapes come from a surface."""
-        return self.matrices.size > 3
-
-    @classmethod
-    def round(cls) -> CircleShapes:
-        """Circles look like circles everywhere."""
-        return cls(np.array([[[1.0, 1.0, 0.0]]]), 1e9)
-
-    def at(self, u: Array, v: Array) -> Array:
-        """(n, 3) shapes at pixels."""
-        rows, columns = self.matrices.shape[:2]
-        i = np.clip((np.asarray(v) / self.cell).astype(int), 0, rows - 1)
-        j = np.clip((np.asarray(u) / self.cell).astype(int), 0, columns - 1)
-        return self.matrices[i, j]
 
 
 def levels_for(least: float, most: float) -> list[Level]:
@@ -243,9 +211,8 @@ def _verified(
     limits = np.array([reach, 0.85 * radii[0], 1.15 * radii[1], 0.55, 0.5, 3.0])
     shape = None
     if shapes is not None:
-        uu, vv, uv = shapes.at(np.array([start.u]), np.array([start.v]))[0]
-        shape = np.array([[uu, uv], [uv, vv]])
-        start = ellipse_of_shape(start.u, start.v, shape * start.radius**2)
+        start = shapes.ellipse(start.u, start.v, start.radius)
+        shape = start.shape
     fit = fit_ring(image, start, 1.0, limits, shape)
     if fit is None or not _is_rim(fit, settings):
         return None
@@ -269,50 +236,15 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
     )
 
 
-def _log_shape(ellipse: Ellipse) -> Array:
-    """(2,) elongation e cos 2θ, e sin 2θ with e = ln(a/b): 0 for a circle, smooth through it."""
-    return np.log(ellipse.a / ellipse.b) * np.array([np.cos(2 * ellipse.angle), np.sin(2 * ellipse.angle)])
-
-
-def shapes_of(ellipses: list[Ellipse], size: tuple[int, ...]) -> CircleShapes | None:
-    """What circles look like where rings tell it: all lie on one panel, which the camera sees at one slant.
-
-    The elongation is taken as linear over the image, or constant where there are fewer than eight rings; those that
-    disagree are left out. None below four rings.
-    """
-    if len(ellipses) < 4:
-        return None
-    columns = 3 if len(ellipses) >= 8 else 1
-    at = np.array([[1.0, e.u / size[1], e.v / size[0]] for e in ellipses])[:, :columns]
-    values = np.array([_log_shape(e) for e in ellipses])
-    keep = np.linalg.norm(values - np.median(values, axis=0), axis=1) < 0.15
-    for _ in range(3):
-        if keep.sum() < 4:
-            return None
-        model, *_ = np.linalg.lstsq(at[keep], values[keep], rcond=None)
-        error = np.linalg.norm(values - at @ model, axis=1)
-        keep = error <= max(0.03, 3 * 1.4826 * float(np.median(error)))
-    cell = 64.0
-    v, u = np.mgrid[0 : np.ceil(size[0] / cell), 0 : np.ceil(size[1] / cell)]
-    place = np.stack([np.ones_like(u), (u + 0.5) * cell / size[1], (v + 0.5) * cell / size[0]], axis=-1)[..., :columns]
-    elongation = place @ model
-    e = np.linalg.norm(elongation, axis=-1)
-    # exp of the symmetric matrix [[x, y], [y, -x]] with x² + y² = e².
-    ratio = np.sinh(e) / np.maximum(e, 1e-9)
-    x, y = elongation[..., 0] * ratio, elongation[..., 1] * ratio
-    return CircleShapes(np.stack([np.cosh(e) + x, np.cosh(e) - x, y], axis=-1), cell)
-
-
 def _agrees(ellipse: Ellipse, shapes: CircleShapes) -> bool:
-    uu, vv, uv = shapes.at(np.array([ellipse.u]), np.array([ellipse.v]))[0]
-    expected = ellipse_of_shape(0.0, 0.0, np.array([[uu, uv], [uv, vv]]))
-    return bool(np.linalg.norm(_log_shape(ellipse) - _log_shape(expected)) < 0.05)
+    expected = shapes.ellipse(ellipse.u, ellipse.v, 1.0)
+    return bool(np.linalg.norm(log_shape(ellipse) - log_shape(expected)) < 0.05)
 
 
 def suppress_repeats(rings: list[Ring]) -> list[Ring]:
-    """One ring per rivet: of rings within each other the best stays."""
+    """One ring per rivet: of rings within each other the best stays, the larger one of equals (a recess has a rim too)."""
     kept: list[Ring] = []
-    for ring in sorted(rings, key=lambda r: -r.quality):
+    for ring in sorted(rings, key=lambda r: -r.quality * r.ellipse.radius):
         if not any(_within(ring.ellipse, q.ellipse) or _within(q.ellipse, ring.ellipse) for q in kept):
             kept.append(ring)
     return kept

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.rig import Device
-from metrology.rivets.detect import CircleShapes
+from metrology.rivets.shapes import CircleShapes
 from metrology.rivets.ellipse import Ellipse
 from metrology.surfaces import Frame
 
@@ -69,14 +69,16 @@ def circle_shapes(reconstruction: Reconstruction, cell: int = 96) -> tuple[Circl
 
 def _robust_plane(points: Array) -> tuple[Array, Array]:
     """A point on, and the normal of, the plane z(x, y) through points, outliers beyond three sigmas left out."""
-    keep = np.ones(len(points), bool)
+    centre = points.mean(axis=0)
+    design = np.column_stack([np.ones(len(points)), points[:, :2] - centre[:2]])
+    depth = points[:, 2] - centre[2]
+    weight = np.ones(len(points))
     for _ in range(3):
-        centre = points[keep].mean(axis=0)
-        design = np.column_stack([np.ones(len(points)), points[:, :2] - centre[:2]])
-        solution, *_ = np.linalg.lstsq(design[keep], points[keep, 2], rcond=None)
-        residual = np.abs(points[:, 2] - design @ solution)
-        keep = residual < 3 * 1.4826 * np.median(residual) + 1e-9
-    return np.array([centre[0], centre[1], solution[0]]), np.array([solution[1], solution[2], -1.0])
+        weighted = design * weight[:, None]
+        solution = np.linalg.lstsq(weighted.T @ design, weighted.T @ depth, rcond=None)[0]
+        residual = np.abs(depth - design @ solution)
+        weight = (residual < 3 * 1.4826 * np.median(residual) + 1e-9).astype(float)
+    return centre + [0, 0, solution[0]], np.array([solution[1], solution[2], -1.0])
 
 
 def lay_on_plane(camera: Device, ellipse: Ellipse, frame: Frame, height: float = 0.0) -> tuple[float, float, float]:
@@ -108,7 +110,8 @@ def nearby_plane(reconstruction: Reconstruction, ellipse: Ellipse) -> tuple[Fram
     height, width = reconstruction.points.shape[:2]
     u0, u1 = max(0, int(ellipse.u - reach)), min(width, int(ellipse.u + reach) + 1)
     v0, v1 = max(0, int(ellipse.v - reach)), min(height, int(ellipse.v + reach) + 1)
-    points = reconstruction.points[v0:v1, u0:u1].reshape(-1, 3)
+    stride = max(1, int(reach / 20))
+    points = reconstruction.points[v0:v1:stride, u0:u1:stride].reshape(-1, 3)
     points = points[np.isfinite(points[:, 2])].astype(float)
     if len(points) < 50:
         return None

@@ -554,6 +554,13 @@ def fit_ring(
         return None
     if not (np.isfinite(out).all() and np.isfinite(covariance).all()):
         return None
+    found = ellipse_of_inverse(out[0], out[1], out[2], out[3], out[4])
+    # Blur moves the ridge of a curved line inwards by σ²/2r (the mean over a Gaussian of a circle's distance).
+    shift = out[5] ** 2 / (2 * found.radius)
+    scale = (found.radius / (found.radius + shift)) ** 2
+    out[2:5] *= scale
+    covariance[2:] *= scale
+    covariance[:, 2:] *= scale
     return RingFit(
         ellipse=ellipse_of_inverse(out[0], out[1], out[2], out[3], out[4]),
         inverse=out[:5].copy(),

@@ -10,6 +10,7 @@ from metrology.results import RivetDetection
 from metrology.rivets.detect import Ring, detect_ellipses
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.geometry import circle_shapes, nearby_plane
+from metrology.rivets.relief import HeadRelief, PlainHead, head_relief, plain_heads, relief_map
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
 
@@ -30,14 +31,38 @@ def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None
     settings = settings or RivetSettings()
     shapes, scale = circle_shapes(reconstruction)
     texture = reconstruction.left.texture
-    if np.isfinite(scale).all():
-        least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
-        most = 0.5 * settings.max_diameter_mm * scale.max()
-        rings = detect_ellipses(texture, settings, shapes, (least, most))
-    else:
-        rings = detect_ellipses(texture, settings)
+    if not np.isfinite(scale).all():
+        rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
+        return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
+    least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
+    most = 0.5 * settings.max_diameter_mm * scale.max()
+    rings = detect_ellipses(texture, settings, shapes, (least, most))
+    rings = [r for r in rings if _borne_out(r, head_relief(reconstruction, r.ellipse), settings)]
     found = [_detection(ring, reconstruction) for ring in rings]
-    return [found[i] for i in reading_order(found)]
+    if settings.plain_heads:
+        heads = plain_heads(reconstruction, relief_map(reconstruction, most), shapes, (least, most))
+        free = [h for h in heads if not any(_overlap(h.ellipse, r.ellipse) for r in rings)]
+        found += [_plain_detection(head, reconstruction) for head in free]
+    return _in_reading_order(found)
+
+
+def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
+    """Whether ring and cloud together make a rivet.
+
+    A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain needs
+    a step in height to be believed.
+    """
+    if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
+        return False
+    return ring.quality >= settings.sure_quality or relief.significance >= settings.sure_relief
+
+
+def _overlap(one: Ellipse, other: Ellipse) -> bool:
+    return bool(np.hypot(one.u - other.u, one.v - other.v) < one.b + other.b)
+
+
+def _in_reading_order(detections: list[RivetDetection]) -> list[RivetDetection]:
+    return [detections[i] for i in reading_order(detections)]
 
 
 def reading_order(detections: list[RivetDetection]) -> list[int]:
@@ -68,6 +93,24 @@ def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
         u_right_px=right[0] if right else None,
         v_right_px=right[1] if right else None,
         rim_sigma_px=ring.fit.sigma_px,
+    )
+
+
+def _plain_detection(head: PlainHead, reconstruction: Reconstruction) -> RivetDetection:
+    """A head seen in the height map only; its place is good to about a cell of that map over its height's significance."""
+    e = head.ellipse
+    right = _in_right_camera(e, reconstruction)
+    place = 1.0
+    return RivetDetection(
+        u_px=e.u,
+        v_px=e.v,
+        major_px=2 * e.a,
+        minor_px=2 * e.b,
+        angle_deg=float(np.degrees(e.angle)),
+        confidence=confidence(0.5 * head.significance),
+        covariance=np.diag([place, place, 4 * place, 4 * place, 100.0]),
+        u_right_px=right[0] if right else None,
+        v_right_px=right[1] if right else None,
     )
 
 

@@ -31,6 +31,14 @@ class RivetSettings:
     min_quality : float
         How far the ring stands out from its surroundings, in their standard deviations, times the square of its
         coverage, to be a rivet.
+    sure_quality : float
+        Quality above which a ring needs no step in height to be a rivet.
+    sure_relief : float
+        Height step over its standard deviation that bears out a weaker ring.
+    max_sunk_mm : float
+        A ring whose inside lies deeper than this below the skin is a hole.
+    plain_heads : bool
+        Whether to look for heads without a rim (painted over) in the height map.
     min_ring_share : float
         Amplitude of the ring as a share of the brightness step from head to skin: below it the ring is an edge.
     reference : "quadric" or "plane"
@@ -62,6 +70,10 @@ class RivetSettings:
     min_coverage: float = 0.52
     min_score: float = 8.0
     min_quality: float = 3.0
+    sure_quality: float = 6.0
+    sure_relief: float = 4.0
+    max_sunk_mm: float = 2.0
+    plain_heads: bool = True
     min_ring_share: float = 0.5
     reference: Reference = "quadric"
     inner_radius: float = 0.85

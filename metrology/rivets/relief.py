@@ -1,0 +1,245 @@
+"""Heads in the height map: what the cloud says about a ring, and heads that show no ring at all (painted over).
+
+Heights are taken against the skin smoothed over a few head diameters, heads themselves left out. In 1/z a plane is linear
+over the (undistorted) image, so smoothing bends nothing: δh = −z² δ(1/z) · (ray · n).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import PixelFlag, Reconstruction
+from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
+from metrology.rivets.shapes import CircleShapes, log_shape
+from metrology.surfaces import Frame
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+_REDUCTION = 4  # pixels per cell of the height map
+_PLATEAU = 0.7  # area above half the height over area above a fifth of it: 1 for a disc, 0.43 for a Gaussian bump
+_SHAPE_TOLERANCE = 0.15  # of the elongation of a blob of few cells
+_TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does not show
+_LEAST_SIGMAS = 6.0  # of a cell's noise
+
+
+@dataclass(frozen=True)
+class ReliefMap:
+    """Heights over the smoothed skin on cells of 4 × 4 pixels.
+
+    Attributes
+    ----------
+    height : (h/4, w/4) float32
+        mm, positive towards the rig; NaN where there is no cloud.
+    noise : float
+        Standard deviation of a cell, mm.
+    """
+
+    height: Float32
+    noise: float
+
+
+@dataclass(frozen=True)
+class PlainHead:
+    """A disc that stands out of the skin without a rim that can be seen."""
+
+    ellipse: Ellipse
+    height_mm: float
+    significance: float
+
+
+def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
+    """Heights against the skin smoothed over `radius_px` times 1.5 (the largest head's radius)."""
+    inverse, share = _cells(reconstruction)
+    known = share > 0.5
+    trusted = known.copy()
+    sigma = 1.5 * radius_px / _REDUCTION
+    depth = np.where(known, 1 / np.maximum(inverse, 1e-9), np.nan)
+    residual = np.full(inverse.shape, np.nan, np.float32)
+    noise = 0.0
+    for _ in range(3):
+        smooth = _linear_smooth(inverse, trusted, sigma)
+        residual = np.where(known, (inverse - smooth) * depth**2, np.nan).astype(np.float32)
+        # The median of neighbours' differences: heads and edges are few.
+        steps = np.abs(np.diff(residual, axis=1))
+        noise = float(1.4826 * np.nanmedian(steps) / np.sqrt(2)) if np.isfinite(steps).any() else np.inf
+        trusted = known & (np.abs(residual) < max(4 * noise, 0.01))
+    return ReliefMap(residual, noise)
+
+
+def _cells(reconstruction: Reconstruction) -> tuple[Float32, Float32]:
+    """Mean 1/z of the valid points per cell, and the share of pixels that have one."""
+    height, width = reconstruction.valid.shape
+    rows, columns = height // _REDUCTION, width // _REDUCTION
+    part = np.s_[: rows * _REDUCTION, : columns * _REDUCTION]
+    z = reconstruction.points[part][..., 2]
+    good = np.isfinite(z) & ((reconstruction.flags[part] & np.uint16(PixelFlag.SLOPE)) == 0)
+    inverse = np.where(good, 1 / np.where(good, z, 1), 0).astype(np.float32)
+    size = (columns, rows)
+    share = cv2.resize(good.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(inverse, size, interpolation=cv2.INTER_AREA)
+    return (total / np.maximum(share, 1e-6)).astype(np.float32), share
+
+
+def _linear_smooth(values: Float32, mask: NDArray[np.bool_], sigma: float) -> Array:
+    """Local linear regression with Gaussian weights: exact on planes, at borders and round holes too.
+
+    On a grid four times as coarse, since the result changes over `sigma` cells only.
+    """
+    rows, columns = values.shape
+    coarse = max(1, min(4, int(sigma / 3)))
+    size = (max(2, columns // coarse), max(2, rows // coarse))
+    middle = float(values[mask].mean()) if mask.any() else 0.0
+    v, u = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    u, v = u / columns - 0.5, v / rows - 0.5
+    w = mask.astype(np.float32)
+    f = np.where(mask, values - middle, 0).astype(np.float32)
+    spread = (sigma * size[0] / columns, sigma * size[1] / rows)
+
+    def gathered(image: Float32) -> Array:
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+        return cv2.GaussianBlur(small, (0, 0), spread[0], sigmaY=spread[1], borderType=cv2.BORDER_CONSTANT)
+
+    m0, mu, mv = gathered(w), gathered(w * u), gathered(w * v)
+    muu, muv, mvv = gathered(w * u * u), gathered(w * u * v), gathered(w * v * v)
+    t0, tu, tv = gathered(f), gathered(f * u), gathered(f * v)
+    y, x = np.mgrid[0 : size[1], 0 : size[0]]
+    x, y = (x + 0.5) / size[0] - 0.5 - 0.5 / columns, (y + 0.5) / size[1] - 0.5 - 0.5 / rows
+    # Moments about each place itself.
+    su, sv = mu - x * m0, mv - y * m0
+    suu, svv = muu - 2 * x * mu + x * x * m0, mvv - 2 * y * mv + y * y * m0
+    suv = muv - x * mv - y * mu + x * y * m0
+    ru, rv = tu - x * t0, tv - y * t0
+    det = m0 * (suu * svv - suv**2) - su * (su * svv - suv * sv) + sv * (su * suv - suu * sv)
+    top = t0 * (suu * svv - suv**2) - su * (ru * svv - suv * rv) + sv * (ru * suv - suu * rv)
+    scale = spread[0] * spread[1] / (size[0] * size[1])
+    good = det > 1e-4 * scale**2 * m0**3
+    smooth = np.where(good, top / np.where(good, det, 1), np.nan).astype(np.float32)
+    return np.asarray(cv2.resize(smooth, (columns, rows), interpolation=cv2.INTER_LINEAR) + middle, float)
+
+
+def plain_heads(
+    reconstruction: Reconstruction, relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]
+) -> list[PlainHead]:
+    """Discs of the size and shape of heads in the height map whose border does not show in the texture.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+    relief : ReliefMap
+    shapes : CircleShapes
+    radii : (least, most)
+        Radii looked for, px.
+    """
+    found = []
+    limit = max(_LEAST_SIGMAS * relief.noise, 0.02)
+    for sign in (1.0, -1.0):
+        height = np.nan_to_num(sign * relief.height, nan=0.0)
+        count, labels, stats, _ = cv2.connectedComponentsWithStats((height > 0.5 * limit).astype(np.uint8))
+        for k in range(1, count):
+            u0, v0, columns, rows, area = stats[k]
+            if area * _REDUCTION**2 < 2 * radii[0] ** 2 or max(columns, rows) * _REDUCTION > 3 * radii[1]:
+                continue
+            window = np.s_[v0 : v0 + rows, u0 : u0 + columns]
+            head = _disc(np.where(labels[window] == k, height[window], 0.0), (u0, v0), limit, shapes, radii)
+            if head is None or _shows_in_texture(reconstruction.left.texture, head[0]):
+                continue
+            ellipse, level = head
+            found.append(PlainHead(ellipse, sign * level, level / relief.noise))
+    return found
+
+
+def _disc(
+    height: Array, corner: tuple[int, int], limit: float, shapes: CircleShapes, radii: tuple[float, float]
+) -> tuple[Ellipse, float] | None:
+    """The disc that a blob is, in pixels, and its height; None where it is none."""
+    if height.max() < limit:
+        return None
+    level = float(np.median(height[height > 0.5 * height.max()]))
+    weight = np.clip(height / level, 0, 1)
+    if (weight > 0.5).sum() < _PLATEAU * (weight > 0.2).sum():
+        return None
+    v, u = np.mgrid[0 : height.shape[0], 0 : height.shape[1]]
+    total = weight.sum()
+    cu, cv = (weight * u).sum() / total, (weight * v).sum() / total
+    du, dv = u - cu, v - cv
+    moments = np.array(
+        [[(weight * du * du).sum(), (weight * du * dv).sum()], [(weight * du * dv).sum(), (weight * dv * dv).sum()]]
+    )
+    # A uniform ellipse has second moments of a quarter of its shape matrix.
+    blob = ellipse_of_shape(0.0, 0.0, 4 * moments / total)
+    radius = np.sqrt(total / np.pi) * _REDUCTION
+    centre = [(c + o + 0.5) * _REDUCTION - 0.5 for c, o in ((cu, corner[0]), (cv, corner[1]))]
+    expected = shapes.ellipse(centre[0], centre[1], radius)
+    if not radii[0] <= radius <= radii[1] or abs(blob.radius * _REDUCTION / radius - 1) > 0.15:
+        return None
+    if np.linalg.norm(log_shape(blob) - log_shape(expected)) > _SHAPE_TOLERANCE + 1.0 / (radius / _REDUCTION) ** 2:
+        return None
+    return expected, level
+
+
+def _shows_in_texture(texture: Float32, ellipse: Ellipse) -> bool:
+    """Whether the disc is brighter or darker than what surrounds it: then it is a sticker or a hole."""
+    reach = int(1.5 * ellipse.a) + 2
+    u0, v0 = max(0, int(ellipse.u) - reach), max(0, int(ellipse.v) - reach)
+    part = texture[v0 : int(ellipse.v) + reach + 1, u0 : int(ellipse.u) + reach + 1]
+    v, u = np.mgrid[v0 : v0 + part.shape[0], u0 : u0 + part.shape[1]]
+    level = ellipse.level(u, v)
+    inside, outside = part[level < 0.85], part[(level > 1.15) & (level < 1.45)]
+    if inside.size < 9 or outside.size < 9:
+        return True
+    skin = float(np.median(outside))
+    return abs(float(np.median(inside)) - skin) > _TEXTURE_STEP * max(skin, 1e-6)
+
+
+@dataclass(frozen=True)
+class HeadRelief:
+    """What the cloud says about a ring.
+
+    Attributes
+    ----------
+    step_mm : float
+        Median height of the inside over the plane of the outside.
+    significance : float
+        Its size over its standard deviation.
+    inner_share, outer_share : float
+        Shares of pixels inside and outside that have a point.
+    """
+
+    step_mm: float
+    significance: float
+    inner_share: float
+    outer_share: float
+
+
+def head_relief(reconstruction: Reconstruction, ellipse: Ellipse) -> HeadRelief:
+    """Height of a ring's inside over its outside, simply: a plane outside, a median inside."""
+    reach = int(1.8 * ellipse.a) + 2
+    height, width = reconstruction.valid.shape
+    u0, u1 = max(0, int(ellipse.u) - reach), min(width, int(ellipse.u) + reach + 1)
+    v0, v1 = max(0, int(ellipse.v) - reach), min(height, int(ellipse.v) + reach + 1)
+    v, u = np.mgrid[v0:v1, u0:u1]
+    level = ellipse.level(u, v)
+    valid = reconstruction.valid[v0:v1, u0:u1]
+    clear = 3 / ellipse.b
+    inside, outside = level < max(1 - clear, 0.6), (level > 1 + clear) & (level < 1.8)
+    shares = (
+        float(valid[inside].mean()) if inside.any() else 0.0,
+        float(valid[outside].mean()) if outside.any() else 0.0,
+    )
+    points = reconstruction.points[v0:v1, u0:u1].astype(float)
+    skin, head = points[outside & valid], points[inside & valid]
+    if len(skin) < 50 or len(head) < 20:
+        return HeadRelief(0.0, 0.0, *shares)
+    centre = skin.mean(axis=0)
+    _, _, axes = np.linalg.svd(skin - centre, full_matrices=False)
+    frame = Frame.on_plane(centre, axes[2])
+    step = float(np.median(frame.local(head)[:, 2]) - np.median(frame.local(skin)[:, 2]))
+    spread = 1.4826 * float(np.median(np.abs(frame.local(skin)[:, 2])))
+    # Matching correlates neighbours: a median of n points is worth about a quarter of them. Curved skin adds its sag.
+    deviation = float(np.hypot(2 * spread * np.sqrt(1 / len(head) + 1 / len(skin)) * 1.25, 0.005))
+    return HeadRelief(step, abs(step) / deviation, *shares)
