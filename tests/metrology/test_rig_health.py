@@ -1,0 +1,182 @@
+"""Whether a rig fits a scan: every way one device can move or zoom shows, noise and calibration errors do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView, Reconstruction
+from metrology.errors import RigError
+from metrology.noise import NoiseModel
+from metrology.reconstruct import triangulate
+from metrology.results import RivetDetection
+from metrology.rig import Device, Rig
+from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
+from storage.rig import load_rig
+from storage.scene import load_scene
+from tasks.rig_check import check_scene
+from tests.metrology.calibration_bench import bench_rig, turn
+
+NORMAL = turn(8, -12, 0) @ np.array([0.0, 0.0, 1.0])
+THROUGH = np.array([0.0, 0.0, 700.0])
+GRAIN_MM = 0.7
+
+
+def half_size(device: Device) -> Device:
+    """The device with half as many pixels, for speed."""
+    K = device.K.copy()
+    K[:2] /= 2
+    return replace(device, width=device.width // 2, height=device.height // 2, K=K)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    whole = bench_rig()
+    return replace(whole, left=half_size(whole.left), right=half_size(whole.right))
+
+
+def view(device: Device, projector: Device, grain: NDArray[np.float32], rng: np.random.Generator) -> DecodedView:
+    """What a camera decodes and sees of a plane with a random grain."""
+    v, u = np.mgrid[: device.height, : device.width].astype(float)
+    rays = device.rays(np.stack([u, v], -1))
+    reach = (NORMAL @ (THROUGH - device.centre)) / (rays @ NORMAL)
+    points = device.centre + reach[..., None] * rays
+    place = ((points[..., :2] - THROUGH[:2]) / GRAIN_MM + np.array(grain.shape)[::-1] / 2).astype(np.float32)
+    texture = cv2.remap(grain, place[..., 0], place[..., 1], cv2.INTER_CUBIC)
+    noise = rng.normal(0, 0.02, texture.shape)
+    return DecodedView(
+        coordinate=(projector.project(points)[..., 0] + noise).astype(np.float32),
+        sigma=np.full(texture.shape, 0.02, np.float32),
+        modulation=np.full(texture.shape, 40, np.float32),
+        texture=(texture + rng.normal(0, 0.6, texture.shape)).astype(np.float32),
+        flags=np.zeros(texture.shape, np.uint16),
+        noise=NoiseModel(0.5, 0.01),
+    )
+
+
+@pytest.fixture(scope="module")
+def views(rig: Rig) -> tuple[DecodedView, DecodedView]:
+    rng = np.random.default_rng(1)
+    grain = (100 + cv2.GaussianBlur(rng.normal(0, 12, (700, 700)), (0, 0), 1.0)).astype(np.float32)
+    return view(rig.left, rig.projector, grain, rng), view(rig.right, rig.projector, grain, rng)
+
+
+def health(rig: Rig, views: tuple[DecodedView, DecodedView]) -> RigHealth:
+    return epipolar_health(triangulate(*views, rig), settings=HealthSettings(patch_spacing_px=48, block_px=48))
+
+
+def turned(device: Device, axis: int, degrees: float) -> Device:
+    angles = [0.0, 0.0, 0.0]
+    angles[axis] = degrees
+    rotation = turn(*angles)
+    return replace(device, R=rotation @ device.R, t=rotation @ device.t)
+
+
+def zoomed(device: Device, factor: float) -> Device:
+    return replace(device, K=device.K * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]]))
+
+
+def test_the_true_rig_is_well(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    found = health(rig, views)
+    assert found.verdict == "ok"
+    assert found.reason is None
+    assert found.epipolar_rms_px is not None
+    assert found.epipolar_rms_px < 0.1
+    assert found.projector_rms_px is not None
+    assert found.projector_rms_px < 0.01
+    assert found.n > 60
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("name", ["right", "projector"])
+def test_a_device_turned_by_a_twentieth_of_a_degree_shows(
+    rig: Rig, views: tuple[DecodedView, DecodedView], name: str, axis: int
+) -> None:
+    moved = replace(rig, **{name: turned(getattr(rig, name), axis, 0.05)})
+    assert health(moved, views).verdict != "ok"
+
+
+@pytest.mark.parametrize("names", [("left",), ("right",), ("left", "right"), ("projector",)])
+def test_a_focal_length_off_by_three_in_a_thousand_shows(
+    rig: Rig, views: tuple[DecodedView, DecodedView], names: tuple[str, ...]
+) -> None:
+    moved = replace(rig, **{name: zoomed(getattr(rig, name), 1.003) for name in names})
+    found = health(moved, views)
+    assert found.verdict != "ok"
+    assert found.reason is not None
+    assert "calibrate the rig again" in found.reason
+
+
+def test_each_observable_sees_what_the_other_is_blind_to(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    pitch = health(replace(rig, right=turned(rig.right, 0, 0.05)), views)
+    yaw = health(replace(rig, right=turned(rig.right, 1, 0.05)), views)
+    assert pitch.epipolar_drift_px is not None
+    assert pitch.projector_rms_px is not None
+    # A pitch shifts the right image by its angle times the focal length.
+    assert pitch.epipolar_drift_px == pytest.approx(np.radians(0.05) * rig.right.K[1, 1], rel=0.05)
+    assert pitch.projector_rms_px < 0.1
+    assert yaw.projector_rms_px is not None
+    assert yaw.projector_rms_px > 0.5
+    assert pitch.verdict == yaw.verdict == "refused"
+
+
+def test_more_drift_is_worse(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    drifts = [health(replace(rig, right=turned(rig.right, 2, d)), views).epipolar_drift_px for d in (0.0, 0.03, 0.3)]
+    assert drifts == sorted(drifts, key=lambda d: d or 0.0)
+    assert health(replace(rig, right=turned(rig.right, 2, 0.3)), views).verdict == "refused"
+
+
+def test_what_the_calibration_leaves_uncertain_is_allowed_for(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    moved = replace(rig, right=turned(rig.right, 2, 0.02))
+    assert health(moved, views).verdict == "warning"
+    vague = replace(moved, extra={"calibration": {"health_sigma_px": {"epipolar": 0.1, "projector": 0.1}}})
+    assert health(vague, views).verdict == "ok"
+
+
+def test_a_skin_without_texture_leaves_the_third_view(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    rng = np.random.default_rng(2)
+    plain = [replace(v, texture=(100 + rng.normal(0, 0.6, v.texture.shape)).astype(np.float32)) for v in views]
+    found = health(rig, (plain[0], plain[1]))
+    assert found.epipolar_rms_px is None
+    assert found.verdict == "ok"
+    assert health(replace(rig, projector=turned(rig.projector, 1, 0.05)), (plain[0], plain[1])).verdict == "refused"
+
+
+def test_nothing_to_see_is_said(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    whole = triangulate(*views, rig)
+    empty: Reconstruction = replace(whole, points=np.full_like(whole.points, np.nan))
+    found = epipolar_health(empty)
+    assert found.verdict == "warning"
+    assert found.reason is not None
+    assert "too few" in found.reason
+
+
+def test_rivets_join_the_patches(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    reconstruction = triangulate(*views, rig)
+    rivet = RivetDetection(400.0, 300.0, 40.0, 38.0, 10.0, 0.9)
+    sparse = HealthSettings(patch_spacing_px=48)
+    assert (
+        epipolar_health(reconstruction, [rivet], settings=sparse).n
+        >= epipolar_health(reconstruction, settings=sparse).n
+    )
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(RigError, match="floor below refusal"):
+        HealthSettings(refuse_px=0.01)
+    with pytest.raises(RigError, match="blocks"):
+        HealthSettings(block_px=2)
+
+
+def test_on_an_independent_rendering_of_a_skin(shared: Path) -> None:
+    rig = load_rig(shared / "scenes" / "rig.json")
+    scene = load_scene(shared / "scenes" / "skin")
+    well = check_scene(rig, scene.folder)
+    assert well.verdict == "ok"
+    assert check_scene(replace(rig, right=turned(rig.right, 1, 0.05)), scene.folder).verdict == "refused"
+    assert check_scene(replace(rig, left=zoomed(rig.left, 1.003)), scene.folder).verdict != "ok"

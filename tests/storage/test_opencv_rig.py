@@ -1,0 +1,94 @@
+"""OpenCV's FileStorage: out and in again, what other programs write, and what is missing or wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from metrology.errors import RigError
+from metrology.rig import Rig
+from storage.opencv_rig import load_opencv_rig, save_opencv_rig
+
+WHEN = "2026-11-01T08:00:00Z"
+
+
+@pytest.mark.parametrize("ending", [".xml", ".yml", ".json"])
+def test_a_rig_goes_out_and_comes_back(tmp_path: Path, rig: Rig, ending: str) -> None:
+    path = tmp_path / f"rig{ending}"
+    save_opencv_rig(rig, path)
+    again = load_opencv_rig([path], "back", WHEN)
+    for name in ("left", "right", "projector"):
+        before, after = getattr(rig, name), getattr(again, name)
+        assert (before.width, before.height) == (after.width, after.height)
+        for part in ("K", "R", "t", "distortion8"):
+            assert getattr(after, part) == pytest.approx(getattr(before, part), rel=1e-12, abs=1e-15)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def write(path: Path, **values: object) -> Path:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(name, np.array(value, float) if not isinstance(value, str) else value)
+    storage.release()
+    return path
+
+
+def test_two_files_as_opencvs_sample_writes_them(tmp_path: Path, rig: Rig) -> None:
+    """intrinsics.yml and extrinsics.yml, in metres, rectification beside, without sizes and projector."""
+    inside = write(
+        tmp_path / "intrinsics.yml", M1=rig.left.K, D1=np.zeros((1, 14)), M2=rig.right.K, D2=[[0.1, 0.2, 0.0, 0.0, 0.0]]
+    )
+    outside = write(
+        tmp_path / "extrinsics.yml", R=rig.right.R, T=rig.right.t[:, None] / 1000, R1=np.eye(3), Q=np.eye(4)
+    )
+    size = (rig.left.width, rig.left.height)
+    found = load_opencv_rig([inside, outside], "cv", WHEN, size, "m", rig.projector)
+    assert found.right.t == pytest.approx(rig.right.t)
+    assert found.right.distortion[:2] == pytest.approx([0.1, 0.2])
+    assert found.projector == rig.projector
+    with pytest.raises(RigError, match="image_size"):
+        load_opencv_rig([inside, outside], "cv", WHEN, None, "m", rig.projector)
+    with pytest.raises(RigError, match="no projector"):
+        load_opencv_rig([inside, outside], "cv", WHEN, size, "m")
+    with pytest.raises(RigError, match="found no R, T"):
+        load_opencv_rig([inside], "cv", WHEN, size)
+    with pytest.raises(RigError, match="unit"):
+        load_opencv_rig([inside, outside], "cv", WHEN, size, "furlong", rig.projector)
+
+
+def test_a_rotation_vector_is_a_rotation(tmp_path: Path, rig: Rig) -> None:
+    path = tmp_path / "rig.yml"
+    save_opencv_rig(rig, path)
+    vector = write(tmp_path / "vector.yml", R=cv2.Rodrigues(rig.right.R)[0])
+    assert pytest.approx(rig.right.R) == load_opencv_rig([path, vector], "cv", WHEN).right.R
+
+
+def test_prism_terms_are_refused_not_dropped(tmp_path: Path, rig: Rig) -> None:
+    path = tmp_path / "rig.yml"
+    save_opencv_rig(rig, path)
+    prism = write(tmp_path / "prism.yml", D2=[[0.1, 0, 0, 0, 0, 0, 0, 0, 0.3, 0, 0, 0]])
+    with pytest.raises(RigError, match="prism or tilt"):
+        load_opencv_rig([path, prism], "cv", WHEN)
+
+
+@pytest.mark.parametrize("content", ["", "%YAML:1.0\n---\nM1: [1, 2", "<?xml version='1.0'?><html></html>", "{"])
+def test_damaged_files_are_one_line(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "broken.yml"
+    path.write_text(content)
+    with pytest.raises(RigError) as problem:
+        load_opencv_rig([path], "cv", WHEN)
+    assert "broken.yml" in str(problem.value)
+    assert "\n" not in str(problem.value)
+
+
+def test_missing_files_and_strange_endings_are_named(tmp_path: Path, rig: Rig) -> None:
+    with pytest.raises(RigError, match=r"nowhere\.yml"):
+        load_opencv_rig([tmp_path / "nowhere.yml"], "cv", WHEN)
+    with pytest.raises(RigError, match="ending"):
+        save_opencv_rig(rig, tmp_path / "rig.txt")
+    with pytest.raises(RigError, match="two image sizes"):
+        save_opencv_rig(replace(rig, right=replace(rig.right, width=rig.right.width + 1)), tmp_path / "rig.yml")
