@@ -17,6 +17,7 @@ from metrology.cloud import DecodedView, PixelFlag
 from metrology.jit import kernel, over_rows
 from metrology.reconstruction_settings import ReconstructionSettings
 
+_EDGE, _NONE = np.uint8(PixelFlag.EDGE), np.uint8(0)
 # A second difference of the coordinate counts as a depth edge from this many of its standard deviations …
 _CURVATURE_SIGMAS = np.float32(7.0)
 # … and a brightness gradient if it exceeds edge_contrast by this many of its own.
@@ -36,22 +37,17 @@ def flag_neighbourhoods(view: DecodedView, frames: int, settings: Reconstruction
     settings : ReconstructionSettings
     """
     reach = int(np.ceil(2 * settings.blur_radius_px))
-    flags = view.flags | _spread(_edges(view, frames, settings), PixelFlag.EDGE, reach)
-    saturated = (view.flags & (PixelFlag.SATURATED | PixelFlag.SATURATED_SAMPLES)).astype(np.uint8)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (x * x + y * y <= (reach + 0.5) ** 2).astype(np.uint8)
+    flags = view.flags | cv2.dilate(_edges(view, frames, settings), disc)
+    saturated = (flags & (PixelFlag.SATURATED | PixelFlag.SATURATED_SAMPLES)) != 0
     if saturated.any():
-        flags |= _spread(np.minimum(saturated, 1), PixelFlag.SATURATED_SAMPLES, reach)
+        flags |= cv2.dilate(saturated * np.uint8(PixelFlag.SATURATED_SAMPLES), disc)
     return replace(view, flags=flags)
 
 
-def _spread(mask: NDArray[np.uint8], flag: PixelFlag, radius: int) -> NDArray[np.uint16]:
-    """`flag` on all pixels within `radius` of a pixel of the mask."""
-    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    disc = (x * x + y * y <= (radius + 0.5) ** 2).astype(np.uint8)
-    return np.multiply(cv2.dilate(mask, disc), np.uint16(flag), dtype=np.uint16)
-
-
 def _edges(view: DecodedView, frames: int, settings: ReconstructionSettings) -> NDArray[np.uint8]:
-    """(h, w) 1 on reflectance and depth edges and beside missing pixels."""
+    """(h, w) EDGE on reflectance and depth edges and beside missing pixels, else 0."""
     height, width = view.coordinate.shape
     mask = np.zeros((height, width), np.uint8)
     read, gain = (view.noise.read_variance, view.noise.gain) if view.noise else (0.0, 0.0)
@@ -91,4 +87,4 @@ def _mark_rows(coordinate, sigma, texture, noise, contrast, step, first, end, ma
             # A comparison with NaN is false: a missing neighbour marks the pixel.
             limit = bend * spread[x]
             smooth = (abs(left[x] + right[x] - twice) <= limit) & (abs(up[x] + down[x] - twice) <= limit)
-            marks[x] = 1 if (steep | (not smooth)) & (twice == twice) else 0
+            marks[x] = _EDGE if (steep | (not smooth)) & (twice == twice) else _NONE

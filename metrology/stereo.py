@@ -39,8 +39,9 @@ _U = np.uintp
 _CHUNK = _U(128)
 # Left ray in the right camera's frame; coordinate sought; value and slopes of the right window's plane and its centre.
 _AX, _AY, _AZ, _WANTED, _PLANE, _PLANE_U, _PLANE_V, _CENTRE_U, _CENTRE_V = (_CHUNK * _U(i) for i in range(9))
-# Undistorted position of the start pixel; inverse depth; where it projects to and how fast; slope of the coordinate.
-_XR, _YR, _RHO, _PIXEL_U, _PIXEL_V, _DU, _DV, _ALONG = (_CHUNK * _U(i) for i in range(9, 17))
+# Undistorted position of the start pixel; inverse depth and where it projects to; depth, change of depth with the
+# coordinate, and the share of the coordinate's gradient along the epipolar line, squared.
+_XR, _YR, _RHO, _PIXEL_U, _PIXEL_V, _DEPTH, _RATE, _SHARE2 = (_CHUNK * _U(i) for i in range(9, 17))
 _SLOTS = _CHUNK * _U(17)
 
 
@@ -85,12 +86,12 @@ def match(
 
 def _bins(coordinate: NDArray[np.float32]) -> tuple[float, float, int]:
     """Lowest coordinate, size and number of the table's bins: about one pixel of the right camera per bin."""
-    sample = coordinate[::16].astype(float)
+    sample = coordinate[::32].astype(float)
     finite = sample[np.isfinite(sample)]
     if finite.size < 2:
         return 0.0, 1.0, 1
     rows = np.abs(np.diff(sample, axis=1))
-    columns = np.abs(np.diff(coordinate[:, ::16].astype(float), axis=0))
+    columns = np.abs(np.diff(coordinate[:, ::32].astype(float), axis=0))
     steps = [float(np.median(d[np.isfinite(d)])) for d in (rows, columns) if np.isfinite(d).any()]
     size = max([0.05, *steps])
     # Values beyond the sample's are few; a bin's margin of one in twenty covers them, and those left are unmatched.
@@ -202,12 +203,15 @@ def _solve(m, w, t, K, k):  # type: ignore[no-untyped-def]
         v = fy * yd + cy - w[_CENTRE_V + i]
         along = w[_PLANE_U + i] * du + w[_PLANE_V + i] * dv
         step = (w[_WANTED + i] - w[_PLANE + i] - w[_PLANE_U + i] * u - w[_PLANE_V + i] * v) / along
-        w[_RHO + i] = rho + step
+        rho += step
+        depth = 1.0 / rho
+        gradient2 = w[_PLANE_U + i] * w[_PLANE_U + i] + w[_PLANE_V + i] * w[_PLANE_V + i]
+        w[_RHO + i] = rho
         w[_PIXEL_U + i] = u + step * du
         w[_PIXEL_V + i] = v + step * dv
-        w[_DU + i] = du
-        w[_DV + i] = dv
-        w[_ALONG + i] = along
+        w[_DEPTH + i] = depth
+        w[_RATE + i] = depth * depth / abs(along)
+        w[_SHARE2 + i] = along * along / (gradient2 * (du * du + dv * dv))
 
 
 @kernel
@@ -289,8 +293,7 @@ def _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first
                 pixel = start[i]
                 u = w[_PIXEL_U + i]
                 v = w[_PIXEL_V + i]
-                rho = w[_RHO + i]
-                if pixel < 0 or not (abs(u) <= _REACH and abs(v) <= _REACH and rho > 0.0):
+                if pixel < 0 or not (abs(u) <= _REACH and abs(v) <= _REACH and w[_RHO + i] > 0.0):
                     continue
                 vc = pixel >> 16
                 uc = pixel & 0xFFFF
@@ -300,11 +303,8 @@ def _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first
                 if back < 0 or abs(vb - y) > _RETURN or abs(ub - x) > _RETURN:
                     continue
                 flag = fl[y, x]
-                z = 1.0 / rho
-                along = w[_ALONG + i]
-                gradient2 = w[_PLANE_U + i] ** 2 + w[_PLANE_V + i] ** 2
-                speed2 = w[_DU + i] ** 2 + w[_DV + i] ** 2
-                if along * along < min_slope * min_slope * gradient2 * speed2 or not nearest <= z <= farthest:
+                z = w[_DEPTH + i]
+                if not (w[_SHARE2 + i] >= min_slope * min_slope and nearest <= z <= farthest):
                     flags[y, x] = flag | _SLOPE
                     continue
                 variance = float(sr[vc, uc]) ** 2
@@ -321,4 +321,4 @@ def _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first
                 points[y, x, 0] = xyl[y, x, 0] * z
                 points[y, x, 1] = xyl[y, x, 1] * z
                 points[y, x, 2] = z
-                sigma_z[y, x] = z * z * np.sqrt(total) / abs(along)
+                sigma_z[y, x] = w[_RATE + i] * np.sqrt(total)

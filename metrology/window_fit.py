@@ -40,7 +40,7 @@ class FitWindow:
             there is no plane.
         """
         height, width = view.coordinate.shape
-        planes = np.full((height, width, 4), np.nan, np.float32)
+        planes = np.empty((height, width, 4), np.float32)
 
         def fit(first: int, end: int) -> None:
             _fit_rows(view.coordinate, self.half_u, self.half_v, first, end, planes)
@@ -116,7 +116,12 @@ def _fit_rows(c, half_u, half_v, first, end, planes):  # type: ignore[no-untyped
     zero = np.float32(0)
     inner = width - 2 * half_u
     s = np.empty((4, inner), np.float32)
-    for y in range(max(first, half_v), min(end, height - half_v)):
+    for y in range(first, end):
+        if y < half_v or y >= height - half_v:
+            planes[y] = np.nan
+            continue
+        planes[y, :half_u] = np.nan
+        planes[y, half_u + inner :] = np.nan
         s[:] = zero
         total, along, across, squares = s[0], s[1], s[2], s[3]
         centre = c[y, half_u : half_u + inner]
