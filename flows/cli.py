@@ -21,6 +21,8 @@ COMMANDS = (
     "simulate",
     "patterns",
     "overlay",
+    "report",
+    "panel",
     "query",
     "run",
     "serve",

@@ -129,7 +129,11 @@ class PanelSpecification:
 def load_panel_spec(path: Path | None = None) -> PanelSpecification:
     """Read a panel specification; the example that ships with Flushline where none is given."""
     path = Path(path) if path else DEFAULT_SPEC
-    document = read_toml(path, SpecError)
+    return panel_spec_from(read_toml(path, SpecError), path)
+
+
+def panel_spec_from(document: Mapping[str, Any], path: Path) -> PanelSpecification:
+    """The specification that a document describes; `path` names it in errors."""
     check_format(document, FORMAT, path, SpecError)
     model = validate(PanelSpecModel, document, path, SpecError)
     try:
@@ -153,12 +157,12 @@ def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: 
         f"enrolled_from = {_toml(enrolled_from)}",
     ]
     for name, placement in layout.stations.items():
-        lines += ["", f"[stations.{_toml(name)}]", f"R = {_toml(placement.R)}", f"t_mm = {_toml(placement.t)}"]
+        lines += ["", f"[stations.{_toml(name)}]", f"R = {_toml(placement.R, 10)}", f"t_mm = {_toml(placement.t)}"]
     for rivet in layout.rivets:
         lines += ["", "[[rivets]]", f"id = {_toml(rivet.rivet_id)}", f"position_mm = {_toml(rivet.position)}"]
         lines += [f"diameter_mm = {_toml(rivet.diameter_mm)}"] if rivet.diameter_mm is not None else []
         lines += [f"zone = {_toml(rivet.zone)}"] if rivet.zone != DEFAULT_ZONE else []
-        lines += [f"normal = {_toml(rivet.normal)}"] if rivet.normal is not None else []
+        lines += [f"normal = {_toml(rivet.normal, 6)}"] if rivet.normal is not None else []
     for seam in layout.seams:
         lines += ["", "[[seams]]", f"id = {_toml(seam.seam_id)}", f"course_mm = {_toml(seam.course)}"]
         lines += [f"zone = {_toml(seam.zone)}"] if seam.zone != DEFAULT_ZONE else []
@@ -166,13 +170,13 @@ def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: 
     return "\n".join([*lines, ""])
 
 
-def _toml(value: str | float | Iterable[Any]) -> str:
-    """A value as TOML has it; nanometres and ten digits of a direction are enough."""
+def _toml(value: str | float | Iterable[Any], digits: int = 4) -> str:
+    """A value as TOML has it; numbers are lengths to 0.1 µm unless more digits are asked for."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, (int, float)):
-        return repr(round(float(value), 10))
-    return f"[{', '.join(_toml(item) for item in value)}]"
+        return repr(round(float(value), digits))
+    return f"[{', '.join(_toml(item, digits) for item in value)}]"
 
 
 def _limit(place: str, model: LimitModel | None) -> Limit | None:

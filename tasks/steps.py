@@ -146,7 +146,7 @@ def register(
     key = loaded.scene.key
     pattern = _pattern(spec, key, store)
     if pattern is None:
-        enrolled = registration.enrol(measured, stations, reconstruction, key.station)
+        enrolled = registration.enrol(measured, stations, reconstruction.points, key.station)
         if enrolled.enrolled is None or enrolled.enrolled.empty:
             return enrolled
         store.prepare()

@@ -1,4 +1,4 @@
-"""flushline overlay: the image to project for a scene."""
+"""flushline overlay: the image to project for a scene, or those of a whole panel."""
 
 from __future__ import annotations
 
@@ -9,18 +9,32 @@ from pathlib import Path
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
     """Add `overlay`."""
-    parser = commands.add_parser("overlay", parents=[common], help="the projector image of an inspected scene")
-    parser.add_argument("scene_id", metavar="SCENE_ID", help="as the table scenes has it")
+    parser = commands.add_parser(
+        "overlay",
+        parents=[common],
+        help="the projector image of an inspected scene",
+        description="Writes the image to project for a scene, or a folder with those of the newest scans of a panel's "
+        "stations and an index page.",
+    )
+    parser.add_argument("scene_id", nargs="?", metavar="SCENE_ID", help="as the table scenes has it")
+    parser.add_argument("--aircraft", metavar="SERIAL", help="with --panel: a whole panel")
+    parser.add_argument("--panel", metavar="PANEL")
     parser.add_argument("--store", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="PNG, or SVG by its ending")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="PATH", help="PNG, or SVG by its ending; a folder for a panel"
+    )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Copy the overlay out of the scene's bundle."""
-    from metrology.errors import StoreError
+    """Copy the overlays out of the store."""
+    from metrology.errors import StoreError, UsageError
     from storage.archive.store import Store
 
+    if options.aircraft and options.panel and not options.scene_id:
+        return _panel(options)
+    if not options.scene_id or options.aircraft or options.panel:
+        raise UsageError("overlay: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL")
     overlay = Store(options.store).paths(options.scene_id).overlay
     source = overlay.with_suffix(".svg") if options.out.suffix.lower() == ".svg" else overlay
     if not source.is_file():
@@ -28,4 +42,14 @@ def run(options: argparse.Namespace) -> int:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, options.out)
     print(options.out)
+    return 0
+
+
+def _panel(options: argparse.Namespace) -> int:
+    from storage.archive.store import Store
+    from storage.report import panel_record
+    from storage.report.overlays import write_overlays
+
+    store = Store(options.store)
+    print(write_overlays(store, panel_record(store, options.aircraft, options.panel), options.out))
     return 0

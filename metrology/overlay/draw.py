@@ -194,7 +194,7 @@ def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
         return None
     centre = np.array([rivet.x_mm, rivet.y_mm, rivet.z_mm])
     diameter = rivet.diameter_mm or rivet.major_px * rivet.z_mm / reconstruction.rig.left.K[0, 0]
-    normal = skin_normal(reconstruction, rivet.u_px, rivet.v_px, rivet.major_px)
+    normal = skin_normal(reconstruction.points, rivet.u_px, rivet.v_px, rivet.major_px)
     towards_rig = np.array([0.0, 0.0, -1.0])
     rig = reconstruction.rig
     return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, rig.projector.project)

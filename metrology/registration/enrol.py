@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.registration.register import Registration
 from metrology.registration.rows import placed
@@ -22,14 +21,22 @@ _SAMPLES = 20_000
 
 
 def enrol(
-    rivets: Sequence[Rivet], stations: Sequence[SeamStation], reconstruction: Reconstruction, station: str
+    rivets: Sequence[Rivet], stations: Sequence[SeamStation], points: NDArray[np.float32], station: str
 ) -> Registration:
     """Take a scan as its station's pattern.
 
     The panel frame's origin is on the skin in the middle of what was measured, z outward (towards the rig), x to
     the right of the left image and y up: as a viewer outside sees the panel.
+
+    Parameters
+    ----------
+    rivets, stations
+        With the ids that they are to keep.
+    points : (h, w, 3) array
+        Organised cloud on the left image's pixels, rig frame, mm.
+    station : str
     """
-    placement = _facing(reconstruction)
+    placement = _facing(points)
     placed_rivets = [placed(rivet, placement) for rivet in rivets]
     placed_stations = [placed(item, placement) for item in stations]
     nominal = [
@@ -37,7 +44,7 @@ def enrol(
             rivet.rivet_id,
             (rivet.x_panel_mm, rivet.y_panel_mm, rivet.z_panel_mm),
             rivet.diameter_mm,
-            normal=_normal(rivet, reconstruction, placement),
+            normal=_normal(rivet, points, placement),
         )
         for rivet in placed_rivets
         if rivet.x_panel_mm is not None and rivet.y_panel_mm is not None and rivet.z_panel_mm is not None
@@ -63,16 +70,16 @@ def enrol(
         tuple(placed_stations),
         matched=tuple(rivet.rivet_id for rivet in nominal),
         warnings=(
-            f"first scan of station {station}: its {len(nominal)} rivets and {len(seams)} seams were enrolled as the "
-            "panel's pattern; check that none is missing",
+            f"first scan of station {station}: the rivets ({len(nominal)}) and seams ({len(seams)}) found in it were "
+            "enrolled as the panel's pattern; check that none is missing",
         ),
         enrolled=layout,
     )
 
 
-def _facing(reconstruction: Reconstruction) -> Placement:
+def _facing(cloud: NDArray[np.float32]) -> Placement:
     """The placement that has the panel frame on the measured skin, square to the rig's view of it."""
-    points = reconstruction.points[reconstruction.valid]
+    points = cloud[np.isfinite(cloud[..., 2])]
     points = points[:: max(1, len(points) // _SAMPLES)].astype(float)
     origin = np.median(points, axis=0)
     outward = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
@@ -83,8 +90,8 @@ def _facing(reconstruction: Reconstruction) -> Placement:
     return Placement(R, -R @ origin)
 
 
-def _normal(rivet: Rivet, reconstruction: Reconstruction, placement: Placement) -> tuple[float, float, float] | None:
-    normal = skin_normal(reconstruction, rivet.u_px, rivet.v_px, _NORMAL_REACH * rivet.major_px)
+def _normal(rivet: Rivet, points: NDArray[np.float32], placement: Placement) -> tuple[float, float, float] | None:
+    normal = skin_normal(points, rivet.u_px, rivet.v_px, _NORMAL_REACH * rivet.major_px)
     if normal is None:
         return None
     x, y, z = placement.R @ normal

@@ -21,7 +21,8 @@ Ints = NDArray[np.intp]
 
 _REFINEMENTS = 4
 _SEARCHED_BEYOND = 1.5  # times the usual motion of the rig
-_DIAMETER_RATIO = 1.4  # two steps of the usual series of fasteners; one step is a repair
+_DIAMETER_RATIO = 2.0  # a larger one is not the same hole; a smaller one may be a fastener of the wrong size
+_USUAL_DIAMETER_RATIO = 1.15  # one step of the usual series of fasteners
 _FEWEST_RIVETS = 3  # that fix a placement which nothing was known of
 _UNLIKELY = 9.0  # squared residual, in standard deviations, beyond which a deviation says no more
 
@@ -224,7 +225,9 @@ class Matcher:
         expected[partner[matched]] = True
         at = placement.to_panel(self.scan.rivets.positions[matched])
         squared = ((at - self.nominal.positions[partner[matched]]) ** 2).sum(1) / weights.rivet_mm**2
-        score = -0.5 * np.minimum(squared, _UNLIKELY).sum()
+        ratio = np.log(self.scan.rivets.diameters[matched] / self.nominal.diameters[partner[matched]])
+        sizes = np.nan_to_num(ratio / np.log(_USUAL_DIAMETER_RATIO)) ** 2
+        score = -0.5 * (np.minimum(squared, _UNLIKELY) + np.minimum(sizes, _UNLIKELY)).sum()
         score += (int(expected.sum()) - int(matched.sum())) * np.log(settings.missing_rate)
         score += int((~matched).sum()) * np.log(settings.false_rate)
         for name, stations in self.scan.seams.items():

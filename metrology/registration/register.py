@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
-from metrology.panel import PanelLayout, Placement
+from metrology.panel import NominalRivet, PanelLayout, Placement
 from metrology.registration.hypothesis import Hypothesis, Matcher, Scan
 from metrology.registration.relabel import Recognised, relabel_rivets, relabel_stations
 from metrology.registration.rows import has_position, positions
@@ -138,7 +138,7 @@ def _scan(rivets: Sequence[Rivet], stations: Sequence[SeamStation], reconstructi
     places = positions(rivets)
     normals = np.full(places.shape, np.nan)
     for k, rivet in enumerate(rivets):
-        normal = skin_normal(reconstruction, rivet.u_px, rivet.v_px, _NORMAL_REACH * rivet.major_px)
+        normal = skin_normal(reconstruction.points, rivet.u_px, rivet.v_px, _NORMAL_REACH * rivet.major_px)
         if normal is not None:
             normals[k] = normal
     diameters = np.array([rivet.diameter_mm for rivet in rivets], float)
@@ -174,7 +174,7 @@ def _unrecognised(rivets: Sequence[Rivet], stations: Sequence[SeamStation], foun
 
 
 def _warnings(
-    ranked: Sequence[Hypothesis], shift: float | None, turn: float | None, missing: Sequence[object],
+    ranked: Sequence[Hypothesis], shift: float | None, turn: float | None, missing: Sequence[NominalRivet],
     settings: RegistrationSettings,
 ) -> list[str]:  # fmt: skip
     warnings = []
@@ -189,5 +189,6 @@ def _warnings(
             f"{settings.shift_mm:g} mm and {settings.turn_deg:g}°"
         )
     if missing:
-        warnings.append(f"{len(missing)} rivets of the panel's pattern are in view but were not found")
+        names = ", ".join(rivet.rivet_id for rivet in missing)
+        warnings.append(f"rivets of the panel's pattern in view but not found: {names}")
     return warnings

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 MISSING = "missing"
 UNLISTED = "not in the panel's pattern"
 
+_DIAMETER_TOLERANCE = 0.1  # of the nominal one; heads of neighbouring sizes differ by more
+
 _COURSE_SAMPLE_MM = 2.0
 # Air that flows within this of a seam's direction crosses it neither way: the sine of 10°.
 _ALONG_THE_SEAM = 0.17
@@ -57,7 +59,8 @@ def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: R
         if nominal is None:
             unlisted.append(replace(placed(rivet, known.placement), reason=_joined(rivet.reason, UNLISTED)))
         else:
-            named = replace(rivet, rivet_id=nominal.rivet_id, zone=nominal.zone)
+            reason = _joined(rivet.reason, _wrong_size(rivet, nominal))
+            named = replace(rivet, rivet_id=nominal.rivet_id, zone=nominal.zone, reason=reason)
             listed.append(placed(named, known.placement))
     listed.sort(key=lambda rivet: rivet.rivet_id)
     unlisted.sort(key=lambda rivet: (rivet.v_px, rivet.u_px))
@@ -95,8 +98,17 @@ def relabel_stations(
     return sorted(rows, key=lambda row: (row.seam_id, row.s_mm))
 
 
-def _joined(reason: str | None, addition: str) -> str:
-    return f"{reason}; {addition}" if reason else addition
+def _joined(reason: str | None, addition: str | None) -> str | None:
+    return "; ".join(part for part in (reason, addition) if part) or None
+
+
+def _wrong_size(rivet: Rivet, nominal: NominalRivet) -> str | None:
+    """What is to be said of a head whose diameter is not the nominal one."""
+    if rivet.diameter_mm is None or nominal.diameter_mm is None:
+        return None
+    if abs(rivet.diameter_mm / nominal.diameter_mm - 1) <= _DIAMETER_TOLERANCE:
+        return None
+    return f"diameter {rivet.diameter_mm:.1f} mm, expected {nominal.diameter_mm:.1f} mm"
 
 
 def _missing_rivet(nominal: NominalRivet, placement: Placement, reconstruction: Reconstruction) -> Rivet:

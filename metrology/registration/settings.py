@@ -14,8 +14,8 @@ class RegistrationSettings:
     Attributes
     ----------
     tolerance_mm : float
-        A rivet further than this from its nominal place is another one. Rivets of one panel type differ by some tenths
-        of a millimetre from aircraft to aircraft.
+        A rivet further than this from its nominal place is another one. Rivets drilled by hand differ by up to a
+        millimetre or two from aircraft to aircraft; they stand at least three diameters apart.
     seam_tolerance_mm : float
         The same for the median distance of a seam from its nominal course.
     shift_mm, turn_deg : float
@@ -28,7 +28,7 @@ class RegistrationSettings:
         A nominal seam that is in view but not found over more than this length gets a row that says so.
     """
 
-    tolerance_mm: float = 2.0
+    tolerance_mm: float = 3.0
     seam_tolerance_mm: float = 4.0
     shift_mm: float = 15.0
     turn_deg: float = 5.0

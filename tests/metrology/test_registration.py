@@ -219,7 +219,18 @@ def test_missing_rivets_are_rows_that_say_so() -> None:
     assert row.reason == "missing: no head found where the pattern has one"
     assert row.height_mean_mm is None
     assert np.hypot(row.u_px - seen.rivets[7].u_px, row.v_px - seen.rivets[7].v_px) < 0.5
-    assert any("1 rivets" in w for w in result.warnings)
+    assert any(f"not found: {gone}" in w for w in result.warnings)
+
+
+def test_a_head_of_the_wrong_size_keeps_its_name_and_says_so() -> None:
+    rng = np.random.default_rng(1)
+    panel = symmetric()
+    seen = scan(panel, NOMINAL, rng)
+    rivets = [replace(r, diameter_mm=8.0) if k == 3 else r for k, r in enumerate(seen.rivets)]
+    result = register(rivets, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
+    said = [r.rivet_id for r in result.rivets if r.reason == "diameter 8.0 mm, expected 5.0 mm"]
+    assert said == [seen.truth[seen.rivets[3].rivet_id]]
+    assert not result.missing
 
 
 def test_a_half_turn_is_resolved_by_the_station() -> None:
@@ -253,6 +264,7 @@ def test_a_pattern_alike_after_a_turn_is_called_ambiguous_without_a_nominal_plac
 def test_another_panel_is_not_recognised_and_keeps_its_own_ids() -> None:
     rng = np.random.default_rng(4)
     panel, other = irregular(rng), irregular(rng)
+    other = replace(other, rivets=other.rivets + rng.uniform(-10, 10, other.rivets.shape))
     seen = scan(other, NOMINAL, rng)
     result = run(other, panel.layout({"S1": NOMINAL}), NOMINAL, seen)
     assert result.status == "not recognised"
@@ -337,7 +349,7 @@ def test_the_first_scan_enrols_the_pattern_and_later_ones_are_recognised_in_it()
     rng = np.random.default_rng(11)
     panel = replace(irregular(rng), curvature=(1 / 900, 0.0))
     first = scan(panel, NOMINAL, rng)
-    enrolled = enrol(first.rivets, first.stations, panel.seen(NOMINAL), "S3")
+    enrolled = enrol(first.rivets, first.stations, panel.seen(NOMINAL).points, "S3")
     assert enrolled.status == "enrolled"
     assert any("first scan of station S3" in w for w in enrolled.warnings)
     assert enrolled.enrolled is not None

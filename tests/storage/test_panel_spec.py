@@ -83,7 +83,7 @@ def test_a_wrong_specification_is_named(tmp_path: Path, old: str, new: str, said
 
 def test_a_pattern_is_written_as_it_is_read(tmp_path: Path) -> None:
     path, again = tmp_path / "panel.toml", tmp_path / "again.toml"
-    path.write_text(SPEC + "[stations.S4]\nR = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]\nt_mm = [0.1, 1e-7, 3]\n")
+    path.write_text(SPEC + "[stations.S4]\nR = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]\nt_mm = [0.1, 1e-4, 3]\n")
     layout = load_panel_spec(path).layout
     again.write_text(
         pattern_toml(layout, "LH-F12", "1", 'a "scan"').replace('[stations."S3"]', "[zones.nose]\n[stations.S3]")

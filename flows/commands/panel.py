@@ -1,0 +1,126 @@
+"""flushline panel: panel specifications and the patterns that scans enrolled."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from storage.panel_spec import PanelSpecification
+
+Run = Callable[[argparse.Namespace], int]
+
+
+def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
+    """Add `panel` and its actions."""
+    parser = commands.add_parser("panel", help="check, put in force or show panel specifications; enrol patterns")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+
+    def add(name: str, run: Run, text: str) -> argparse.ArgumentParser:
+        action = actions.add_parser(name, parents=[common], help=text, description=f"{text[:1].upper()}{text[1:]}.")
+        action.set_defaults(run=run)
+        return action
+
+    checking = add("check", check, "read a specification and say what is in it")
+    checking.add_argument("spec", type=Path, metavar="FILE")
+    adding = add("add", put_in_force, "put a specification in force: later inspections of its panel are judged by it")
+    adding.add_argument("spec", type=Path, metavar="FILE")
+    adding.add_argument("--store", type=Path, required=True, metavar="DIR")
+    showing = add("show", show, "what is in force for the panels of a store, and what was enrolled")
+    showing.add_argument("panel", nargs="?", metavar="PANEL", help="without it all panels")
+    showing.add_argument("--store", type=Path, required=True, metavar="DIR")
+    enrolling = add("enrol", enrol, "take an inspected scene as the pattern of its panel and station")
+    enrolling.add_argument("scene_id", metavar="SCENE_ID", help="as the table scenes has it")
+    enrolling.add_argument("--store", type=Path, required=True, metavar="DIR")
+    enrolling.add_argument(
+        "--out", type=Path, metavar="FILE", help="write the pattern as a specification to complete, not into the store"
+    )
+    enrolling.add_argument("--replace", action="store_true", help="in place of the station's earlier pattern")
+
+
+def check(options: argparse.Namespace) -> int:
+    """Say what a specification holds."""
+    from storage.panel_spec import load_panel_spec
+
+    print("\n".join(_described(load_panel_spec(options.spec))))
+    return 0
+
+
+def put_in_force(options: argparse.Namespace) -> int:
+    """Keep a specification in the store as its panel's newest."""
+    from storage.archive import Store
+
+    store = Store(options.store)
+    store.prepare()
+    version = store.panels.add(options.spec)
+    print(f"version {version.number} in force: {version.path}")
+    return 0
+
+
+def show(options: argparse.Namespace) -> int:
+    """List panels with their specifications and enrolled stations."""
+    from metrology.errors import StoreError
+    from storage.archive import Store
+    from storage.panel_spec import load_panel_spec
+
+    panels = Store(options.store).panels
+    names = [options.panel] if options.panel else panels.names()
+    if not names:
+        raise StoreError(f"{options.store}: found no panel with a specification or an enrolled pattern")
+    for name in names:
+        print(f"panel {name}")
+        versions = panels.versions(name)
+        for version in versions:
+            spec = load_panel_spec(version.path)
+            force = " (in force)" if version is versions[-1] else ""
+            print(f"  version {version.number}: revision {spec.limits.revision}{force}  {version.path}")
+        if not versions:
+            print("  no specification: judged by what is given, or by the example limits")
+        for station in panels.stations(name):
+            path = panels.pattern_path(name, station)
+            pattern = load_panel_spec(path)
+            print(
+                f"  station {station}: {len(pattern.layout.rivets)} rivets, {len(pattern.layout.seams)} seams enrolled "
+                f"from {pattern.document.get('enrolled_from', '?')}  {path}"
+            )
+    return 0
+
+
+def enrol(options: argparse.Namespace) -> int:
+    """Make a pattern of what an inspected scene found."""
+    from metrology.errors import StoreError
+    from storage.archive import Store
+    from storage.archive.enrolment import pattern_of
+    from storage.panel_spec import pattern_toml
+
+    store = Store(options.store)
+    key, layout = pattern_of(store, options.scene_id)
+    panel, station = key.panel, key.station
+    if options.out:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(pattern_toml(layout, panel, "enrolled", options.scene_id), encoding="utf-8")
+        print(options.out)
+        return 0
+    if not store.panels.enrol(layout, panel, station, options.scene_id, options.replace):
+        raise StoreError(
+            f"{store.panels.pattern_path(panel, station)}: found a pattern enrolled already, expected none or --replace"
+        )
+    print(store.panels.pattern_path(panel, station))
+    return 0
+
+
+def _described(spec: PanelSpecification) -> list[str]:
+    from dataclasses import fields
+
+    from metrology.tolerance import Zone
+
+    lines = [f"panel {spec.limits.panel}, revision {spec.limits.revision}" + (" (example)" if spec.example else "")]
+    for name, zone in spec.limits.zones.items():
+        limits = [(f.name, getattr(zone, f.name)) for f in fields(Zone) if getattr(zone, f.name) is not None]
+        lines += [f"  zone {name}: {quantity} {limit}" for quantity, limit in limits]
+    layout = spec.layout
+    stations = f"; stations {', '.join(layout.stations)}" if layout.stations else ""
+    lines.append(f"  pattern: {len(layout.rivets)} rivets, {len(layout.seams)} seams{stations}")
+    return lines

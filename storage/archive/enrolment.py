@@ -1,0 +1,62 @@
+"""An inspected scene of the store as its panel's pattern."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from itertools import count
+from typing import Any, TypeVar
+
+from metrology.errors import StoreError
+from metrology.panel import PanelLayout
+from metrology.registration import enrol
+from metrology.registration.relabel import MISSING, UNLISTED
+from metrology.results import Rivet, SceneKey, SeamStation
+from storage.archive.store import Store
+
+Row = TypeVar("Row", Rivet, SeamStation)
+
+
+def pattern_of(store: Store, scene_id: str) -> tuple[SceneKey, PanelLayout]:
+    """The pattern that a scene would enrol: what was found in it, by the ids it has in the tables.
+
+    What was in no pattern before gets the next free number.
+    """
+    rivets = _listed(_rows(store, Rivet, "rivets", scene_id))
+    stations = _rows(store, SeamStation, "seam_stations", scene_id)
+    with contextlib.closing(store.connect()) as connection:
+        key = connection.execute(
+            "SELECT aircraft_serial, panel, station, captured_at FROM scenes WHERE scene_id = ?", [scene_id]
+        ).fetchone()
+    cloud = store.load_cloud(scene_id)  # refuses a scene that the store does not hold
+    if key is None or not (rivets or stations):
+        raise StoreError(f"{scene_id}: found neither rivets nor seams in it, expected a scene that can be a pattern")
+    scene = SceneKey(*key)
+    layout = enrol(rivets, stations, cloud.points, scene.station).enrolled
+    return scene, layout or PanelLayout()
+
+
+def _rows(store: Store, kind: type[Row], table: str, scene_id: str) -> list[Row]:
+    """The rows of a scene that were found, not those that say that something is missing."""
+    names = [f.name for f in fields(kind)]
+    with contextlib.closing(store.connect()) as connection:
+        found = connection.execute(
+            f"SELECT {', '.join(names)} FROM {table} WHERE scene_id = ? "
+            f"AND NOT starts_with(coalesce(reason, ''), '{MISSING}:') ORDER BY ALL",
+            [scene_id],
+        ).fetchall()
+    return [kind(**_values(names, row)) for row in found]
+
+
+def _listed(rivets: Sequence[Rivet]) -> list[Rivet]:
+    known = {rivet.rivet_id for rivet in rivets}
+    free = (name for k in count(1) if (name := f"R{k:02d}") not in known)
+    return [
+        replace(rivet, rivet_id=next(free)) if UNLISTED in (rivet.reason or "") else rivet
+        for rivet in sorted(rivets, key=lambda rivet: rivet.rivet_id)
+    ]
+
+
+def _values(names: list[str], row: tuple[Any, ...]) -> dict[str, Any]:
+    return dict(zip(names, row, strict=True))

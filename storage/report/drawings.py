@@ -1,0 +1,232 @@
+"""Drawings of a report as SVG within the page: the marked picture, heights of rivets, profiles of seams, the map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from itertools import groupby
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.results import Severity
+from metrology.tolerance import Limit
+from storage.report.markup import data_uri
+from storage.report.verdicts import COLOURS
+
+Row = Mapping[str, Any]
+
+_PICTURE_WIDTH = 1200  # px of the picture in the page; the camera's own resolution is in the bundle
+_JPEG_QUALITY = 82
+_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 1100, 230, 62, 34
+_DASHES: dict[Severity | None, str] = {"green": "", "blue": "7 3", "red": "", None: "2 4"}
+
+
+def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> str:
+    """What the left camera sees, with a ring around each rivet and its name, and seam stations as dots."""
+    height, width = preview.shape
+    small = cv2.resize(preview, (_PICTURE_WIDTH, round(height * _PICTURE_WIDTH / width)), interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    unit = width / _PICTURE_WIDTH
+    marks = [_station_dot(station, unit) for station in stations]
+    marks += [_rivet_ring(rivet, unit) for rivet in rivets]
+    return (
+        f'<svg viewBox="-0.5 -0.5 {width} {height}" xmlns="http://www.w3.org/2000/svg" role="img">'
+        f'<image href="{data_uri(jpeg.tobytes(), "jpeg")}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>'
+        f"{''.join(marks)}</svg>"
+    )
+
+
+def _rivet_ring(rivet: Row, unit: float) -> str:
+    colour = COLOURS[rivet["severity"]]
+    width = (5.0 if rivet["severity"] == "red" else 3.0) * unit
+    u, v, angle = rivet["u_px"], rivet["v_px"], rivet["angle_deg"]
+    dash = _DASHES[rivet["severity"]]
+    dashes = f' stroke-dasharray="{" ".join(str(float(d) * unit) for d in dash.split())}"' if dash else ""
+    size = 15 * unit
+    ellipse = (
+        f'<ellipse cx="{u:.1f}" cy="{v:.1f}" rx="{rivet["major_px"] / 2 + 4 * unit:.1f}" '
+        f'ry="{rivet["minor_px"] / 2 + 4 * unit:.1f}" transform="rotate({angle:.1f} {u:.1f} {v:.1f})" fill="none" '
+    )
+    return (
+        f'{ellipse}stroke="#fff" stroke-width="{width + 2.4 * unit:.1f}"/>'
+        f'{ellipse}stroke="{colour}" stroke-width="{width:.1f}"{dashes}><title>{_title(rivet)}</title></ellipse>'
+        f'<text x="{u + rivet["major_px"] / 2 + 7 * unit:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" '
+        f'font-family="sans-serif" fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">'
+        f"{escape(rivet['rivet_id'])}</text>"
+    )
+
+
+def _station_dot(station: Row, unit: float) -> str:
+    colour = COLOURS[station["severity"]]
+    radius = {"red": 4.5, "blue": 3.5}.get(station["severity"], 2.2) * unit
+    return (
+        f'<circle cx="{station["u_px"]:.1f}" cy="{station["v_px"]:.1f}" r="{radius:.1f}" fill="{colour}">'
+        f"<title>{escape(station['seam_id'])} at {station['s_mm']:.0f} mm</title></circle>"
+    )
+
+
+def _title(rivet: Row) -> str:
+    height = rivet["height_mean_mm"]
+    value = "not measured" if height is None else f"{height:+.4f} mm"
+    return escape(f"{rivet['rivet_id']}: {value}, {rivet['decision']}")
+
+
+class _Axes:
+    """A drawing's scales: data to picture coordinates."""
+
+    def __init__(self, x: tuple[float, float], y: tuple[float, float]) -> None:
+        margin = 0.06 * (y[1] - y[0]) or 1.0
+        self.x0, self.x1 = x if x[1] > x[0] else (x[0] - 1, x[0] + 1)
+        self.y0, self.y1 = y[0] - margin, y[1] + margin
+
+    def x(self, value: float) -> float:
+        return _LEFT + (value - self.x0) / (self.x1 - self.x0) * (_WIDTH - _LEFT - 12)
+
+    def y(self, value: float) -> float:
+        return 12 + (self.y1 - value) / (self.y1 - self.y0) * (_HEIGHT - _BOTTOM - 12)
+
+    def frame(self, label: str) -> str:
+        lines = []
+        for tick in _ticks(self.y0, self.y1):
+            y = self.y(tick)
+            lines.append(
+                f'<line x1="{_LEFT}" x2="{_WIDTH - 12}" y1="{y:.1f}" y2="{y:.1f}" stroke="#e3e7eb"/>'
+                f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:.10g}</text>'
+            )
+        lines.append(
+            f'<text transform="translate(13 {(_HEIGHT - _BOTTOM) / 2 + 40:.0f}) rotate(-90)">{escape(label)}</text>'
+        )
+        return "".join(lines)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    step = 10.0 ** np.floor(np.log10((high - low) / 3))
+    step *= next(k for k in (1, 2, 5, 10) if (high - low) / (step * k) <= 7)
+    return [round(float(t), 10) for t in np.arange(np.ceil(low / step) * step, high, step)]
+
+
+def _svg(content: str) -> str:
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" xmlns="http://www.w3.org/2000/svg" role="img" '
+        f'font-family="sans-serif" font-size="12" fill="#5b6875">{content}</svg>'
+    )
+
+
+def _limit_lines(axes: _Axes, limit: Limit | None) -> str:
+    if limit is None:
+        return ""
+    lines = []
+    for value, serious in (
+        (limit.lower, False),
+        (limit.upper, False),
+        (limit.serious_lower, True),
+        (limit.serious_upper, True),
+    ):
+        if value is not None and axes.y0 < value < axes.y1:
+            colour, dash = (COLOURS["red"], "2 3") if serious else (COLOURS["blue"], "8 4")
+            lines.append(
+                f'<line x1="{_LEFT}" x2="{_WIDTH - 12}" y1="{axes.y(value):.1f}" y2="{axes.y(value):.1f}" '
+                f'stroke="{colour}" stroke-dasharray="{dash}"><title>limit {value:g}</title></line>'
+            )
+    return "".join(lines)
+
+
+def _span(values: Sequence[float], limit: Limit | None) -> tuple[float, float]:
+    """Range of values, with the limits that are near it."""
+    low, high = min(values), max(values)
+    reach = max(high - low, 1e-3)
+    near = [v for v in ((limit.lower, limit.upper) if limit else ()) if v is not None]
+    inside = [v for v in near if low - 2 * reach <= v <= high + 2 * reach]
+    return min([low, *inside]), max([high, *inside])
+
+
+def heights_chart(rivets: Sequence[Row], limit: Limit | None) -> str:
+    """Height of each rivet with its U95, and the limits; "" where nothing was measured."""
+    shown = [r for r in rivets if r["height_mean_mm"] is not None]
+    if not shown:
+        return ""
+    values = [r["height_mean_mm"] for r in shown]
+    axes = _Axes((0, len(rivets) + 1), _span([*values, 0.0], limit))
+    marks = [axes.frame("height, mm"), _limit_lines(axes, limit)]
+    every = max(1, len(rivets) // 40)
+    for k, rivet in enumerate(rivets, 1):
+        x = axes.x(k)
+        if k % every == 0 or every == 1:
+            marks.append(
+                f'<text transform="translate({x + 4:.1f} {_HEIGHT - _BOTTOM + 10}) rotate(-60)" text-anchor="end" '
+                f'font-size="10">{escape(rivet["rivet_id"])}</text>'
+            )
+        if rivet["height_mean_mm"] is None:
+            marks.append(f'<text x="{x:.1f}" y="{axes.y(0):.1f}" text-anchor="middle">?</text>')
+            continue
+        y, u95 = rivet["height_mean_mm"], rivet["height_u95_mm"] or 0.0
+        marks.append(
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{axes.y(y - u95):.1f}" y2="{axes.y(y + u95):.1f}" stroke="#1c2733"/>'
+            + _symbol(x, axes.y(y), rivet["severity"], _title(rivet))
+        )
+    return _svg("".join(marks))
+
+
+def _symbol(x: float, y: float, severity: Severity | None, title: str) -> str:
+    """Green a disc, blue a square, red a diamond, else an empty ring."""
+    colour = COLOURS[severity]
+    if severity == "blue":
+        shape = f'<rect x="{x - 5:.1f}" y="{y - 5:.1f}" width="10" height="10" fill="{colour}">'
+        return f"{shape}<title>{title}</title></rect>"
+    if severity == "red":
+        corners = f"{x:.1f},{y - 7:.1f} {x + 7:.1f},{y:.1f} {x:.1f},{y + 7:.1f} {x - 7:.1f},{y:.1f}"
+        return f'<polygon points="{corners}" fill="{colour}"><title>{title}</title></polygon>'
+    fill = colour if severity else "none"
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="{fill}" stroke="{colour}"><title>{title}</title></circle>'
+
+
+def seam_chart(stations: Sequence[Row], quantity: str, limit: Limit | None) -> str:
+    """Step or width along a seam with its U95 band and the limits; "" where nothing was measured."""
+    name = f"{quantity}_mm"
+    shown = [s for s in stations if s[name] is not None]
+    if not shown:
+        return ""
+    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span([s[name] for s in shown], limit))
+    marks = [axes.frame(f"{quantity}, mm"), _limit_lines(axes, limit)]
+    for measured, run in groupby(stations, key=lambda s: s[name] is not None):
+        if not measured:
+            continue
+        piece = list(run)
+        upper = [(axes.x(s["s_mm"]), axes.y(s[name] + (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
+        lower = [(axes.x(s["s_mm"]), axes.y(s[name] - (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
+        band = " ".join(f"{x:.1f},{y:.1f}" for x, y in [*upper, *reversed(lower)])
+        line = " ".join(f"{axes.x(s['s_mm']):.1f},{axes.y(s[name]):.1f}" for s in piece)
+        marks.append(f'<polygon points="{band}" fill="#1c2733" fill-opacity="0.12"/>')
+        marks.append(f'<polyline points="{line}" fill="none" stroke="#1c2733" stroke-width="1.5"/>')
+    for tick in _ticks(axes.x0, axes.x1):
+        marks.append(f'<text x="{axes.x(tick):.1f}" y="{_HEIGHT - 14}" text-anchor="middle">{tick:g}</text>')
+    marks.append(f'<text x="{_WIDTH - 12}" y="{_HEIGHT - 1}" text-anchor="end">mm along the seam</text>')
+    return _svg("".join(marks))
+
+
+def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> str:
+    """The panel from outside: rivets and seam stations in panel coordinates; "" where none has any."""
+    places = [(f["x_panel_mm"], f["y_panel_mm"]) for f in (*rivets, *stations) if f["x_panel_mm"] is not None]
+    if not places:
+        return ""
+    (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
+    unit = max(x1 - x0, y1 - y0) / 1000
+    marks = []
+    for station in stations:
+        if station["x_panel_mm"] is not None:
+            radius = {"red": 5, "blue": 4}.get(station["severity"], 2.5) * unit
+            marks.append(
+                f'<circle cx="{station["x_panel_mm"]:.2f}" cy="{-station["y_panel_mm"]:.2f}" r="{radius:.2f}" '
+                f'fill="{COLOURS[station["severity"]]}"/>'
+            )
+    for rivet in rivets:
+        if rivet["x_panel_mm"] is not None:
+            place = f"translate({rivet['x_panel_mm']:.2f} {-rivet['y_panel_mm']:.2f}) scale({unit:.4f})"
+            marks.append(f'<g transform="{place}">{_symbol(0, 0, rivet["severity"], _title(rivet))}</g>')
+    return (
+        f'<svg viewBox="{x0:.1f} {-y1:.1f} {x1 - x0:.1f} {y1 - y0:.1f}" xmlns="http://www.w3.org/2000/svg" role="img" '
+        f'style="border:1px solid #d7dde3;max-height:520px;width:100%">{"".join(marks)}</svg>'
+    )

@@ -1,0 +1,42 @@
+"""The overlays of a whole panel: a folder with one picture per station and a page that leads to them."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from storage.archive import Store
+from storage.report.markup import badge, moment, page
+from storage.report.record import PanelRecord
+from storage.report.verdicts import gravest
+
+INDEX = "index.html"
+
+
+def write_overlays(store: Store, record: PanelRecord, folder: Path) -> Path:
+    """Write the overlays of a panel's newest scans as PNG and SVG, and an index page.
+
+    Returns
+    -------
+    Path
+        The index page.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    cards = []
+    for scene in record.scenes:
+        station = scene.scene["station"]
+        drawing = store.paths(scene.scene["scene_id"]).overlay.with_suffix(".svg")
+        (folder / f"{station}.png").write_bytes(scene.overlay_png)
+        (folder / f"{station}.svg").write_bytes(drawing.read_bytes())
+        outside = scene.manifest.get("outside_overlay") or []
+        note = f"<br>beyond the picture: {escape(', '.join(outside))}" if outside else ""
+        cards.append(
+            f'<figure><a href="{station}.png"><img src="{station}.png" alt="overlay of station {station}"></a>'
+            f"<figcaption><b>{station}</b> {badge(gravest(scene.features))} captured "
+            f'{moment(scene.scene["captured_at"])} · <a href="{station}.svg">SVG</a>{note}</figcaption></figure>'
+        )
+    title = f"Overlays of {record.aircraft_serial} {record.panel}"
+    text = page(title, [f"<h1>{escape(title)}</h1>", '<div class="pair">', *cards, "</div>"])
+    index = folder / INDEX
+    index.write_text(text, encoding="utf-8")
+    return index

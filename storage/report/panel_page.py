@@ -1,0 +1,115 @@
+"""The report of one panel of one aircraft: the newest scan of each of its stations."""
+
+from __future__ import annotations
+
+from html import escape
+
+from metrology.tolerance import PanelSpec
+from storage.report.drawings import marked_picture, panel_map
+from storage.report.markup import badge, data_uri, figure, moment, page, table
+from storage.report.record import PanelRecord, SceneRecord
+from storage.report.sections import (
+    decisions_table,
+    limits_table,
+    rivet_table,
+    seams,
+    station_table,
+    traceability,
+    verdict,
+)
+from storage.report.verdicts import gravest, needs_attention
+
+
+def panel_page(record: PanelRecord) -> str:
+    """One HTML page; it needs nothing else."""
+    title = f"{record.aircraft_serial} {record.panel}"
+    parts = [
+        f"<h1>Inspection of {escape(title)}</h1>",
+        f'<p class="sub">the newest scan of each of {len(record.scenes)} stations</p>',
+        verdict(record.features),
+        "<h2>Stations</h2>",
+        _stations(record),
+        *_maps(record),
+        "<h2>Needs attention</h2>",
+        _attention(record),
+    ]
+    for scene in record.scenes:
+        parts += _station(scene)
+    parts.append("<h2>Limits</h2>")
+    parts += [limits_table(spec) for spec in _specifications(record)]
+    parts.append("<h2>Traceability</h2>")
+    for scene in record.scenes:
+        parts += [f"<h3>Station {escape(scene.scene['station'])}</h3>", traceability(scene)]
+    return page(f"Inspection {title}", parts)
+
+
+def _anchor(scene: SceneRecord) -> str:
+    return f"station-{escape(scene.scene['station'])}"
+
+
+def _stations(record: PanelRecord) -> str:
+    rows = [
+        [
+            f'<a href="#{_anchor(s)}">{escape(s.scene["station"])}</a>',
+            moment(s.scene["captured_at"]),
+            badge(gravest(s.features)),
+            str(len(s.rivets)),
+            str(len({station["seam_id"] for station in s.stations})),
+            str(sum(needs_attention(feature) for feature in s.features)),
+            escape("; ".join(s.scene["warnings"] or ())),
+        ]
+        for s in record.scenes
+    ]
+    heads = ["station", "captured", "verdict", "rivets", "seams", "need attention", "why"]
+    return table([*heads[:-1], "warnings"], rows, [3, 4, 5])
+
+
+def _maps(record: PanelRecord) -> list[str]:
+    """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
+    placed = [scene for scene in record.scenes if scene.has_common_frame]
+    drawing = panel_map(
+        [rivet for scene in placed for rivet in scene.rivets],
+        [station for scene in placed for station in scene.stations],
+    )
+    if not drawing:
+        return []
+    caption = (
+        "In panel coordinates. Disc: meets the limits; square: outside; diamond: seriously outside; ring: not judged."
+    )
+    return ["<h2>Map</h2>", figure(drawing, caption)]
+
+
+def _attention(record: PanelRecord) -> str:
+    rivets = [rivet for scene in record.scenes for rivet in scene.rivets if needs_attention(rivet)]
+    stations = [station for scene in record.scenes for station in scene.stations if needs_attention(station)]
+    if not rivets and not stations:
+        return "<p>Nothing.</p>"
+    return (rivet_table(rivets, where=True) if rivets else "") + (
+        station_table(stations, where=True) if stations else ""
+    )
+
+
+def _station(scene: SceneRecord) -> list[str]:
+    parts = [
+        f'<h2 id="{_anchor(scene)}">Station {escape(scene.scene["station"])}</h2>',
+        verdict(scene.features),
+        '<div class="pair">',
+        figure(marked_picture(scene.preview, scene.rivets, scene.stations), "Left camera."),
+        figure(f'<img src="{data_uri(scene.overlay_png, "png")}" alt="overlay">', "The overlay."),
+        "</div>",
+    ]
+    if scene.rivets:
+        parts.append(rivet_table(scene.rivets))
+    parts += seams(scene.stations, scene.limits)
+    if decided := decisions_table(scene):
+        parts += ["<h3>Decisions of people</h3>", decided]
+    return parts
+
+
+def _specifications(record: PanelRecord) -> list[PanelSpec | None]:
+    """The limits that were used, each once."""
+    used: list[PanelSpec | None] = []
+    for scene in record.scenes:
+        if scene.limits not in used:
+            used.append(scene.limits)
+    return used

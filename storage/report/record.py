@@ -1,0 +1,130 @@
+"""What a report is made of, fetched from a store."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.errors import SpecError, StoreError
+from metrology.tolerance import PanelSpec
+from storage.archive import Store
+from storage.archive.bundle import MANIFEST
+from storage.documents import read_json
+from storage.panel_spec import panel_spec_from
+from storage.review import Entry, ReviewLog
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """One inspected scene.
+
+    Attributes
+    ----------
+    scene : mapping
+        Its row of the table scenes.
+    rivets, stations : tuple of mappings
+        Its rows of the tables rivets and seam_stations.
+    manifest : mapping
+        Of its bundle: settings, versions, registration, limits.
+    preview : (h, w) uint8
+    overlay_png : bytes
+    limits : PanelSpec or None
+        As the scene was judged by; None where the manifest's copy cannot be read any more.
+    decisions : tuple of Entry
+        What people decided about its features, and its sign-off.
+    """
+
+    scene: Row
+    rivets: tuple[Row, ...]
+    stations: tuple[Row, ...]
+    manifest: Mapping[str, Any]
+    preview: NDArray[np.uint8]
+    overlay_png: bytes
+    limits: PanelSpec | None
+    decisions: tuple[Entry, ...] = ()
+
+    @property
+    def features(self) -> tuple[Row, ...]:
+        """Rivets and stations."""
+        return (*self.rivets, *self.stations)
+
+    @property
+    def has_common_frame(self) -> bool:
+        """Whether panel coordinates are those of a specification, and not of the scan that the station enrolled."""
+        spec = self.manifest.get("panel_spec", {})
+        return bool(spec.get("rivets") or spec.get("seams")) and spec.get("panel") == self.scene["panel"]
+
+
+@dataclass(frozen=True)
+class PanelRecord:
+    """The newest scan of each station of a panel of an aircraft."""
+
+    aircraft_serial: str
+    panel: str
+    scenes: tuple[SceneRecord, ...]
+
+    @property
+    def features(self) -> tuple[Row, ...]:
+        """Rivets and stations of all scenes."""
+        return tuple(feature for scene in self.scenes for feature in scene.features)
+
+
+def scene_record(store: Store, scene_id: str) -> SceneRecord:
+    """A scene's current run."""
+    paths = store.paths(scene_id)
+    scenes = _rows(store, "SELECT * FROM scenes WHERE scene_id = ?", scene_id)
+    rivets = _rows(store, "SELECT * FROM rivets WHERE scene_id = ? ORDER BY rivet_id", scene_id)
+    stations = _rows(store, "SELECT * FROM seam_stations WHERE scene_id = ? ORDER BY seam_id, s_mm", scene_id)
+    manifest = read_json(paths.bundle / MANIFEST, StoreError)
+    preview = cv2.imdecode(np.frombuffer(_bytes(paths.preview), np.uint8), cv2.IMREAD_GRAYSCALE)
+    if preview is None:
+        raise StoreError(
+            f"{paths.preview}: found a damaged picture, expected a PNG; 'flushline archive check' says more"
+        )
+    decisions = tuple(entry for entry in ReviewLog(store.root).read().entries if entry.scene_id == scene_id)
+    return SceneRecord(
+        scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
+        _limits(manifest, paths.bundle / MANIFEST), decisions,
+    )  # fmt: skip
+
+
+def panel_record(store: Store, aircraft_serial: str, panel: str) -> PanelRecord:
+    """The newest scan of each station of a panel."""
+    found = _rows(
+        store,
+        "SELECT scene_id FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? ORDER BY station",
+        aircraft_serial,
+        panel,
+    )
+    if not found:
+        raise StoreError(f"{store.root}: found no scene of {aircraft_serial} {panel}, expected at least one")
+    return PanelRecord(aircraft_serial, panel, tuple(scene_record(store, row["scene_id"]) for row in found))
+
+
+def _limits(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:
+    with contextlib.suppress(SpecError):  # a run of an older version, whose specification had another form
+        return panel_spec_from(manifest.get("panel_spec", {}), path).limits
+    return None
+
+
+def _rows(store: Store, sql: str, *values: str) -> tuple[Row, ...]:
+    with contextlib.closing(store.connect()) as connection:
+        result = connection.execute(sql, list(values))
+        names = [column[0] for column in result.description or ()]
+        return tuple(dict(zip(names, row, strict=True)) for row in result.fetchall())
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise StoreError(f'{path}: found "{problem.strerror}", expected the scene\'s picture') from None

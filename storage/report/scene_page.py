@@ -1,0 +1,43 @@
+"""The report of one scene."""
+
+from __future__ import annotations
+
+from html import escape
+
+from storage.report.drawings import heights_chart, marked_picture
+from storage.report.markup import data_uri, figure, moment, page
+from storage.report.record import SceneRecord
+from storage.report.sections import decisions_table, limits_table, rivet_table, seams, traceability, verdict
+
+_MARKS = "Rings and dots by verdict: green thin: meets the limits; blue dashed: outside; red thick: seriously outside."
+
+
+def scene_page(record: SceneRecord) -> str:
+    """One HTML page with pictures, tables, verdicts and what they rest on; it needs nothing else."""
+    scene = record.scene
+    title = f"{scene['aircraft_serial']} {scene['panel']} {scene['station']}"
+    parts = [
+        f"<h1>Inspection of {escape(title)}</h1>",
+        f'<p class="sub">captured {moment(scene["captured_at"])}</p>',
+        verdict(record.features),
+        *(f'<div class="warning">{escape(text)}</div>' for text in scene["warnings"] or ()),
+        '<div class="pair">',
+        figure(marked_picture(record.preview, record.rivets, record.stations), f"Left camera. {_MARKS}"),
+        figure(
+            f'<img src="{data_uri(record.overlay_png, "png")}" alt="overlay">',
+            "The overlay, as the projector shows it.",
+        ),
+        "</div>",
+    ]
+    if record.rivets:
+        limit = record.limits.zone().height_mm if record.limits else None
+        parts.append("<h2>Rivets</h2>")
+        if chart := heights_chart(record.rivets, limit):
+            parts.append(figure(chart, "Heights with their U95; dashed: limits of the default zone."))
+        parts.append(rivet_table(record.rivets))
+    if record.stations:
+        parts += ["<h2>Seams</h2>", *seams(record.stations, record.limits)]
+    if decided := decisions_table(record):
+        parts += ["<h2>Decisions of people</h2>", decided]
+    parts += ["<h2>Limits</h2>", limits_table(record.limits), "<h2>Traceability</h2>", traceability(record)]
+    return page(f"Inspection {title}", parts)
