@@ -11,20 +11,22 @@ from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
 from metrology.errors import UsageError
 
+RunnerKind = Literal["threads", "processes", "dask"]
 
-def run_inbox(job: InboxJob, workers: int, runner: Literal["threads", "processes", "dask"], use_server: bool) -> int:
+
+def run_inbox(job: InboxJob, workers: int, kind: RunnerKind, dask_address: str | None, use_server: bool) -> int:
     """Inspect an inbox; returns the command's exit code."""
     if workers < 1:
         raise UsageError(f"--workers: found {workers}, expected at least 1")
     outcomes: list[Outcome] = []
     if runs_on_server(use_server):
-        from flows.prefect_inbox import run_on_server
+        from flows.prefect_inbox import run_on_server, runner
 
-        run_on_server(job, runner, workers, outcomes.append)
+        run_on_server(job, runner(kind, workers, dask_address), outcomes.append)
         for outcome in outcomes:
             _tell(outcome)
-    elif runner != "processes":
-        raise UsageError(f"--runner {runner}: found no Prefect server, expected one to be configured, or --server")
+    elif kind != "processes":
+        raise UsageError(f"--runner {kind}: found no Prefect server, expected one to be configured, or --server")
     else:
         _run_here(job, workers, outcomes)
     print(summary(outcomes))

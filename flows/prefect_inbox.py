@@ -76,8 +76,14 @@ def inspect_inbox_flow(
     return outcomes
 
 
-def runner(kind: Runner, workers: int) -> TaskRunner[Any]:
-    """What runs the scenes' tasks."""
+def runner(kind: Runner, workers: int, dask_address: str | None = None) -> TaskRunner[Any]:
+    """What runs the scenes' tasks.
+
+    Parameters
+    ----------
+    dask_address : str, optional
+        Of the scheduler of a Dask cluster that stands already; without it `workers` processes are started here.
+    """
     if kind == "threads":
         return ThreadPoolTaskRunner(max_workers=workers)
     if kind == "processes":
@@ -90,12 +96,14 @@ def runner(kind: Runner, workers: int) -> TaskRunner[Any]:
         raise UsageError(
             "--runner dask: found no prefect-dask, expected it installed: pip install flushline[dask]"
         ) from None
+    if dask_address:
+        return DaskTaskRunner(address=dask_address)
     return DaskTaskRunner(cluster_kwargs={"n_workers": workers, "threads_per_worker": 1})
 
 
-def run_on_server(job: InboxJob, kind: Runner, workers: int, on_outcome: Callable[[Outcome], None]) -> None:
+def run_on_server(job: InboxJob, task_runner: TaskRunner[Any], on_outcome: Callable[[Outcome], None]) -> None:
     """Run the flow here and now; its outcomes are told when it is done."""
-    run_flow = inspect_inbox_flow.with_options(task_runner=runner(kind, workers))
+    run_flow = inspect_inbox_flow.with_options(task_runner=task_runner)
     for outcome in run_flow(
         str(job.inbox), str(job.store), _text(job.rig), _text(job.panel_spec), _text(job.settings), job.settle_s
     ):
@@ -146,7 +154,7 @@ def _text(path: Path | None) -> str | None:
     return str(path.absolute()) if path else None
 
 
-def serve(job: InboxJob, kind: Runner, workers: int, cron: str, timezone: str | None, name: str) -> int:
+def serve(job: InboxJob, task_runner: TaskRunner[Any], cron: str, timezone: str | None, name: str) -> int:
     """Serve the flow as a deployment with a schedule until the process is stopped."""
     from prefect.schedules import Cron
 
@@ -160,7 +168,7 @@ def serve(job: InboxJob, kind: Runner, workers: int, cron: str, timezone: str | 
             f"--cron, --timezone: found {cron!r}, {timezone!r} ({text}), expected a cron line and a zone"
         ) from None
     paths = {field: _text(getattr(job, field)) for field in ("inbox", "store", "rig", "panel_spec", "settings")}
-    inspect_inbox_flow.with_options(task_runner=runner(kind, workers)).serve(
+    inspect_inbox_flow.with_options(task_runner=task_runner).serve(
         name=name,
         schedule=schedule,
         parameters={**paths, "settle_s": job.settle_s},

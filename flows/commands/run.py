@@ -29,6 +29,7 @@ def add_inbox_arguments(parser: argparse.ArgumentParser) -> None:
         default="processes",
         help="what runs scenes side by side; threads and dask need a Prefect server",
     )
+    parser.add_argument("--dask-address", metavar="TCP", help="scheduler of a Dask cluster, such as tcp://host:8786")
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
@@ -54,4 +55,4 @@ def run(options: argparse.Namespace) -> int:
     from flows.inbox_command import run_inbox
 
     job = InboxJob(options.inbox, options.store, options.rig, options.panel_spec, options.settings, options.settle)
-    return run_inbox(job, options.workers, options.runner, options.server)
+    return run_inbox(job, options.workers, options.runner, options.dask_address, options.server)

@@ -35,6 +35,7 @@ def run(options: argparse.Namespace) -> int:
     if not api or not answers(api):
         found = f"no answer from {api}" if api else "no Prefect server configured"
         raise UsageError(f"serve: found {found}, expected PREFECT_API_URL of a running 'prefect server start'")
-    from flows.prefect_inbox import serve
+    from flows.prefect_inbox import runner, serve
 
-    return serve(job, options.runner, options.workers, options.cron, options.timezone, options.name)
+    task_runner = runner(options.runner, options.workers, options.dask_address)
+    return serve(job, task_runner, options.cron, options.timezone, options.name)
