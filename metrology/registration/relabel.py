@@ -182,10 +182,10 @@ def _b_is_downstream(
     """
     if seam.airflow is None:
         return np.zeros(len(at))
-    pixels = np.array([(station.u_px, station.v_px) for station in piece])
-    spread = np.linalg.svd(pixels - pixels.mean(0), full_matrices=False)[2][0]
-    towards_b = np.array([1.0, 0.0, 0.0]) if abs(spread[1]) >= abs(spread[0]) else np.array([0.0, 1.0, 0.0])
-    towards_b = placement.R @ towards_b
+    ordered = sorted(piece, key=lambda station: station.s_mm)
+    chord_u, chord_v = ordered[-1].u_px - ordered[0].u_px, ordered[-1].v_px - ordered[0].v_px
+    upright = abs(chord_v) >= abs(chord_u)
+    towards_b = placement.R @ (np.array([1.0, 0.0, 0.0]) if upright else np.array([0.0, 1.0, 0.0]))
     across = towards_b - (tangent @ towards_b)[:, None] * tangent
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     flow = np.array(seam.airflow) / np.linalg.norm(seam.airflow)

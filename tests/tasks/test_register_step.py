@@ -1,0 +1,108 @@
+"""Which limits and which pattern a scene meets: what is given, what is in force in the store, what was enrolled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metrology.panel import NominalRivet, PanelLayout
+from storage.archive import Store
+from storage.panel_spec import PanelSpecification, load_panel_spec
+from storage.scene import Scene
+from tasks import steps
+from tasks.settings import InspectionSettings
+from tests.storage.results import small_key, small_result
+
+SPEC = """
+format = "flushline-panel/1"
+panel = "{panel}"
+revision = "{revision}"
+[zones.default.height_mm]
+upper = 0.01
+source = "DS-1"
+revision = "A"
+"""
+
+
+def given(tmp_path: Path, panel: str = "LH-F12", revision: str = "A") -> Path:
+    path = tmp_path / f"{panel}-{revision}.toml"
+    path.write_text(SPEC.format(panel=panel, revision=revision))
+    return path
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+@pytest.fixture
+def loaded() -> steps.LoadedScene:
+    scene = Scene(Path("scene"), small_key(), "rig-a", None, None, (1.0,), (), (), None, None)  # type: ignore[arg-type]
+    return steps.LoadedScene(scene, small_result().reconstruction.rig)
+
+
+def run(loaded: steps.LoadedScene, spec: PanelSpecification, store: Store) -> steps.Registration:
+    """Three heads in different places of a small scene."""
+    result = small_result()
+    rng = np.random.default_rng(3)
+    rivets = [
+        replace(r, x_mm=x, y_mm=y, z_mm=700.0, u_px=32 + x / 7, v_px=24 + y / 7)
+        for r, (x, y) in zip(result.rivets, rng.uniform(-60, 60, (3, 2)), strict=True)
+    ]
+    return steps.register(rivets, [], result.reconstruction, loaded, spec, store, InspectionSettings())
+
+
+def test_the_first_scan_of_a_station_enrols_it_and_the_next_is_recognised(
+    loaded: steps.LoadedScene, store: Store
+) -> None:
+    first = run(loaded, load_panel_spec(), store)
+    assert first.status == "enrolled"
+    assert store.panels.stations("LH-F12") == ["S3"]
+    again = run(loaded, load_panel_spec(), store)
+    assert again.status == "recognised"
+    assert [r.rivet_id for r in again.rivets] == ["R1", "R2", "R3"]
+    assert again.rms_mm == pytest.approx(0, abs=1e-3)
+    store.check_usable()
+
+
+def test_the_pattern_of_the_panels_specification_comes_first(
+    loaded: steps.LoadedScene, store: Store, tmp_path: Path
+) -> None:
+    first = run(loaded, load_panel_spec(), store)
+    assert first.enrolled is not None
+    spec = load_panel_spec(given(tmp_path))
+    named = tuple(replace(r, rivet_id=f"DWG-{k}") for k, r in enumerate(first.enrolled.rivets))
+    with_pattern = replace(spec, layout=replace(first.enrolled, rivets=named))
+    assert [r.rivet_id for r in run(loaded, with_pattern, store).rivets] == ["DWG-0", "DWG-1", "DWG-2"]
+    other = replace(with_pattern, limits=replace(spec.limits, panel="RH-F12"))
+    assert [r.rivet_id for r in run(loaded, other, store).rivets] == ["R1", "R2", "R3"]
+
+
+def test_a_scan_in_which_nothing_was_found_enrols_nothing(loaded: steps.LoadedScene, store: Store) -> None:
+    result = small_result()
+    registered = steps.register([], [], result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings())
+    assert registered.rivets == ()
+    assert not store.root.exists()
+
+
+def test_the_example_gives_way_to_what_is_in_force(store: Store, tmp_path: Path) -> None:
+    panel, example = small_key().panel, load_panel_spec()
+    assert steps.specification(example, panel, store).example
+    store.prepare()
+    store.panels.add(given(tmp_path, revision="B"))
+    assert steps.specification(example, panel, store).limits.revision == "B"
+    assert steps.specification(None, panel, store).limits.revision == "B"
+    assert steps.specification(load_panel_spec(given(tmp_path, "X-1")), panel, store).limits.panel == "X-1"
+
+
+def test_a_pattern_without_the_scans_rivets_leaves_their_names(
+    loaded: steps.LoadedScene, store: Store, tmp_path: Path
+) -> None:
+    spec = load_panel_spec(given(tmp_path))
+    far = PanelLayout(tuple(NominalRivet(f"N{k}", (7.0 * k, k * k * 3.0, 0.0)) for k in range(6)))
+    registered = run(loaded, replace(spec, layout=far), store)
+    assert registered.status == "not recognised"
+    assert [r.rivet_id for r in registered.rivets] == ["R1", "R2", "R3"]
