@@ -1,1 +1,1 @@
-"""A virtual rig and panel with known truth, ray-traced; makes scene folders."""
+"""A virtual rig and panel: ray-traced fringe scans and calibration captures with known truth (docs/simulator.md)."""

@@ -179,6 +179,9 @@ def _build(source_fingerprint: int) -> tuple[Any, Any]:
         for i in range(busy.shape[0] if source_fingerprint else 0):
             for j in range(width):
                 at = first[i * width + j] - first[0]
+                if first[i * width + j + 1] - first[i * width + j] == 1:
+                    column[at], row[at], direct[at], ambient[at] = -1e9, -1e9, 0.0, 0.0
+                    continue
                 spread = many if busy[i, j] else few
                 for k in range(spread.shape[0]):
                     _on_board(camera, centre, j + spread[k, 0], top + i + spread[k, 1], d, p)
@@ -224,7 +227,9 @@ def view_board(
     edge[1:] |= values[1:, :, 0] != values[:-1, :, 0]
     busy = widened(edge, 3.2 * blur_px + 0.7)
     few, many = four(blur_px), spread(samples, blur_px)
-    first = np.concatenate([[0], np.cumsum(np.where(busy.ravel(), len(many), len(few)))]).astype(np.int64)
+    # One empty sample stands for what is beside the board.
+    counts = np.where(busy, len(many), np.where(values[..., 0] < 0, 1, len(few)))
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     total = int(first[-1])
     hits = Hits(height, width, first, np.empty(total), np.empty(total), np.empty(total, np.float32),
                 np.empty(total, np.float32))  # fmt: skip
