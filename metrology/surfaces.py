@@ -8,14 +8,13 @@ along the normal, σ_h = σ_z |(x/z, y/z, 1) · n|.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Order = Literal[1, 2, 3, 4]
+
 
 # Tukey's limit in standard deviations: 95 % efficient on normal noise.
 _TUKEY = 4.685
@@ -23,6 +22,7 @@ _TUKEY = 4.685
 _TUKEY_COVARIANCE = 0.956
 _TUKEY_VARIANCE = 1.217
 _MAD = 1.4826
+_JUDGES = 1000  # points on which RANSAC compares samples
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Frame:
         return np.asarray(np.abs((p / p[..., 2:]) @ self.axes[2]) * np.asarray(sigma_z, float))
 
 
-def monomials(x: ArrayLike, y: ArrayLike, order: Order) -> Array:
+def monomials(x: ArrayLike, y: ArrayLike, order: int) -> Array:
     """(n, k) 1, x, y, x², xy, y², … up to the given order."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     return np.stack([x ** (d - i) * y**i for d in range(order + 1) for i in range(d + 1)], axis=-1)
@@ -93,7 +93,7 @@ class Polynomial:
         Robust weight of each point given, 0 for outliers.
     """
 
-    order: Order
+    order: int
     coefficients: Array
     covariance: Array
     rms_mm: float
@@ -110,7 +110,7 @@ class Polynomial:
         return rows @ self.coefficients, rows @ self.covariance @ rows.T
 
 
-def _tangent_rows(x: float, y: float, order: Order) -> Array:
+def _tangent_rows(x: float, y: float, order: int) -> Array:
     """(3, k) monomials and their derivatives by x and y at a point."""
     value, by_x, by_y = [], [], []
     for d in range(order + 1):
@@ -127,7 +127,7 @@ def fit_surface(
     y: ArrayLike,
     h: ArrayLike,
     sigma: ArrayLike,
-    order: Order,
+    order: int,
     generator: np.random.Generator,
     trials: int = 60,
 ) -> Polynomial | None:
@@ -198,6 +198,8 @@ def _consensus(
 ) -> Array | None:
     """Coefficients of the sample with the smallest truncated squares (MSAC), points scaled to unit noise."""
     n = len(target)
+    # Which sample is best shows on a part of the points; which points are best, on all of them later.
+    judges = slice(None) if n <= _JUDGES else generator.integers(n, size=_JUDGES)
     # Now and then a point is drawn twice; such a sample is singular and drops out below.
     picks = generator.integers(n, size=(trials, unknowns))
     matrices, values = design[picks], target[picks]
@@ -206,6 +208,6 @@ def _consensus(
     if not good.any():
         return None
     solutions = np.linalg.solve(matrices[good], values[good][..., None])[..., 0]
-    residual2 = (target[:, None] - design @ solutions.T) ** 2
+    residual2 = (target[judges, None] - design[judges] @ solutions.T) ** 2
     cost = np.minimum(residual2, 3.0**2).sum(axis=0)
     return np.asarray(solutions[int(cost.argmin())])

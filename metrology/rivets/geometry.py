@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.rig import Device
-from metrology.rivets.shapes import CircleShapes
 from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.shapes import CircleShapes
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]

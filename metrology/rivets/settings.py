@@ -54,6 +54,10 @@ class RivetSettings:
         Both sets keep this distance from the rim: pixels, plus multiples of the rim's half-width σ in the image.
     seam_margin_px : float
         Kept from a seam beyond its half-width.
+    controls : int
+        Places on bare skin at which the height of nothing is measured, to learn how far measurements really scatter.
+    min_crown_mm : float
+        A head is modelled as a dome where its crown is larger and significant.
     min_inner, min_outer : int
         Points needed.
     min_sectors : int
@@ -77,11 +81,13 @@ class RivetSettings:
     min_ring_share: float = 0.5
     reference: Reference = "quadric"
     inner_radius: float = 0.85
-    outer_radii: tuple[float, float] = (1.1, 2.0)
+    outer_radii: tuple[float, float] = (1.1, 2.5)
     min_outer_width_mm: float = 4.0
     guard_px: float = 0.5
     guard_sigmas: float = 3.0
     seam_margin_px: float = 3.0
+    controls: int = 24
+    min_crown_mm: float = 0.015
     min_inner: int = 30
     min_outer: int = 120
     min_sectors: int = 7

@@ -1,0 +1,174 @@
+"""The cloud round one head, in the head's own frame, and the points of it that may be used (paper Fig. 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import PixelFlag, Reconstruction
+from metrology.results import RivetDetection, SeamLine
+from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.geometry import lay_on_plane
+from metrology.rivets.settings import RivetSettings
+from metrology.surfaces import Frame
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_LEAST_POINTS = 50
+_DEFAULT_SEAM_PX = 4.0  # width of a seam that tells none
+_DEFAULT_RIM_SIGMA_PX = 1.0  # of a head without a visible rim
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The cloud round a head, in a frame on the skin with the head's centre as origin.
+
+    Attributes
+    ----------
+    frame : Frame
+    radius : float
+        Of the head, mm.
+    guard : float
+        Distance from the rim that points keep, mm.
+    x, y, h, sigma : (n,) ndarray
+        Local coordinates and σ of h, mm.
+    u, v : (n,) ndarray of int
+        Pixels of the points.
+    usable : (n,) bool
+        Not flagged, and neither on a seam nor on a neighbour.
+    """
+
+    frame: Frame
+    radius: float
+    guard: float
+    x: Array
+    y: Array
+    h: Array
+    sigma: Array
+    u: NDArray[np.int64]
+    v: NDArray[np.int64]
+    usable: Mask
+
+
+def ellipse_of(detection: RivetDetection) -> Ellipse:
+    """The detection's ellipse with semi-axes and radians."""
+    return Ellipse.of(
+        [
+            detection.u_px,
+            detection.v_px,
+            detection.major_px / 2,
+            detection.minor_px / 2,
+            np.radians(detection.angle_deg),
+        ]
+    )
+
+
+def blocked_pixels(reconstruction: Reconstruction, seams: Sequence[SeamLine], margin_px: float) -> Mask:
+    """(h, w) pixels without a trustworthy point, or on a seam or within a margin of it."""
+    doubtful = np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)
+    blocked = ~reconstruction.valid | ((reconstruction.flags & doubtful) != 0)
+    band = np.zeros(blocked.shape, np.uint8)
+    for seam in seams:
+        known = seam.width_px[np.isfinite(seam.width_px)]
+        usual = float(np.median(known)) if len(known) else _DEFAULT_SEAM_PX
+        for (u, v), width in zip(seam.centre_px, seam.width_px, strict=True):
+            half = 0.5 * (float(width) if np.isfinite(width) else usual)
+            cv2.circle(band, (round(float(u)), round(float(v))), int(np.ceil(half + margin_px)), 1, -1)
+    return blocked | (band > 0)
+
+
+def cut_patch(
+    detection: RivetDetection,
+    others: Sequence[RivetDetection],
+    reconstruction: Reconstruction,
+    blocked: Mask,
+    settings: RivetSettings,
+) -> Patch | str:
+    """The cloud round a head; a reason where there is none.
+
+    Parameters
+    ----------
+    detection : RivetDetection
+    others : sequence of RivetDetection
+        Neighbours, whose heads are cut out.
+    reconstruction : Reconstruction
+    blocked : (h, w) bool
+        See `blocked_pixels`.
+    settings : RivetSettings
+    """
+    ellipse = ellipse_of(detection)
+    scale = _pixels_per_mm(reconstruction, ellipse)
+    if scale is None:
+        return "no points at the head"
+    sigma_px = detection.rim_sigma_px if detection.rim_sigma_px is not None else _DEFAULT_RIM_SIGMA_PX
+    guard_px = settings.guard_px + settings.guard_sigmas * sigma_px
+    reach = outer_radius(ellipse.radius / scale, settings) * scale * ellipse.a / ellipse.radius + 4
+    window = _window(ellipse, reach, blocked.shape)
+    valid = reconstruction.valid[window]
+    v, u = (a[valid] for a in np.mgrid[window])
+    cloud = reconstruction.points[window][valid].astype(float)
+    usable = ~blocked[window][valid]
+    for other in map(ellipse_of, others):
+        if np.hypot(other.u - ellipse.u, other.v - ellipse.v) < reach + other.a:
+            usable &= (other.level(u, v) - 1) * other.b > guard_px
+    skin = usable & ((ellipse.level(u, v) - 1) * ellipse.b > guard_px)
+    if skin.sum() < _LEAST_POINTS:
+        return f"skin: {int(skin.sum())} usable points, at least {_LEAST_POINTS} needed"
+    frame = _skin_frame(cloud[skin])
+    x, y, radius = lay_on_plane(reconstruction.rig.left, ellipse, frame)
+    frame = Frame(frame.rig([x, y, 0.0]), frame.axes)
+    local = frame.local(cloud)
+    sigma = frame.height_sigma(cloud, reconstruction.sigma_z[window][valid])
+    usable &= np.isfinite(sigma) & (sigma > 0)
+    return Patch(frame, radius, guard_px / scale, local[:, 0], local[:, 1], local[:, 2], sigma, u, v, usable)
+
+
+def outer_radius(radius_mm: float, settings: RivetSettings) -> float:
+    """Outer radius of the skin's annulus, mm."""
+    return max(settings.outer_radii[1] * radius_mm, radius_mm + settings.min_outer_width_mm)
+
+
+def point_sets(patch: Patch, settings: RivetSettings) -> tuple[Mask, Mask]:
+    """Points of head and skin, (n,) bool each.
+
+    Both keep the guard from the rim; the inner set of a very small head keeps at least half its radius.
+    """
+    r = np.hypot(patch.x, patch.y)
+    inner = max(min(settings.inner_radius * patch.radius, patch.radius - patch.guard), 0.5 * patch.radius)
+    start = max(settings.outer_radii[0] * patch.radius, patch.radius + patch.guard)
+    return patch.usable & (r < inner), patch.usable & (r > start) & (r < outer_radius(patch.radius, settings))
+
+
+def _window(ellipse: Ellipse, reach: float, size: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns within `reach` of an ellipse's centre."""
+    rows = slice(max(0, int(ellipse.v - reach)), max(0, min(size[0], int(ellipse.v + reach) + 2)))
+    columns = slice(max(0, int(ellipse.u - reach)), max(0, min(size[1], int(ellipse.u + reach) + 2)))
+    return rows, columns
+
+
+def _pixels_per_mm(reconstruction: Reconstruction, ellipse: Ellipse) -> float | None:
+    """Scale at a head from the distance of the points there: focal length over depth."""
+    z = reconstruction.points[_window(ellipse, 1.3 * ellipse.a, reconstruction.valid.shape)][..., 2]
+    z = z[np.isfinite(z)]
+    if len(z) == 0:
+        return None
+    K = reconstruction.rig.left.K
+    return float(np.sqrt(K[0, 0] * K[1, 1]) / np.median(z))
+
+
+def _skin_frame(points: Array) -> Frame:
+    """Frame on the plane that most points share."""
+    keep = np.ones(len(points), bool)
+    frame = Frame(points.mean(axis=0), np.eye(3))
+    for _ in range(3):
+        centre = points[keep].mean(axis=0)
+        normal = np.linalg.eigh(np.cov((points[keep] - centre).T))[1][:, 0]
+        frame = Frame.on_plane(centre, normal)
+        h = np.abs(frame.local(points)[:, 2])
+        keep = h < 3 * 1.4826 * np.median(h) + 1e-9
+    return frame
