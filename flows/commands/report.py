@@ -29,12 +29,13 @@ def run(options: argparse.Namespace) -> int:
     from metrology.errors import UsageError
     from storage.archive import Store
     from storage.archive.schema import RIVETS, SEAM_STATIONS
-    from storage.report import panel_page, panel_record, rows_csv, scene_page, scene_record
+    from storage.report import SceneRecord, panel_page, panel_record, rows_csv, scene_page, scene_record
 
     store = Store(options.store)
+    scenes: tuple[SceneRecord, ...]
     if options.scene_id and not (options.aircraft or options.panel):
-        scene = scene_record(store, options.scene_id)
-        text, scenes = scene_page(scene), (scene,)
+        scenes = (scene_record(store, options.scene_id),)
+        text = scene_page(scenes[0])
     elif options.aircraft and options.panel and not options.scene_id:
         panel = panel_record(store, options.aircraft, options.panel)
         text, scenes = panel_page(panel), panel.scenes

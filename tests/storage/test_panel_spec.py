@@ -95,3 +95,13 @@ def test_a_pattern_is_written_as_it_is_read(tmp_path: Path) -> None:
         assert (written.layout.stations[name].R == placement.R).all()
         assert (written.layout.stations[name].t == placement.t).all()
     assert written.document["enrolled_from"] == 'a "scan"'
+
+
+def test_the_specification_in_the_documentation_can_be_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "panels.md").read_text(encoding="utf-8")
+    path = tmp_path / "panel.toml"
+    path.write_text(text.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+    spec = load_panel_spec(path)
+    assert spec.layout.seams[0].airflow == (1, 0, 0)
+    assert spec.limits.zone("nose").step_into_wind_mm is not None
+    assert spec.limits.zone("nose").height_mm == spec.limits.zone().height_mm
