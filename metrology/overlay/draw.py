@@ -203,15 +203,20 @@ def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
 def _rivet_text(rivet: Rivet) -> str:
     if rivet.height_mean_mm is None:
         return _MISSING if (rivet.reason or "").startswith(_MISSING.lower()) else "?"
-    return f"{rivet.height_mean_mm:+.2f}{_star(rivet.decision)}"
+    return f"{_signed(rivet.height_mean_mm)}{_star(rivet.decision)}"
 
 
 def _seam_text(station: SeamStation) -> str:
     if station.step_mm is None and station.width_mm is None:
         return _MISSING if (station.reason or "").startswith(_MISSING.lower()) else "?"
-    step = "?" if station.step_mm is None else f"{station.step_mm:+.2f}"
+    step = "?" if station.step_mm is None else _signed(station.step_mm)
     width = "?" if station.width_mm is None else f"{station.width_mm:.2f}"
     return f"{step} | {width}{_star(station.decision)}"
+
+
+def _signed(value: float) -> str:
+    """Hundredths of a millimetre with their sign; nothing is not minus nothing."""
+    return f"{round(value, 2) + 0.0:+.2f}"
 
 
 def _star(decision: Decision) -> str:

@@ -109,6 +109,11 @@ def test_every_rivet_has_its_value_and_title_lines_are_there(scene: Reconstructi
     assert "MSN-1 P1 S1" in texts
 
 
+def test_a_value_that_rounds_to_nothing_has_no_minus(scene: Reconstruction) -> None:
+    flush = replace(rivet("R01", 0, 0, "green", scene.rig), height_mean_mm=-0.0029)
+    assert "+0.00" in [x.text for x in draw_overlay([flush], [], scene, []).labels]
+
+
 def test_seam_marks_follow_severity(scene: Reconstruction) -> None:
     grades: list[Severity | None] = ["green"] * 5 + ["red"] * 3 + [None] * 2
     stations = [station(2.0 * k, grade, scene.rig) for k, grade in enumerate(grades)]
