@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 
 from metrology.seams.bands import BandFit, fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
+from metrology.seams.sampling import binned
 
 Array = NDArray[np.float64]
 
@@ -29,16 +30,19 @@ _START_CHAMFERS_PX = (0.8, 1.6, 3.0)
 # Narrower than this, a chamfer and a blur's tail look alike, px.
 _LEAST_CHAMFER_PX = 0.4
 _STATIONS_PER_STRETCH = 8
-_BIN_PX = 0.05
+_BIN_PX = 0.1
+# So many stretches of each side show a camera's blur well enough.
+_BLUR_STRETCHES = 5
 _BLUR_BOUNDS = ((0.03, 2.5), (-0.1, 0.24))
 _BLUR_SIMPLEX = np.array([[0.1, 0.15], [0.6, 0.02], [0.3, 0.2]])
+_BLUR_STEPS = np.array([[0.0, 0.0], [0.06, 0.0], [0.0, 0.02]])
 # Least reduction of the residuals' squares, in units of their variance, that proves a second border along a seam.
 _SIGNIFICANT = 50.0
-# What an imperfect blur model leaves in a chamfer's apparent width, however many pixels see it, px: its misfit is a share
-# of the skin's contrast against the chamfer, and moves D by that over the chamfer's contrast against the gap.
-_CHAMFER_FLOOR_PX = 0.02
+# What an imperfect model of blur and brightness leaves in a chamfer's apparent width, however many pixels see it: this
+# share of it over the root of the gain (the clearer D is, the less a misfit elsewhere moves it).
+_CHAMFER_MISFIT = 3.0
 # A chamfer's depth is its width give or take this share.
-_DEPTH_SHARE = 0.5
+_DEPTH_SHARE = 0.3
 # A view leaning less than this towards the gap need not see the wall.
 _FACING = 0.05
 
@@ -76,10 +80,10 @@ class Stretch:
     ----------
     offset_mm, apparent_mm : float
         Where C lies relative to the profiles' zero, and the chamfer's apparent width a.
+    share : float
+        Of C in what locates the edge: its squared contrast over that of C and D.
     sigma_mm : float
         Standard deviation of `apparent_mm`.
-    contrast : float
-        Brightness step at C over that at D.
     t, px_mm : float
         As in `Profile`, mean.
     gain : float
@@ -88,8 +92,8 @@ class Stretch:
 
     offset_mm: float
     apparent_mm: float
+    share: float
     sigma_mm: float
-    contrast: float
     t: float
     px_mm: float
     gain: float
@@ -140,16 +144,22 @@ class Stack:
         """Change of x per pixel where it changes most, mm."""
         return float(np.hypot(*self.gradient))
 
-    def fits(self, blur: PixelBlur) -> tuple[BandFit | None, BandFit | None]:
-        """The best fit without and with a chamfer."""
+    def fits(
+        self, blur: PixelBlur, starts: Sequence[float] = _START_CHAMFERS_PX
+    ) -> tuple[BandFit | None, BandFit | None]:
+        """The best fit without and with a chamfer, the latter from several `starts` (its width in px).
+
+        What the profiles are aligned on is the stronger border: C under a dark chamfer, D under a bright one.
+        """
         response = EdgeResponse.along(self.gradient, blur)
 
         def fitted(edges: list[float]) -> BandFit | None:
             return fit_bands(self.x, self.grey, edges, response, slopes=(True, False), counts=self.counts)
 
-        starts = [[-0.3 * self.pixel, (px - 0.3) * self.pixel] for px in _START_CHAMFERS_PX]
-        chamfered = [fit for start in starts if (fit := fitted(start)) is not None and self._sound(fit)]
-        return fitted([0.0]), min(chamfered, key=lambda fit: fit.cost, default=None)
+        near = 0.3 * self.pixel
+        tried = [fitted(start) for px in starts for start in ([-near, px * self.pixel], [-px * self.pixel, near])]
+        sound = [fit for fit in tried if fit is not None and self._sound(fit)]
+        return fitted([0.0]), min(sound, key=lambda fit: fit.cost, default=None)
 
     def _sound(self, fit: BandFit) -> bool:
         """Whether a fit with a chamfer means one: wide enough to be seen, and not darker than darkness."""
@@ -176,14 +186,11 @@ def _stack(profiles: Sequence[Profile]) -> Stack:
     x = np.concatenate([p.x for p in profiles])
     grey = np.concatenate([p.grey for p in profiles])
     gradient = np.mean([p.gradient for p in profiles], axis=0)
-    bins = np.floor(x / (_BIN_PX * np.hypot(*gradient))).astype(int)
-    bins -= bins.min()
-    counts = np.bincount(bins)
-    held = counts > 0
+    x, grey, counts = binned(x, grey, _BIN_PX * float(np.hypot(*gradient)))
     return Stack(
-        x=np.bincount(bins, x)[held] / counts[held],
-        grey=np.bincount(bins, grey)[held] / counts[held],
-        counts=counts[held].astype(float),
+        x=x,
+        grey=grey,
+        counts=counts,
         gradient=(float(gradient[0]), float(gradient[1])),
         t=float(np.mean([p.t for p in profiles])),
         px_mm=float(np.mean([p.px_mm for p in profiles])),
@@ -198,36 +205,46 @@ def stretch(stack: Stack, blur: PixelBlur) -> Stretch | None:
     c = best.covariance
     variance = max(float(c[0, 0] + c[1, 1] - 2 * c[0, 1]), 0.0)
     apparent = float(best.edges[1] - best.edges[0])
+    jumps = np.diff(best.levels)
     return Stretch(
         offset_mm=float(best.edges[0]),
         apparent_mm=apparent,
+        share=float(jumps[0] ** 2 / (jumps**2).sum()),
         sigma_mm=float(np.sqrt(variance)),
-        contrast=float(abs((best.levels[0] - best.levels[1]) / (best.levels[1] - best.levels[2]))),
         t=stack.t,
         px_mm=stack.px_mm,
         gain=best.n * max(plain.cost / best.cost - 1, 0.0),
     )
 
 
-def estimate_blur(found: Sequence[Stack]) -> PixelBlur:
-    """One camera's blur: the most likely one, given stretches of both sides' edges."""
-    if not found:
+def estimate_blur(sides: Sequence[Sequence[Stack]], start: PixelBlur | None = None) -> PixelBlur:
+    """One camera's blur: the most likely one, given stretches of both sides' edges.
+
+    Parameters
+    ----------
+    sides : sequence of sequence of Stack
+    start : PixelBlur, optional
+        An estimate to improve.
+    """
+    some = [stack for own in sides for stack in own[:: max(1, len(own) // _BLUR_STRETCHES)]]
+    if not some:
         return PixelBlur()
 
     def unlikelihood(parameters: Array) -> float:
         blur = PixelBlur(float(parameters[0]), float(parameters[1]))
         total = 0.0
-        for stack in found:
-            costs = [fit.cost for fit in stack.fits(blur) if fit is not None]
+        for stack in some:
+            costs = [fit.cost for fit in stack.fits(blur, _START_CHAMFERS_PX[1:2]) if fit is not None]
             total += 0.5 * len(stack.x) * np.log(min(costs)) if costs else 0.0
         return total
 
+    simplex = _BLUR_SIMPLEX if start is None else np.array([start.lens_px, start.spill]) + _BLUR_STEPS
     best = minimize(
         unlikelihood,
-        _BLUR_SIMPLEX[0],
+        simplex[0],
         method="Nelder-Mead",
         bounds=_BLUR_BOUNDS,
-        options={"initial_simplex": _BLUR_SIMPLEX, "xatol": 0.01, "fatol": 0.5, "maxfev": 60},
+        options={"initial_simplex": np.clip(simplex, *np.transpose(_BLUR_BOUNDS)), "xatol": 0.01, "fatol": 0.5},
     )
     return PixelBlur(float(best.x[0]), float(best.x[1]))
 
@@ -235,7 +252,7 @@ def estimate_blur(found: Sequence[Stack]) -> PixelBlur:
 def solve_chamfer(views: Sequence[Sequence[Stretch]]) -> Chamfer:
     """Width and depth of one side's chamfer from what each camera's stretches show.
 
-    Least squares on ``a = w + d t``, one row per camera (median of its stretches), and ``d = w`` give or take half of it.
+    Least squares on ``a = w + d t``, one row per camera (median of its stretches), and ``d = w`` give or take a third of it.
     """
     rows, values = [], []
     facing_without = False
@@ -247,8 +264,8 @@ def solve_chamfer(views: Sequence[Sequence[Stretch]]) -> Chamfer:
         apparent = np.array([s.apparent_mm for s in clear])
         scatter = 1.4826 * np.median(np.abs(apparent - np.median(apparent))) / np.sqrt(len(clear))
         own = np.median([s.sigma_mm for s in clear]) / np.sqrt(len(clear))
-        floor = _CHAMFER_FLOOR_PX * np.median([s.contrast for s in clear]) / np.median([s.px_mm for s in clear])
-        sigma = np.hypot(max(scatter, own), floor)
+        misfit = _CHAMFER_MISFIT * np.median(apparent) / np.sqrt(sum(s.gain for s in found))
+        sigma = np.hypot(max(scatter, own), misfit)
         rows.append(np.array([1.0, np.median([s.t for s in clear])]) / sigma)
         values.append(np.median(apparent) / sigma)
     if not rows:

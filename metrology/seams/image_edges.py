@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from metrology.seams.bands import BandFit, fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
-from metrology.seams.edge_shape import Chamfer, Profile, estimate_blur, solve_chamfer, stacks, stretch
+from metrology.seams.edge_shape import Chamfer, Profile, estimate_blur, Stretch, solve_chamfer, stacks, stretch
 from metrology.seams.sampling import sample
 from metrology.seams.sections import Section
 from metrology.seams.views import SectionView, View
@@ -113,23 +113,30 @@ def image_edges(
         ]
         for side in SIDES
     }
-    blurs, chamfers = [PixelBlur() for _ in views], {}
+    blurs: list[PixelBlur] = []
+    chamfers: dict[str, Chamfer] = {}
     for _ in range(_ROUNDS):
         profiles = {
             side: [_profiles(view, run, side, half_length) for view, run in zip(views, runs[side], strict=True)]
             for side in SIDES
         }
         stacked = {side: [stacks(own) for own in profiles[side]] for side in SIDES}
-        blurs = [estimate_blur([stack for side in SIDES for stack in stacked[side][k]]) for k in range(len(views))]
+        blurs = [
+            estimate_blur([stacked[side][k] for side in SIDES], blurs[k] if blurs else None)
+            for k in range(len(views))
+        ]
         for side in SIDES:
             seen_by = [
                 [one for stack in own if (one := stretch(stack, blur)) is not None]
                 for own, blur in zip(stacked[side], blurs, strict=True)
             ]
             chamfers[side] = solve_chamfer(seen_by)
+            starts = [_usual_offset(own) for own in seen_by]
             runs[side] = [
-                _without_strays([_refined(side, b, p, chamfers[side], blur) for b, p in zip(run, own, strict=True)])
-                for run, own, blur in zip(runs[side], profiles[side], blurs, strict=True)
+                _without_strays(
+                    [_refined(side, b, p, chamfers[side], blur, start) for b, p in zip(run, own, strict=True)]
+                )
+                for run, own, blur, start in zip(runs[side], profiles[side], blurs, starts, strict=True)
             ]
     edges = {
         side: [
@@ -214,14 +221,19 @@ def _profiles(view: View, run: Run, side: str, half_length: float) -> list[Profi
     ]
 
 
+def _usual_offset(found: Sequence[Stretch]) -> float:
+    """Where C lies relative to the border that was found first: at it, or a chamfer's width before it."""
+    return float(np.median([s.offset_mm for s in found])) if found else 0.0
+
+
 def _refined(
-    side: str, border: _Border | None, profile: Profile | None, chamfer: Chamfer, blur: PixelBlur
+    side: str, border: _Border | None, profile: Profile | None, chamfer: Chamfer, blur: PixelBlur, start: float
 ) -> _Border | None:
-    """C in one camera, found anew with the seam's edge shape and the camera's blur."""
+    """C in one camera, found anew from `start` with the seam's edge shape and the camera's blur."""
     if border is None or profile is None:
         return None
     apparent = chamfer.apparent(profile.t)
-    edges = [0.0, apparent] if apparent * profile.px_mm > _THIN_CHAMFER_PX else [0.0]
+    edges = [start, start + apparent] if apparent * profile.px_mm > _THIN_CHAMFER_PX else [0.0]
     fit = fit_bands(
         profile.x,
         profile.grey,
@@ -233,7 +245,7 @@ def _refined(
     if fit is None:
         return None
     sigma = np.hypot(np.sqrt(fit.covariance[0, 0]), _BORDER_FLOOR_PX / profile.px_mm)
-    return replace(border, x=border.x + _sign(side) * float(fit.shifts[0]), sigma=float(sigma))
+    return replace(border, x=border.x + _sign(side) * float(fit.edges[0]), sigma=float(sigma))
 
 
 def _combined(side: str, section: Section | None, borders: Run, chamfer: Chamfer) -> Edge | None:

@@ -18,7 +18,7 @@ from metrology.ridges import bar_curvature, curvature_noise, ridge_points
 from metrology.seams.bands import fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.linking import link
-from metrology.seams.sampling import LocalMap, sample
+from metrology.seams.sampling import LocalMap, binned, sample
 from metrology.seams.segments import join_pieces, straight_pieces
 from metrology.seams.settings import LineSettings
 
@@ -40,6 +40,9 @@ _REACH_PX = 7.0
 # Bands nearer to each other than this share a border, px.
 _TOUCH_PX = 4.0
 _BLUR = PixelBlur(lens_px=0.6, spill=0.0)
+# Pixels are binned across the line; fewer of them tell nothing.
+_BIN_PX = 0.25
+_MIN_PIXELS = 60
 # The refined line is smoothed over this length, px.
 _SMOOTH_PX = 14.0
 
@@ -200,7 +203,7 @@ def _refined(relative: Float32, points: Array, width_px: float, settings: LineSe
     centre, width = points, width_px
     offsets = widths = contrasts = np.empty(0)
     for _ in range(2):
-        nodes = resample(_smoothed(centre), _NODE_STEP_PX)
+        nodes = resample(_smoothed(centre), max(_NODE_STEP_PX, width / 2))
         tangents = np.gradient(nodes, axis=0)
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
@@ -229,7 +232,10 @@ def _borders(relative: Float32, node: Array, normal: Array, width: float) -> tup
     reach = (0.5 + _REACH_WIDTHS) * width + _REACH_PX
     local = LocalMap.in_image(node, normal)
     x, _, grey = sample(relative, local, -reach, reach, _NODE_HALF_PX)
-    fit = fit_bands(x, grey, [-width / 2, width / 2], EdgeResponse.along(local.gradient, _BLUR))
+    if len(x) < _MIN_PIXELS:
+        return np.nan, np.nan, np.nan
+    x, grey, counts = binned(x, grey, _BIN_PX)
+    fit = fit_bands(x, grey, [-width / 2, width / 2], EdgeResponse.along(local.gradient, _BLUR), counts=counts)
     if fit is None:
         return np.nan, np.nan, np.nan
     outside = 0.5 * (fit.levels[0] + fit.levels[2])

@@ -77,6 +77,16 @@ def sample(
     return _sample(image, local.centre, local.coefficients, reach, low_x, high_x, half_z)
 
 
+def binned(x: Array, grey: Array, size: float) -> tuple[Array, Array, Array]:
+    """Mean x, mean grey level and number of the pixels in each bin of `size`, empty ones left out."""
+    bins = np.floor(x / size).astype(np.int64)
+    bins -= bins.min()
+    counts = np.bincount(bins)
+    held = counts > 0
+    counts = counts[held]
+    return np.bincount(bins, x)[held] / counts, np.bincount(bins, grey)[held] / counts, counts.astype(float)
+
+
 @kernel
 def _sample(image, centre, coefficients, reach, low_x, high_x, half_z):  # type: ignore[no-untyped-def]
     """Collect the pixels of a rectangle in (x, z)."""
