@@ -71,11 +71,7 @@ def compare(inspected: Inspected, truth: dict[str, Any]) -> list[Pair]:
     """What was found beside the truth of a rendered scene: each rivet's height, each seam's mean step and width."""
     return [
         *(_rivet_pair(true, inspected.rivets) for true in truth["rivets"] if true.get("visible", True)),
-        *(
-            pair
-            for k, true in enumerate(truth["seams"])
-            for pair in _seam_pairs(f"seam {k + 1}", true, inspected.stations)
-        ),
+        *(pair for true in truth["seams"] for pair in _seam_pairs(str(true["id"]), true, inspected.stations)),
     ]
 
 
