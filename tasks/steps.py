@@ -144,7 +144,8 @@ def register(
 ) -> Registration:
     """Give rivets and seams the panel's ids; the first scan of a station without a pattern becomes its pattern."""
     key = loaded.scene.key
-    pattern = _pattern(spec, key, store)
+    vouched = _nominal(spec, key)
+    pattern = vouched or store.panels.pattern(key.panel, key.station)
     if pattern is None:
         enrolled = registration.enrol(measured, stations, reconstruction.points, key.station)
         if enrolled.enrolled is None or enrolled.enrolled.empty:
@@ -153,14 +154,20 @@ def register(
         if store.panels.enrol(enrolled.enrolled, key.panel, key.station, key.scene_id):
             return enrolled
         pattern = store.panels.pattern(key.panel, key.station) or enrolled.enrolled
-    return registration.register(measured, stations, reconstruction, pattern, key.station, settings.registration)
+    return registration.register(
+        measured,
+        stations,
+        reconstruction,
+        pattern,
+        key.station,
+        settings.registration,
+        missing_rows=vouched is not None,
+    )
 
 
-def _pattern(spec: PanelSpecification, key: SceneKey, store: Store) -> PanelLayout | None:
-    """The nominal pattern: the specification's if it is of this panel and has one, else what the station enrolled."""
-    if not spec.layout.empty and spec.limits.panel == key.panel:
-        return spec.layout
-    return store.panels.pattern(key.panel, key.station)
+def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:
+    """The pattern that the specification vouches for, if it is of this panel and has one."""
+    return spec.layout if spec.limits.panel == key.panel and not spec.layout.empty else None
 
 
 def judge(measured: Sequence[Rivet], stations: Sequence[SeamStation], spec: PanelSpecification) -> Judged:

@@ -45,8 +45,8 @@ class Registration:
     placement : Placement or None
         Rig frame to panel frame.
     rivets, stations : tuple
-        With the panel's ids, zones and panel coordinates; rows for what is missing included. As measured where the scan
-        was not recognised.
+        With the panel's ids, zones and panel coordinates; rows for what is missing included where
+        asked for. As measured where the scan was not recognised.
     matched, missing, unlisted : tuple of str
         Rivet ids: recognised; expected in view and not found; found and in no pattern.
     rms_mm : float or None
@@ -79,6 +79,8 @@ def register(
     layout: PanelLayout,
     station: str,
     settings: RegistrationSettings | None = None,
+    *,
+    missing_rows: bool = True,
 ) -> Registration:
     """Recognise a scan's rivets and seams in a panel's nominal pattern.
 
@@ -91,6 +93,9 @@ def register(
     layout : PanelLayout
     station : str
         Which nominal placement the rig is near; where the layout has none by that name, the whole pattern is searched.
+    missing_rows : bool
+        Whether rivets of the pattern that are in view and were not found become rows. True for a pattern that a person
+        vouches for; one that merely repeats what an earlier scan found gives only a warning.
     """
     settings = settings or RegistrationSettings()
     prior = layout.stations.get(station)
@@ -112,6 +117,7 @@ def register(
         {row: layout.rivets[k] for row, k in partner.items()},
         [layout.rivets[k] for k in np.flatnonzero(absent)],
         best.seams,
+        missing_rows,
     )
     distances = matcher.distances(best)
     shift, turn = (None, None) if prior is None else motion(best.placement, prior, scan.middle)

@@ -40,16 +40,19 @@ class Recognised:
         Expected in view, not found.
     seams : mapping of str to NominalSeam
         By the scan's own seam id.
+    missing_rows : bool
+        Whether missing rivets become rows.
     """
 
     placement: Placement
     rivets: Mapping[int, NominalRivet]
     missing: Sequence[NominalRivet]
     seams: Mapping[str, NominalSeam]
+    missing_rows: bool
 
 
 def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: Reconstruction) -> list[Rivet]:
-    """The rivets by their nominal names, in the pattern's order of names; then missing ones, then unlisted ones.
+    """The rivets by their nominal names, in the pattern's order of names; then missing ones if asked for, then others.
 
     Unlisted rivets are named X01, X02 … from top to bottom of the left image: their names are this scan's own.
     """
@@ -65,7 +68,8 @@ def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: R
     listed.sort(key=lambda rivet: rivet.rivet_id)
     unlisted.sort(key=lambda rivet: (rivet.v_px, rivet.u_px))
     extra = [replace(rivet, rivet_id=f"X{k:02d}") for k, rivet in enumerate(unlisted, 1)]
-    return [*listed, *(_missing_rivet(nominal, known.placement, reconstruction) for nominal in known.missing), *extra]
+    missing = known.missing if known.missing_rows else ()
+    return [*listed, *(_missing_rivet(nominal, known.placement, reconstruction) for nominal in missing), *extra]
 
 
 def relabel_stations(

@@ -211,15 +211,17 @@ def test_missing_rivets_are_rows_that_say_so() -> None:
     panel = symmetric()
     seen = scan(panel, NOMINAL, rng)
     gone = seen.truth[seen.rivets[7].rivet_id]
-    result = register(
-        [r for k, r in enumerate(seen.rivets) if k != 7], [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1"
-    )
+    left = [r for k, r in enumerate(seen.rivets) if k != 7]
+    result = register(left, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
     assert result.missing == (gone,)
     (row,) = [r for r in result.rivets if r.rivet_id == gone]
     assert row.reason == "missing: no head found where the pattern has one"
     assert row.height_mean_mm is None
     assert np.hypot(row.u_px - seen.rivets[7].u_px, row.v_px - seen.rivets[7].v_px) < 0.5
     assert any(f"not found: {gone}" in w for w in result.warnings)
+    unvouched = register(left, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1", missing_rows=False)
+    assert unvouched.warnings == result.warnings
+    assert len(unvouched.rivets) == len(left)
 
 
 def test_a_head_of_the_wrong_size_keeps_its_name_and_says_so() -> None:
