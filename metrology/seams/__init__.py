@@ -4,5 +4,15 @@ from metrology.seams.detect import detect_seams
 from metrology.seams.lines import ImageLine, detect_lines
 from metrology.seams.settings import LineSettings, SeamSettings
 from metrology.seams.stations import measure_seams
+from metrology.seams.summary import SeamSummary, summarize
 
-__all__ = ["ImageLine", "LineSettings", "SeamSettings", "detect_lines", "detect_seams", "measure_seams"]
+__all__ = [
+    "ImageLine",
+    "LineSettings",
+    "SeamSettings",
+    "SeamSummary",
+    "detect_lines",
+    "detect_seams",
+    "measure_seams",
+    "summarize",
+]

@@ -13,7 +13,7 @@ aligned on C, and give a; the stretches then share one chamfer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,17 @@ Array = NDArray[np.float64]
 _START_CHAMFERS_PX = (0.8, 1.6, 3.0)
 # Narrower than this, a chamfer and a blur's tail look alike, px.
 _LEAST_CHAMFER_PX = 0.4
+# Of the gap behind a chamfer at least this must be in view, px.
+_LEAST_GAP_PX = 0.7
+# A profile reaches this far into the gap, px, and farther only where no chamfer is found so near: shadows and the floor
+# begin there.
+_REACHES_PX = (3.0, 5.0)
 _STATIONS_PER_STRETCH = 8
 _BIN_PX = 0.1
-# So many stretches of each side show a camera's blur well enough.
-_BLUR_STRETCHES = 5
-_BLUR_BOUNDS = ((0.03, 2.5), (-0.1, 0.24))
-_BLUR_SIMPLEX = np.array([[0.1, 0.15], [0.6, 0.02], [0.3, 0.2]])
-_BLUR_STEPS = np.array([[0.0, 0.0], [0.06, 0.0], [0.0, 0.02]])
+# So many stretches show a camera's blur well enough.
+_BLUR_STACKS = 10
+_LENS_BOUNDS = (0.03, 2.5)
+_SPILL_BOUNDS = (0.0, 0.24)
 # Least reduction of the residuals' squares, in units of their variance, that proves a second border along a seam.
 _SIGNIFICANT = 50.0
 # What an imperfect model of blur and brightness leaves in a chamfer's apparent width, however many pixels see it: this
@@ -43,6 +47,8 @@ _SIGNIFICANT = 50.0
 _CHAMFER_MISFIT = 3.0
 # A chamfer's depth is its width give or take this share.
 _DEPTH_SHARE = 0.3
+# Squares beyond this in so few rows mean that they are not of the same thing.
+_CONTRADICTION = 9.0
 # A view leaning less than this towards the gap need not see the wall.
 _FACING = 0.05
 
@@ -144,6 +150,11 @@ class Stack:
         """Change of x per pixel where it changes most, mm."""
         return float(np.hypot(*self.gradient))
 
+    def within(self, reach_px: float) -> Stack:
+        """The part that reaches no farther into the gap."""
+        near = self.x * self.px_mm <= reach_px
+        return replace(self, x=self.x[near], grey=self.grey[near], counts=self.counts[near])
+
     def fits(
         self, blur: PixelBlur, starts: Sequence[float] = _START_CHAMFERS_PX
     ) -> tuple[BandFit | None, BandFit | None]:
@@ -162,8 +173,9 @@ class Stack:
         return fitted([0.0]), min(sound, key=lambda fit: fit.cost, default=None)
 
     def _sound(self, fit: BandFit) -> bool:
-        """Whether a fit with a chamfer means one: wide enough to be seen, and not darker than darkness."""
-        return bool(fit.edges[1] - fit.edges[0] > _LEAST_CHAMFER_PX * self.pixel and fit.levels[1] > 0)
+        """Whether a fit with a chamfer means one: wide enough to be seen, with gap behind it, not darker than darkness."""
+        room = self.x[-1] - fit.edges[1] > _LEAST_GAP_PX * self.pixel
+        return bool(room and fit.edges[1] - fit.edges[0] > _LEAST_CHAMFER_PX * self.pixel and fit.levels[1] > 0)
 
 
 def stacks(profiles: Sequence[Profile | None]) -> list[Stack]:
@@ -217,36 +229,57 @@ def stretch(stack: Stack, blur: PixelBlur) -> Stretch | None:
     )
 
 
-def estimate_blur(sides: Sequence[Sequence[Stack]], start: PixelBlur | None = None) -> PixelBlur:
-    """One camera's blur: the most likely one, given stretches of both sides' edges.
+def estimate_blurs(cameras: Sequence[Sequence[Stack]], start: Sequence[PixelBlur] | None = None) -> list[PixelBlur]:
+    """Each camera's blur: the most likely ones, given stretches of both sides' edges. The cameras share their spill.
 
     Parameters
     ----------
-    sides : sequence of sequence of Stack
-    start : PixelBlur, optional
-        An estimate to improve.
+    cameras : sequence of sequence of Stack
+        Per camera, of both sides.
+    start : sequence of PixelBlur, optional
+        Estimates to improve.
     """
-    some = [stack for own in sides for stack in own[:: max(1, len(own) // _BLUR_STRETCHES)]]
-    if not some:
-        return PixelBlur()
+    some = [[stack.within(_REACHES_PX[0]) for stack in own[:: max(1, len(own) // _BLUR_STACKS)]] for own in cameras]
+    if not any(some):
+        return [PixelBlur() for _ in cameras]
 
     def unlikelihood(parameters: Array) -> float:
-        blur = PixelBlur(float(parameters[0]), float(parameters[1]))
         total = 0.0
-        for stack in some:
-            costs = [fit.cost for fit in stack.fits(blur, _START_CHAMFERS_PX[1:2]) if fit is not None]
-            total += 0.5 * len(stack.x) * np.log(min(costs)) if costs else 0.0
+        for own, lens_px in zip(some, parameters[:-1], strict=True):
+            blur = PixelBlur(float(lens_px), float(parameters[-1]))
+            for stack in own:
+                costs = [fit.cost for fit in stack.fits(blur, _START_CHAMFERS_PX[1:2]) if fit is not None]
+                total += 0.5 * len(stack.x) * np.log(min(costs)) if costs else 0.0
         return total
 
-    simplex = _BLUR_SIMPLEX if start is None else np.array([start.lens_px, start.spill]) + _BLUR_STEPS
+    n = len(cameras)
+    if start is None:
+        # Little spill behind a soft lens, or much behind a sharp one: both look alike at first sight.
+        first = np.array([0.6] * n + [0.02])
+        simplex = np.vstack([first, *(first + 0.25 * np.eye(n + 1)[k] for k in range(n)), [0.15] * n + [0.16]])
+    else:
+        first = np.array([*(blur.lens_px for blur in start), start[0].spill])
+        steps = np.diag([0.06] * n + [0.02])
+        simplex = np.vstack([first, first + steps])
+    bounds = [_LENS_BOUNDS] * n + [_SPILL_BOUNDS]
     best = minimize(
         unlikelihood,
-        simplex[0],
+        first,
         method="Nelder-Mead",
-        bounds=_BLUR_BOUNDS,
-        options={"initial_simplex": np.clip(simplex, *np.transpose(_BLUR_BOUNDS)), "xatol": 0.01, "fatol": 0.5},
+        bounds=bounds,
+        options={"initial_simplex": np.clip(simplex, *np.transpose(bounds)), "xatol": 0.01, "fatol": 1.0},
     )
-    return PixelBlur(float(best.x[0]), float(best.x[1]))
+    return [PixelBlur(float(lens_px), float(best.x[-1])) for lens_px in best.x[:-1]]
+
+
+def stretches(own: Sequence[Stack], blur: PixelBlur) -> list[Stretch]:
+    """What one camera shows of one side along the seam, given its blur."""
+    found: list[Stretch] = []
+    for reach in _REACHES_PX:
+        found = [one for stack in own if (one := stretch(stack.within(reach), blur)) is not None]
+        if sum(one.gain for one in found) > _SIGNIFICANT:
+            break
+    return found
 
 
 def solve_chamfer(views: Sequence[Sequence[Stretch]]) -> Chamfer:
@@ -272,10 +305,20 @@ def solve_chamfer(views: Sequence[Sequence[Stretch]]) -> Chamfer:
         # A wall in full view without a chamfer above it; otherwise a chamfer as dark as the gap cannot be excluded.
         sigma = 0.03 if facing_without else 0.1
         return Chamfer(0.0, 0.0, np.diag([sigma**2, sigma**2]))
+    width, depth, covariance, chi2 = _chamfer_of(rows, values)
+    if len(rows) > 1 and chi2 > _CONTRADICTION:
+        # Another border, a shadow's or the floor's, passes for D in one view: farther out than D itself.
+        k = int(np.argmin([v / (r @ [1.0, 1.0]) for r, v in zip(rows, values, strict=True)]))
+        width, depth, covariance, _ = _chamfer_of(rows[k : k + 1], values[k : k + 1])
+    return Chamfer(max(width, 0.0), max(depth, 0.0), covariance)
+
+
+def _chamfer_of(rows: Sequence[Array], values: Sequence[float]) -> tuple[float, float, Array, float]:
+    """Least squares of the rows and of ``d = w``: w, d, their covariance, and the squares left."""
     scale = _DEPTH_SHARE * float(np.median([v / r[0] for v, r in zip(values, rows, strict=True)]))
-    rows.append(np.array([1.0, -1.0]) / scale)
-    values.append(0.0)
-    design = np.array(rows)
+    design = np.vstack([*rows, np.array([1.0, -1.0]) / scale])
+    target = np.array([*values, 0.0])
     covariance = np.linalg.inv(design.T @ design)
-    width, depth = covariance @ design.T @ np.array(values)
-    return Chamfer(float(max(width, 0.0)), float(max(depth, 0.0)), covariance)
+    solution = covariance @ design.T @ target
+    chi2 = float(((design @ solution - target) ** 2).sum())
+    return float(solution[0]), float(solution[1]), covariance, chi2

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from metrology.seams.bands import BandFit, fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
-from metrology.seams.edge_shape import Chamfer, Profile, estimate_blur, Stretch, solve_chamfer, stacks, stretch
+from metrology.seams.edge_shape import Chamfer, Profile, Stretch, estimate_blurs, solve_chamfer, stacks, stretches
 from metrology.seams.sampling import sample
 from metrology.seams.sections import Section
 from metrology.seams.views import SectionView, View
@@ -26,7 +26,8 @@ SIDES = ("a", "b")
 # Reach of a profile onto the skin and into the gap, px: while C is sought, and when the shape is fitted.
 _SEARCH_PX = (8.0, 4.0)
 _OUTER_PX = 6.0
-_INNER_PX = 3.0
+_INNER_PX = 5.0
+_NEAR_PX = 3.0
 # So far from a border its blur does not reach; fewer pixels beyond do not tell the skin's brightness.
 _BLUR_REACH_PX = 2.2
 _MIN_SKIN_PIXELS = 12
@@ -121,15 +122,9 @@ def image_edges(
             for side in SIDES
         }
         stacked = {side: [stacks(own) for own in profiles[side]] for side in SIDES}
-        blurs = [
-            estimate_blur([stacked[side][k] for side in SIDES], blurs[k] if blurs else None)
-            for k in range(len(views))
-        ]
+        blurs = estimate_blurs([[*stacked["a"][k], *stacked["b"][k]] for k in range(len(views))], blurs or None)
         for side in SIDES:
-            seen_by = [
-                [one for stack in own if (one := stretch(stack, blur)) is not None]
-                for own, blur in zip(stacked[side], blurs, strict=True)
-            ]
+            seen_by = [stretches(own, blur) for own, blur in zip(stacked[side], blurs, strict=True)]
             chamfers[side] = solve_chamfer(seen_by)
             starts = [_usual_offset(own) for own in seen_by]
             runs[side] = [
@@ -187,7 +182,7 @@ def _borders(
         if seen is not None:
             x: float = -_sign(side) * half
             fit: BandFit | None = None
-            for reach in (_SEARCH_PX, (_OUTER_PX, _INNER_PX), (_OUTER_PX, _INNER_PX)):
+            for reach in (_SEARCH_PX, (_OUTER_PX, _NEAR_PX), (_OUTER_PX, _NEAR_PX)):
                 reach = (reach[0], min(reach[1], half * seen.local.px_per_unit))
                 p = _profile(view, seen, side, x, half_length, reach)
                 fit = fit_bands(p.x, p.grey, [0.0], EdgeResponse.along(p.gradient, PixelBlur()), slopes=(True, False))
@@ -234,9 +229,11 @@ def _refined(
         return None
     apparent = chamfer.apparent(profile.t)
     edges = [start, start + apparent] if apparent * profile.px_mm > _THIN_CHAMFER_PX else [0.0]
+    # Beyond the chamfer only so much of the gap as is needed: shadows and the floor begin farther in.
+    near = profile.x * profile.px_mm < max(_NEAR_PX, edges[-1] * profile.px_mm + 1.2)
     fit = fit_bands(
-        profile.x,
-        profile.grey,
+        profile.x[near],
+        profile.grey[near],
         edges,
         EdgeResponse.along(profile.gradient, blur),
         ties=np.ones((len(edges), 1)),

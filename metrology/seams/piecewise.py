@@ -144,7 +144,9 @@ def side_of_section(x: Array, y: Array, tolerance: float, angle: float) -> SideF
 def _is_chamfer(x: Array, y: Array, piece: Piece, skin: Piece) -> bool:
     """Whether a piece is a chamfer: seen as a run of points, no steeper than a wall may be, and joined to the skin."""
     steep = np.tan(np.deg2rad(75.0))
-    joined = abs(y[piece.first] - skin.slope * x[piece.first] - skin.intercept) < abs(y[piece.end - 1] - y[skin.end - 1])
+    joined = abs(y[piece.first] - skin.slope * x[piece.first] - skin.intercept) < abs(
+        y[piece.end - 1] - y[skin.end - 1]
+    )
     return piece.end - piece.first >= _MIN_PIECE_POINTS and abs(piece.slope) < steep and joined
 
 

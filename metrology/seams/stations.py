@@ -13,6 +13,7 @@ from metrology.cloud import Reconstruction
 from metrology.results import Rivet, SeamLine, SeamStation
 from metrology.seams.gap import GapEdge, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import Edge, image_edges
+from metrology.seams.point_edges import point_edges
 from metrology.seams.sections import Section, section_at, usable_points
 from metrology.seams.settings import SeamSettings
 from metrology.seams.tracks import Track, lay_on_skin, oriented
@@ -25,17 +26,22 @@ Mask = NDArray[np.bool_]
 _COVERAGE_95 = 1.96
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
-_DEFAULT_WIDTH_PX = 4.0
+# A dark band (gap and chamfers) narrower than this shows its borders merged by the blur, px.
+_LEAST_BAND_PX = 7.5
+# Neighbouring points share pixels of the matched phase: their noise averages out more slowly than if they were
+# independent.
+_CORRELATION = 1.4
 
 
 @dataclass(frozen=True)
 class _Station:
-    """Where a station stands, and its section or the reason why there is none."""
+    """Where a station stands, its section or the reason why there is none, and the limit if its gap is too narrow."""
 
     s_mm: float
     pixel: Array
     half_width_mm: float
     section: Section | str
+    narrow_limit_mm: float | None = None
 
 
 def measure_seams(
@@ -91,13 +97,28 @@ def _measure_seam(
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
     stations = [_place(track, float(s), reconstruction, usable, heads, settings) for s in places]
     sections = [station.section if isinstance(station.section, Section) else None for station in stations]
-    edges = image_edges(
-        sections,
-        [station.half_width_mm for station in stations],
-        both_views(reconstruction),
-        settings.half_length_mm,
-        settings.min_edge_snr,
-    )
+    if settings.edges == "points":
+        widest = max(station.half_width_mm for station in stations)
+        edges = point_edges(
+            sections,
+            reconstruction,
+            reconstruction.valid & ~heads,
+            settings.half_length_mm,
+            widest + settings.skin_extent_mm,
+            settings.tolerance_sigmas,
+            np.deg2rad(settings.merge_angle_deg),
+        )
+    else:
+        wide = [
+            None if station.narrow_limit_mm is not None else s for station, s in zip(stations, sections, strict=True)
+        ]
+        edges = image_edges(
+            wide,
+            [station.half_width_mm for station in stations],
+            both_views(reconstruction),
+            settings.half_length_mm,
+            settings.min_edge_snr,
+        )
     return [_row(seam_id, station, a, b, reconstruction) for station, (a, b) in zip(stations, edges, strict=True)]
 
 
@@ -127,7 +148,8 @@ def _place(
         settings.half_length_mm,
         settings.min_points,
     )
-    return _Station(s, pixel, half, section)
+    limit = _LEAST_BAND_PX / px_mm if width_px < _LEAST_BAND_PX else None
+    return _Station(s, pixel, half, section, limit if settings.edges == "image" else None)
 
 
 def _towards_b(track: Track, origin: Array, direction: Array) -> Array:
@@ -148,6 +170,8 @@ def _row(
     if not isinstance(section, Section):
         return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=section)
     counts = {"n_left": section.a.n, "n_right": section.b.n}
+    if station.narrow_limit_mm is not None:
+        return _narrow_row(seam_id, station, section, station.narrow_limit_mm, reconstruction)
     if a is None or b is None:
         missing = " and ".join(name for name, edge in (("A", a), ("B", b)) if edge is None)
         return SeamStation(
@@ -155,8 +179,6 @@ def _row(
         )
     middle = midpoint(section, a.ideal_mm, b.ideal_mm)
     pixel = reconstruction.rig.left.project(middle)
-    gradient = step_gradient(a.ideal_mm, b.ideal_mm)
-    step_variance = float(gradient @ section.covariance @ gradient)
     width_variance = sum(e.sigma_border_mm**2 + e.sigma_chamfer_mm**2 for e in (a, b))
     return SeamStation(
         seam_id,
@@ -165,8 +187,35 @@ def _row(
         float(pixel[0]),
         float(pixel[1]),
         step_mm=step_height(section, a.ideal_mm, b.ideal_mm),
-        step_u95_mm=_COVERAGE_95 * float(np.sqrt(step_variance)),
+        step_u95_mm=_step_u95(section, a.ideal_mm, b.ideal_mm),
         width_mm=gap_width(section, GapEdge(a.ideal_mm, a.depth_mm), GapEdge(b.ideal_mm, b.depth_mm)),
         width_u95_mm=_COVERAGE_95 * float(np.sqrt(width_variance)),
         **counts,
     )
+
+
+def _narrow_row(
+    seam_id: str, station: _Station, section: Section, limit_mm: float, reconstruction: Reconstruction
+) -> SeamStation:
+    """Only the step: it hardly depends on where exactly the edges are."""
+    a, b = -station.half_width_mm, station.half_width_mm
+    middle = midpoint(section, a, b)
+    pixel = reconstruction.rig.left.project(middle)
+    return SeamStation(
+        seam_id,
+        station.s_mm,
+        *(float(x) for x in middle),
+        float(pixel[0]),
+        float(pixel[1]),
+        step_mm=step_height(section, a, b),
+        step_u95_mm=_step_u95(section, a, b),
+        n_left=section.a.n,
+        n_right=section.b.n,
+        reason=f"too narrow for its width to be measured: gap and chamfers together under {limit_mm:.2f} mm",
+    )
+
+
+def _step_u95(section: Section, a: float, b: float) -> float:
+    """Expanded uncertainty of the step, from the skin lines' covariance."""
+    gradient = step_gradient(a, b)
+    return _COVERAGE_95 * _CORRELATION * float(np.sqrt(gradient @ section.covariance @ gradient))
