@@ -104,6 +104,27 @@ def window_moments(half_u, half_v):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _add_five(row, centre, fv, s):  # type: ignore[no-untyped-def]
+    """Add five neighbours of a row at once to the sums s of values, u-moments, v-moments and squares (4, inner)."""
+    inner = centre.size
+    a, b, c = row[:inner], row[1 : 1 + inner], row[2 : 2 + inner]
+    d, e = row[3 : 3 + inner], row[4 : 4 + inner]
+    total, along, across, squares = s[0], s[1], s[2], s[3]
+    for x in range(inner):
+        m = centre[x]
+        va = a[x] - m
+        vb = b[x] - m
+        vc = c[x] - m
+        vd = d[x] - m
+        ve = e[x] - m
+        sum_of_five = va + vb + vc + vd + ve
+        total[x] += sum_of_five
+        along[x] += (ve - va) + (ve - va) + (vd - vb)
+        across[x] += fv * sum_of_five
+        squares[x] += va * va + vb * vb + vc * vc + vd * vd + ve * ve
+
+
+@kernel
 def _fit_rows(c, half_u, half_v, first, end, planes):  # type: ignore[no-untyped-def]
     """Complete windows by plain sums, which a missing value makes NaN; then the incomplete ones."""
     height, width = c.shape
@@ -127,6 +148,9 @@ def _fit_rows(c, half_u, half_v, first, end, planes):  # type: ignore[no-untyped
         centre = c[y, half_u : half_u + inner]
         for dv in range(-half_v, half_v + 1):
             fv = np.float32(dv)
+            if half_u == 2:
+                _add_five(c[y + dv], centre, fv, s)
+                continue
             for du in range(-half_u, half_u + 1):
                 fu = np.float32(du)
                 row = c[y + dv, half_u + du : half_u + du + inner]
