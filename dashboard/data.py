@@ -143,6 +143,8 @@ def _fetch(cursor: duckdb.DuckDBPyConnection, sql: str, parameters: Sequence[Any
         return cursor.sql(sql, params=list(parameters)).to_arrow_table().to_pandas()
     except duckdb.Error as problem:
         first = str(problem).splitlines()[0]
-        raise StoreError(f"archive: found {first}, expected the tables of this version of Flushline") from None
+        raise StoreError(
+            f"archive: found {first}, expected the tables of this version; `flushline archive rebuild` makes them again"
+        ) from None
     finally:
         cursor.close()

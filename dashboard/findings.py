@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -23,7 +23,19 @@ PERIODS: dict[str, timedelta | None] = {
 STATES = ("open", "decided", "all")
 
 STATION_ID = "seam_id || '@' || printf('%.1f', s_mm)"
+_PARTS = {
+    "rivet": (
+        "rivets",
+        "rivet_id AS feature_id, height_mean_mm AS value_mm, height_u95_mm AS u95_mm, tilt_deg, "
+        "NULL::DOUBLE AS width_mm",
+    ),
+    "seam station": (
+        "seam_stations",
+        f"{STATION_ID} AS feature_id, step_mm AS value_mm, step_u95_mm AS u95_mm, NULL::DOUBLE AS tilt_deg, width_mm",
+    ),
+}
 _RANK = "CASE decision " + " ".join(f"WHEN '{name}' THEN {i}" for i, name in enumerate(DECISIONS)) + " ELSE 9 END"
+_ORDER = f"{_RANK}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, scene_id, feature_id"
 
 
 @dataclass(frozen=True)
@@ -91,55 +103,45 @@ def findings(archive: Archive, wanted: Wanted, most: int = MOST_ROWS) -> pd.Data
     """Findings, the gravest first, then by size; at most `most`.
 
     Columns: the key, feature_kind, feature_id, value_mm and u95_mm (height or step), tilt_deg, width_mm, severity,
-    decision, reason, run_id, panel_spec, software_version, disposition, who, decided_at, signed_by.
+    decision, reason, run_id, panel_spec, software_version, disposition, who, decided_at, signed_by, and total: how many
+    there are without the limit.
     """
-    sql, parameters = _query(wanted)
+    candidates, parameters = _candidates(wanted)
     return archive.rows_with_review(
-        f"{sql} ORDER BY {_RANK}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, "
-        f"scene_id, feature_id LIMIT {int(most)}",
+        f"WITH c AS MATERIALIZED ({candidates}), top AS (SELECT * FROM c ORDER BY {_ORDER} LIMIT {int(most)}) "
+        "SELECT top.*, s.run_id, s.panel_spec, s.software_version, (SELECT count(*) FROM c) AS total "
+        f"FROM top JOIN scenes s USING (scene_id) ORDER BY {_ORDER}",
         parameters,
     )
 
 
-def count_findings(archive: Archive, wanted: Wanted) -> int:
-    """How many there are."""
-    sql, parameters = _query(wanted)
-    return int(archive.rows_with_review(f"SELECT count(*) AS n FROM ({sql})", parameters)["n"][0])
-
-
-def _query(wanted: Wanted) -> tuple[str, list[Any]]:
-    condition, parameters = wanted.selection.where()
+def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
+    """All findings that are wanted."""
+    condition, selected = wanted.selection.where()
     decisions = list(wanted.decisions) or [""]
-    marks = ", ".join("?" * len(decisions))
-    key = "f.aircraft_serial, f.panel, f.station, f.captured_at, f.scene_id"
-    parts = []
-    if "rivet" in wanted.kinds:
-        parts.append(
-            f"SELECT {key}, 'rivet' AS feature_kind, rivet_id AS feature_id, height_mean_mm AS value_mm, "
-            "height_u95_mm AS u95_mm, tilt_deg, NULL::DOUBLE AS width_mm, severity, decision, reason "
-            f"FROM rivets f WHERE decision IN ({marks})"
-        )
-    if "seam station" in wanted.kinds:
-        parts.append(
-            f"SELECT {key}, 'seam station' AS feature_kind, {STATION_ID} AS feature_id, step_mm AS value_mm, "
-            "step_u95_mm AS u95_mm, NULL::DOUBLE AS tilt_deg, width_mm, severity, decision, reason "
-            f"FROM seam_stations f WHERE decision IN ({marks})"
-        )
-    if not parts:
-        parts.append("SELECT * FROM (SELECT NULL) WHERE false")
+    bad = f"decision IN ({', '.join('?' * len(decisions))})"
+    # The selection stands in both tables: in this one it lets DuckDB pass over most rows.
+    near, near_selected = replace(wanted.selection, rigs=()).where()
+    key = "aircraft_serial, panel, station, captured_at, scene_id"
+    parts = [
+        f"SELECT {key}, '{kind}' AS feature_kind, {columns}, severity, decision, reason FROM {table} "
+        f"WHERE {bad} AND {near}"
+        for kind, (table, columns) in _PARTS.items()
+        if kind in wanted.kinds
+    ] or [
+        f"SELECT {key}, 'rivet' AS feature_kind, {_PARTS['rivet'][1]}, severity, decision, reason FROM rivets LIMIT 0"
+    ]
     state = {
         "open": "WHERE d.disposition IS NULL AND g.signed_by IS NULL",
         "decided": "WHERE d.disposition IS NOT NULL OR g.signed_by IS NOT NULL",
     }.get(wanted.state, "")
     sql = (
-        f"SELECT f.*, s.run_id, s.panel_spec, s.software_version, d.disposition, d.who, d.decided_at, g.signed_by "
-        f"FROM ({' UNION ALL '.join(parts)}) f "
-        "JOIN (SELECT scene_id, run_id, panel_spec, software_version FROM latest_scenes "
-        f"WHERE {condition}) s USING (scene_id) "
+        f"SELECT f.*, d.disposition, d.who, d.decided_at, g.signed_by FROM ({' UNION ALL '.join(parts)}) f "
+        f"SEMI JOIN (SELECT scene_id FROM latest_scenes WHERE {condition}) s USING (scene_id) "
         "LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id) "
         f"{state}"
     )
-    return sql, decisions * len([part for part in parts if "?" in part]) + parameters
+    return sql, [*(decisions + near_selected) * (len(wanted.kinds)), *selected]
 
 
 def feature_of(row: Any) -> Feature:

@@ -107,7 +107,7 @@ def habits_of(locale: str | None, timezone: str | None, style: str | None = None
     chosen = next((known for known in STYLES if known == style), guessed)
     try:
         zone: tzinfo = ZoneInfo(timezone) if timezone else UTC
-    except (OSError, ValueError):  # a browser can claim anything
+    except (OSError, ValueError, LookupError):  # a browser can claim anything
         zone = UTC
     return Habits(chosen, zone)
 

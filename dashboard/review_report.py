@@ -12,7 +12,7 @@ from dashboard.data import Archive
 from dashboard.habits import Habits
 from dashboard.palette import BLUE, GREEN, RED
 from dashboard.pictures import around, data_uri, load_picture
-from dashboard.scenes import find_feature, load_features
+from dashboard.scenes import find_feature, load_features, load_scene_row
 from metrology.errors import FlushlineError
 from storage.review import Feature
 
@@ -98,15 +98,17 @@ def _row(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -
 
 def _picture(row: dict[str, Any], archive: Archive) -> str:
     try:
-        features = load_features(archive, str(row["scene_id"]))
+        scene = load_scene_row(archive, str(row["scene_id"]))
+        if scene is None:
+            return ""
+        features = load_features(archive, scene)
         measured = find_feature(features, Feature(row["feature_kind"], str(row["feature_id"])))
         if measured is None:
             return ""
-        paths = archive.rows("SELECT preview_path FROM scenes WHERE scene_id = ?", [str(row["scene_id"])])
-        picture = load_picture(archive.file(paths["preview_path"].iloc[0]))
+        picture = load_picture(archive.file(scene.preview_path))
         part = around(picture, float(measured.u_px), float(measured.v_px), _CROP_PX * picture.shape[1] / 1624 + 10)
         return f'<img src="{data_uri(part)}" alt="">'
-    except (FlushlineError, AttributeError, ValueError, IndexError):
+    except (FlushlineError, ValueError, TypeError):
         return ""
 
 

@@ -2,6 +2,7 @@
 
 title = "Hall 7"
 numbers = "de"                       # us, de, iso; by default the browser's
+    inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
 [roles]
 reviewers = ["m.weber@example.com"]  # may dispose and sign off
 viewers = ["*"]                      # may look; "*" is everyone who logged in
@@ -33,6 +34,7 @@ class SettingsModel(StrictModel):
 
     title: str = "Flushline"
     numbers: str | None = None
+    inboxes: tuple[str, ...] = ()
     roles: RolesModel = RolesModel()
 
 

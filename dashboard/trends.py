@@ -27,6 +27,11 @@ class Quantity:
     unit: str
     limit: str
 
+    @property
+    def measured(self) -> str:
+        """SQL for the value; what is not finite is not a measurement."""
+        return f"CASE WHEN isfinite({self.column}) THEN {self.column} END"
+
 
 QUANTITIES = {
     "height": Quantity("rivets", "height_mean_mm", "Rivet height", "mm", "height_mm"),
@@ -91,11 +96,10 @@ def series(archive: Archive, subject: Subject, quantity: Quantity, selection: Se
     limited, more = selection.where()
     by = "scene_id" if subject.kind in ("rivet", "seam") else "aircraft_serial"
     return archive.rows(
-        f"SELECT max(q.captured_at) AS captured_at, avg(q.{quantity.column}) AS value, "
-        f"count(q.{quantity.column}) AS n, "
+        "SELECT max(q.captured_at) AS captured_at, avg(q.v) AS value, count(q.v) AS n, "
         "any_value(q.aircraft_serial) AS aircraft_serial, max(q.scene_id) AS scene_id, "
         "arg_max(s.rig_id, s.captured_at) AS rig_id, arg_max(s.software_version, s.captured_at) AS software_version "
-        f"FROM (SELECT * FROM {quantity.table} WHERE {condition}) q "
+        f"FROM (SELECT *, {quantity.measured} AS v FROM {quantity.table} WHERE {condition}) q "
         f"JOIN (SELECT scene_id, captured_at, rig_id, software_version FROM scenes WHERE {limited}) s USING (scene_id) "
         f"GROUP BY q.{by} ORDER BY 1, 5",
         [*parameters, *more],
@@ -129,9 +133,9 @@ def spread(archive: Archive, subject: Subject, quantity: Quantity, selection: Se
     condition, parameters = subject.where()
     limited, more = selection.where()
     values = (
-        f"SELECT q.{quantity.column} AS v FROM {quantity.table} q "
+        f"SELECT {quantity.measured} AS v FROM {quantity.table} q "
         f"SEMI JOIN (SELECT scene_id FROM scenes WHERE {limited}) s USING (scene_id) "
-        f"WHERE {condition} AND {quantity.column} IS NOT NULL"
+        f"WHERE {condition} AND v IS NOT NULL"
     )
     known = [*more, *parameters]
     row = archive.rows(
@@ -219,8 +223,9 @@ def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selectio
     limited, more = selection.where()
     name = "rivet_id" if quantity.table == "rivets" else "seam_id || ' @ ' || round(s_mm)::INT"
     rows = archive.rows(
-        f"SELECT station, {name} AS name, avg({quantity.column}) AS mean, stddev_samp({quantity.column}) AS sd, "
-        f"count({quantity.column}) AS n, avg((decision IN ('fail', 'conditional fail'))::INT) AS outside, "
+        f"SELECT station, {name} AS name, avg({quantity.measured}) AS mean, "
+        f"stddev_samp({quantity.measured}) AS sd, count({quantity.measured}) AS n, "
+        "avg((decision IN ('fail', 'conditional fail'))::INT) AS outside, "
         "median(x_panel_mm) AS x_panel, median(y_panel_mm) AS y_panel, median(u_px) AS u, median(v_px) AS v "
         f"FROM {quantity.table} q SEMI JOIN (SELECT scene_id FROM scenes WHERE {limited}) s USING (scene_id) "
         "WHERE panel = ? GROUP BY ALL ORDER BY 1, 2",

@@ -240,7 +240,8 @@ def _arrow(fig: go.Figure, x: float, start: float, end: float, text: str) -> Non
 def _section_range(section: SeamSection) -> tuple[float, float]:
     """Heights that show both skins and the beginning of the gap, not its ground."""
     used = section.h[section.used]
-    low, high = _range([*(used if used.size else [0.0])])
+    lips = [lip[1] for lip in (section.lip_a, section.lip_b) if lip]
+    low, high = _range([*(used if used.size else [0.0]), *lips])
     return low - 0.6 * (high - low), high + 0.25 * (high - low)
 
 

@@ -156,7 +156,7 @@ def _compare(desk: Desk, first: str, second: str) -> None:
             if row is None:
                 st.warning(f"There is no scene {plain(scene_id)} in this store.")
                 return
-            features = load_features(desk.archive, scene_id)
+            features = load_features(desk.archive, row)
             st.markdown(
                 f"**{plain(row.aircraft_serial)} · {plain(row.panel)} · {plain(row.station)}** · "
                 f"{desk.habits.time(row.captured_at)}"

@@ -9,16 +9,15 @@ import streamlit as st
 
 from dashboard.filters import scene_filters
 from dashboard.findings import (
-    MOST_ROWS,
     STATES,
+    Selection,
     Wanted,
-    count_findings,
     feature_from_parameter,
     feature_of,
     feature_parameter,
     findings,
 )
-from dashboard.frame import Desk, link, plain
+from dashboard.frame import Desk, plain
 from dashboard.palette import OPEN_DECISIONS
 from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
@@ -52,7 +51,7 @@ def render(desk: Desk) -> None:
     if rows.empty:
         _nothing(desk, wanted)
         return
-    total = count_findings(desk.archive, wanted) if len(rows) == MOST_ROWS else len(rows)
+    total = int(rows["total"].iloc[0])
     at = _place(rows)
     left, right = st.columns([13, 9])
     with left:
@@ -145,7 +144,7 @@ def _detail(desk: Desk, rows: pd.DataFrame, chosen: list[int]) -> None:
     if scene is None:
         st.info("This scan is not in the store any more; choose another finding.")
         return
-    features = load_features(desk.archive, scene.scene_id)
+    features = load_features(desk.archive, scene)
     feature = feature_of(first)
     with st.container(border=True):
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
@@ -153,13 +152,6 @@ def _detail(desk: Desk, rows: pd.DataFrame, chosen: list[int]) -> None:
             st.caption(
                 f"{plain(scene.aircraft_serial)} · {plain(scene.panel)} · {plain(scene.station)} · "
                 f"{desk.habits.time(scene.captured_at)}"
-            )
-            link(
-                "scene",
-                "Close-up",
-                ":material/center_focus_strong:",
-                scene=scene.scene_id,
-                feature=feature_parameter(feature),
             )
         words, picture = st.columns([4, 1])
         with words:
@@ -253,7 +245,7 @@ def _record(desk: Desk, chosen: pd.DataFrame, disposition: Disposition | None, c
     except FlushlineError as problem:
         st.error(plain(problem))
         return
-    st.toast(f"Recorded: {disposition}, {done} findings", icon=":material/check:")
+    st.toast(f"Recorded: {disposition}, findings: {done}", icon=":material/check:")
     for name in ("scene", "feature"):
         st.query_params.pop(name, None)
     st.session_state["findings_turn"] = st.session_state.get("findings_turn", 0) + 1
@@ -302,11 +294,10 @@ def _sign_off(desk: Desk, scene: Any) -> None:
 
 
 def _waiting(desk: Desk, scene: Any) -> int:
-    from dashboard.findings import Selection
-
-    selection = Selection((scene.aircraft_serial,), (scene.panel,), (scene.station,))
-    rows = findings(desk.archive, Wanted(state="open", selection=selection), most=100_000)
-    return int((rows["scene_id"] == scene.scene_id).sum())
+    moment = scene.captured_at.to_pydatetime()
+    selection = Selection((scene.aircraft_serial,), (scene.panel,), (scene.station,), since=moment, until=moment)
+    rows = findings(desk.archive, Wanted(selection=selection), most=1)
+    return int(rows["total"].iloc[0]) if len(rows) else 0
 
 
 def _sign_off_of_scene(desk: Desk) -> None:

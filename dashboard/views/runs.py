@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import pandas as pd
+from collections.abc import Callable
+
 import streamlit as st
 
 from dashboard.figures.runs import rig_figure, seconds_figure
 from dashboard.filters import newest_scan
 from dashboard.findings import LAST_WEEK, PERIODS, Selection, start_of
 from dashboard.frame import Desk, go
+from dashboard.quarantine import put_aside
 from dashboard.tables import show_table
 from storage.archive.schema import STEPS
 
@@ -17,17 +19,13 @@ TITLE = "Runs and rigs"
 
 def render(desk: Desk) -> None:
     """Show the page."""
-    period = st.selectbox(
-        "Scanned", list(PERIODS), index=list(PERIODS).index(LAST_WEEK), key="period", bind="query-params", width=240
+    left, right = st.columns([1, 4], vertical_alignment="bottom")
+    period = left.selectbox(
+        "Scanned", list(PERIODS), index=list(PERIODS).index(LAST_WEEK), key="period", bind="query-params"
     )
     selection = Selection(since=start_of(period, newest_scan(desk.archive)))
-    runs, rigs, failures = st.tabs(["Runs and seconds per step", "Rig health", "Warnings and failures"])
-    with runs:
-        _runs(desk, selection)
-    with rigs:
-        _rigs(desk, selection)
-    with failures:
-        _failures(desk, selection)
+    view = right.segmented_control("View", list(_VIEWS), default=next(iter(_VIEWS)), key="view", bind="query-params")
+    _VIEWS.get(str(view), _runs)(desk, selection)
 
 
 def _runs(desk: Desk, selection: Selection) -> None:
@@ -131,26 +129,25 @@ def _failures(desk: Desk, selection: Selection) -> None:
         if picked:
             go("scene", scene=str(warned["scene_id"].iloc[picked[0]]))
     st.markdown("**Could not be inspected**")
-    failed = failed_scenes(desk)
-    if failed.empty:
-        st.caption("No scene waits in a quarantine folder of this store.")
+    inboxes = desk.settings.inboxes
+    if not inboxes:
+        st.caption("Name the inboxes in the settings (`inboxes = [...]`) to see what their quarantine holds.")
         return
-    show_table(failed, {"scene": "Scene folder", "at": "When", "reason": "Why"}, desk.habits, key="failed", mode="none")
+    failed = put_aside(inboxes)
+    if failed.empty:
+        st.success("No scene is in quarantine.", icon=":material/check:")
+        return
+    show_table(
+        failed,
+        {"at": "Put aside", "scene": "Scene folder", "inbox": "Inbox", "why": "Why"},
+        desk.habits,
+        key="failed",
+        mode="none",
+    )
 
 
-def failed_scenes(desk: Desk) -> pd.DataFrame:
-    """What the flows set aside, newest first."""
-    rows = []
-    for note in sorted((desk.archive.root / "quarantine").glob("*/reason.txt")):
-        try:
-            text, at = note.read_text(encoding="utf-8", errors="replace"), note.stat().st_mtime
-        except OSError:
-            continue
-        rows.append((note.parent.name, pd.Timestamp(at, unit="s", tz="UTC"), plain_line(text)))
-    frame = pd.DataFrame(rows, columns=["scene", "at", "reason"])
-    return frame.sort_values("at", ascending=False) if len(frame) else frame
-
-
-def plain_line(text: str) -> str:
-    """Text on one line."""
-    return " ".join(text.split())[:500]
+_VIEWS: dict[str, Callable[[Desk, Selection], None]] = {
+    "Runs and seconds per step": _runs,
+    "Rig health": _rigs,
+    "Warnings and failures": _failures,
+}

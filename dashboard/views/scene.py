@@ -44,7 +44,7 @@ def render(desk: Desk) -> None:
         st.warning(f"There is no scene {plain(scene_id)} in this store.")
         link("archive", "Find a scan in the archive", icon=":material/inventory_2:")
         return
-    features = load_features(desk.archive, scene_id)
+    features = load_features(desk.archive, row)
     chosen = feature_from_parameter(st.query_params.get("feature"))
     unknown = chosen is not None and find_feature(features, chosen) is None
     if chosen is None or unknown:
@@ -270,6 +270,14 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
         st.markdown(f"**{'Rivet' if chosen.kind == 'rivet' else 'Seam station'} {plain(chosen.id)}**")
         decision = str(measured.decision)
         st.badge(DECISION_MARKS.get(decision, plain(decision)), color=DECISION_BADGES.get(decision, "gray"))  # type: ignore[arg-type]
+        if compact:
+            link(
+                "scene",
+                "Close-up",
+                ":material/center_focus_strong:",
+                scene=row.scene_id,
+                feature=feature_parameter(chosen),
+            )
         if chosen.kind == "rivet":
             link(
                 "trends",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pandas as pd
 import streamlit as st
 
 from dashboard.data import Archive
@@ -42,6 +41,7 @@ from metrology.tolerance import Limit
 
 TITLE = "Trends"
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
+_VIEWS = ("Control chart and capability", "Pareto of panels", "Map of the panel")
 _MEASURES = {"mean value": "mean", "share outside": "outside"}
 
 
@@ -51,19 +51,15 @@ def render(desk: Desk) -> None:
     if subject is None:
         st.info("There is nothing of this kind on that panel and station.")
         return
-    rows = series(desk.archive, subject, quantity, selection)
-    rows = rows[rows["n"] > 0].reset_index(drop=True)
-    limit = _limit(desk.archive, subject, quantity)
-    control, panels, place = st.tabs(["Control chart and capability", "Pareto of panels", "Map of the panel"])
-    with control:
-        if rows.empty:
-            st.info("Nothing was measured here in that time. Choose a longer one, or another feature.")
-        else:
-            _control(desk, rows, subject, quantity, selection, limit, rules)
-    with panels:
+    view = st.segmented_control(
+        "View", _VIEWS, default=_VIEWS[0], key="view", bind="query-params", label_visibility="collapsed"
+    )
+    if view == _VIEWS[1]:
         _pareto(desk, selection)
-    with place:
+    elif view == _VIEWS[2]:
         _map(desk, subject, quantity, selection)
+    else:
+        _control(desk, subject, quantity, selection, rules)
 
 
 def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
@@ -105,13 +101,17 @@ def _limit(archive: Archive, subject: Subject, quantity: Quantity) -> Limit | No
 
 def _control(
     desk: Desk,
-    rows: pd.DataFrame,
     subject: Subject,
     quantity: Quantity,
     selection: Selection,
-    limit: Limit | None,
     rules: str,
 ) -> None:
+    rows = series(desk.archive, subject, quantity, selection)
+    rows = rows[rows["n"] > 0].reset_index(drop=True)
+    if rows.empty:
+        st.info("Nothing was measured here in that time. Choose a longer one, or another feature.")
+        return
+    limit = _limit(desk.archive, subject, quantity)
     chart = individuals_chart(rows["value"].to_numpy(float))
     tests = _RULES[rules]
     violations = rule_violations(chart, tests)

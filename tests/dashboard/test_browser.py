@@ -1,0 +1,239 @@
+"""The ways a person takes, in a real browser: worst rivet of last night, why, dispose, export, trend, query.
+
+Screenshots go to docs/images where FLUSHLINE_SCREENSHOTS is set, else to a temporary folder.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT
+
+from dashboard.launch import command
+from storage.review import ReviewLog
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.browser
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+MOST_BYTES = 300_000
+
+
+# Where Plotly drew the station in the middle of the seam, in pixels of the page.
+MIDDLE_STATION = """() => {
+    const plot = [...document.querySelectorAll('.js-plotly-plot')].find(p => p._fullLayout.images.length);
+    const trace = plot._fullData.find(t => t.customdata && String(t.customdata[0]).startsWith('station'));
+    const i = Math.floor(trace.x.length / 2), box = plot.getBoundingClientRect(), layout = plot._fullLayout;
+    return [box.x + layout.xaxis._offset + layout.xaxis.l2p(trace.x[i]),
+            box.y + layout.yaxis._offset + layout.yaxis.l2p(trace.y[i])];
+}"""
+
+
+def wait(condition: Any, seconds: float = 60) -> None:
+    """Wait until a condition holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.1)
+
+
+@pytest.fixture(scope="module")
+def server(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """A dashboard on a copy of the week's store; gives its address and the store."""
+    if not CHROMIUM:
+        pytest.skip("no chromium on this machine: Debian has it as the package chromium")
+    root = shutil.copytree(filled, tmp_path_factory.mktemp("browser") / "store", symlinks=True)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = {**os.environ, "FLUSHLINE_STORE": str(root), "PYTHONPATH": str(ROOT)}
+    log = (root.parent / "server.log").open("wb")
+    process = subprocess.Popen(command(port, "127.0.0.1"), env=environment, stdout=log, stderr=log, cwd=root.parent)
+    try:
+        wait(lambda: process.poll() is not None or _answers(port))
+        yield f"http://127.0.0.1:{port}", root
+    finally:
+        process.terminate()
+        process.wait(20)
+        log.close()
+    said = (root.parent / "server.log").read_text()
+    assert "Traceback" not in said, said
+
+
+def _answers(port: int) -> bool:
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/_stcore/health", timeout=2) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def chromium(server: tuple[str, Path]) -> Iterator[Any]:
+    """The browser."""
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where screenshots go."""
+    folder = (
+        ROOT / "docs" / "images" if os.environ.get("FLUSHLINE_SCREENSHOTS") else tmp_path_factory.mktemp("pictures")
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def new_page(browser: Any, scheme: str = "light", locale: str = "en-US") -> Any:
+    """A page of the size of a small laptop."""
+    context = browser.new_context(
+        viewport={"width": 1366, "height": 768}, color_scheme=scheme, locale=locale, timezone_id="Europe/Berlin",
+        accept_downloads=True,
+    )  # fmt: skip
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    return page
+
+
+def settle(page: Any) -> None:
+    """Wait until the page is drawn, and see that it holds no traceback."""
+    page.wait_for_selector('[data-testid="stApp"][data-test-script-state="notRunning"]')
+    page.wait_for_function(
+        "!document.querySelector('[data-testid=\"stSkeleton\"]') && !document.querySelector('[data-stale=\"true\"]')"
+    )
+    assert page.locator('[data-testid="stException"]').count() == 0
+    assert page.locator("text=Traceback").count() == 0
+    page.wait_for_timeout(400)
+
+
+def shoot(page: Any, folder: Path, name: str) -> None:
+    """A screenshot that is small enough for the repository."""
+    path = folder / f"dashboard-{name}.png"
+    page.screenshot(path=path)
+    if path.stat().st_size > MOST_BYTES:
+        from PIL import Image
+
+        Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)
+    assert path.stat().st_size <= MOST_BYTES
+
+
+def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
+    server: tuple[str, Path], chromium: Any, pictures: Path
+) -> None:
+    address, root = server
+    page = new_page(chromium)
+    page.goto(address)
+    page.get_by_text("Where work waits").wait_for()
+    settle(page)
+    shoot(page, pictures, "overview")
+
+    # The worst rivet of last night …
+    page.get_by_role("link", name="Tolerance review").first.click()
+    page.get_by_text("Disposition", exact=True).wait_for()
+    page.get_by_role("combobox", name="Scanned").click()
+    page.get_by_role("option", name="last night").click()
+    page.get_by_text("Rivet R04").wait_for()
+    settle(page)
+    assert "period=last+night" in page.url
+    shoot(page, pictures, "review")
+
+    # … why …
+    page.get_by_role("link", name="Close-up").click()
+    page.get_by_text("inner plane").first.wait_for()
+    settle(page)
+    page.get_by_text("mm outside").first.wait_for()
+    shoot(page, pictures, "scene")
+
+    # … what shall happen with it …
+    page.go_back()
+    page.get_by_text("Disposition", exact=True).wait_for()
+    settle(page)
+    page.get_by_role("button", name="rework").or_(page.get_by_role("radio", name="rework")).first.click()
+    page.get_by_role("textbox", name="Comment").fill("shave the head")
+    page.get_by_role("textbox", name="Your name").fill("M. Weber")
+    page.get_by_role("button", name="Record").click()
+    wait(lambda: len(ReviewLog(root).read().entries) == 1)
+    (entry,) = ReviewLog(root).read().entries
+    assert (entry.feature_id, entry.disposition, entry.comment) == ("R04", "rework", "shave the head")
+    settle(page)
+
+    # … the report …
+    page.get_by_role("combobox", name="State").click()
+    page.get_by_role("option", name="decided").click()
+    page.get_by_text("M. Weber").first.wait_for()
+    settle(page)
+    page.get_by_role("button", name="Export").click()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="HTML report").click()
+    report = Path(download.value.path()).read_text()
+    assert "R04" in report
+    assert "rework, M. Weber" in report
+    page.keyboard.press("Escape")
+
+    # … its trend …
+    page.get_by_role("link", name="Trend", exact=True).first.click()
+    page.get_by_text("Ppk", exact=True).wait_for()
+    settle(page)
+    assert "name=R04" in page.url
+    shoot(page, pictures, "trends")
+
+    # … and a question of one's own.
+    page.get_by_role("link", name="SQL").first.click()
+    page.get_by_role("textbox", name="Query").fill("SELECT who, disposition FROM dispositions")
+    page.get_by_role("textbox", name="Query").press("Control+Enter")
+    settle(page)
+    page.get_by_role("button", name="Run").click()
+    page.get_by_text("1 rows").wait_for()
+    settle(page)
+    shoot(page, pictures, "sql")
+
+
+def test_a_click_on_the_picture_opens_the_close_up(server: tuple[str, Path], chromium: Any, pictures: Path) -> None:
+    address, _ = server
+    page = new_page(chromium, "dark", "de-DE")
+    page.goto(f"{address}/scene?scene=MSN-0425~LH-F12~S2~20261119T212500Z")
+    page.get_by_text("Rivet R04").wait_for()
+    settle(page)
+    # Where Plotly drew the seam's stations: the chart's own axes tell.
+    place = page.evaluate(MIDDLE_STATION)
+    page.mouse.move(*place)
+    page.wait_for_timeout(300)
+    page.mouse.click(*place)
+    page.get_by_text("Seam station M1@").first.wait_for()
+    page.get_by_text("L1", exact=True).first.wait_for()
+    settle(page)
+    assert "feature=station" in page.url
+    shoot(page, pictures, "seam-dark")
+
+
+def test_pages_fit_a_small_screen(server: tuple[str, Path], chromium: Any, pictures: Path) -> None:
+    page = new_page(chromium)
+    for path in ("archive", "runs", "scene?view=Deviation+map", "trends?what=panel"):
+        page.goto(f"{server[0]}/{path}")
+        page.get_by_text("Flushline ·").first.wait_for()
+        settle(page)
+        assert page.evaluate("document.querySelector('[data-testid=stMain]').scrollWidth") <= 1366
+        if path in ("archive", "runs"):
+            shoot(page, pictures, path)

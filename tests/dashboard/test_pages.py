@@ -1,0 +1,287 @@
+"""Every page on a normal, an empty and a hostile store, and with whatever a URL may say."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import duckdb
+import pytest
+from conftest import WORST_HEIGHT, texts
+from streamlit.testing.v1 import AppTest
+
+from dashboard.app import PAGES
+from storage.archive.schema import TABLES
+from storage.archive.views import VIEWS
+from storage.review import Feature, ReviewLog
+
+Open = Callable[..., AppTest]
+LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
+
+
+def clean(page: AppTest) -> AppTest:
+    """Neither a traceback nor an error on the page."""
+    assert not page.exception
+    assert not page.error, [error.value for error in page.error]
+    return page
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_page_shows_a_filled_store(name: str, filled: Path, open_page: Open) -> None:
+    page = clean(open_page(name, filled))
+    assert PAGES[name][0] in texts(page)
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("exists", [True, False])
+def test_empty_store_says_what_to_do_next(name: str, exists: bool, tmp_path: Path, open_page: Open) -> None:
+    root = tmp_path / "store"
+    if exists:
+        root.mkdir()
+    page = clean(open_page(name, root))
+    assert "flushline inspect" in texts(page)
+
+
+def test_without_a_store_it_says_how_to_start() -> None:
+    page = AppTest.from_function(_run, kwargs={"name": "overview"}).run()
+    assert not page.exception
+    assert "flushline dashboard" in page.error[0].value.replace("\\", "")
+
+
+def _run(name: str) -> None:
+    from dashboard.app import PAGES
+
+    PAGES[name][2]()
+
+
+HOSTILE = ("<script>alert(1)</script>'; DROP TABLE scenes; --", "../" + "💥" * 2000)
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("value", HOSTILE)
+def test_hostile_urls_do_no_harm(name: str, value: str, filled: Path, open_page: Open) -> None:
+    keys = ("scene", "feature", "aircraft", "panel", "station", "rig", "period", "verdict", "kind", "state", "view",
+            "what", "name", "quantity", "rules", "measure", "query", "numbers")  # fmt: skip
+    page = open_page(name, filled, **dict.fromkeys(keys, value))
+    assert not page.exception
+    assert "<script>" not in texts(page).replace("\\<script\\>", "")
+
+
+@pytest.mark.parametrize("feature", ["rivet:R99", "rivet:", "station:M1@nan", ":", "rivet:R01:x", "💥"])
+def test_unknown_features_show_the_gravest_instead(feature: str, filled: Path, open_page: Open) -> None:
+    page = clean(open_page("scene", filled, scene=LAST, feature=feature))
+    assert "Rivet R04" in texts(page)
+
+
+@pytest.mark.parametrize("compare", ["a,b", LAST, f"{LAST},{LAST}", ",,,", f"{LAST},../x"])
+def test_comparing_takes_anything(compare: str, filled: Path, open_page: Open) -> None:
+    assert not open_page("archive", filled, compare=compare).exception
+
+
+def make_hostile(root: Path, change: str) -> Path:
+    """Put an index of our making in the place of the published one."""
+    target = root / ".index" / "generations" / f"archive-9-{change.replace(' ', '-')}.duckdb"
+    with duckdb.connect(str(target)) as connection:
+        if change != "no tables":
+            source = os.path.realpath(root / "archive.duckdb")
+            connection.execute(f"ATTACH '{source}' AS old (READ_ONLY)")
+            for table in TABLES:
+                connection.execute(f"CREATE TABLE {table.name} AS FROM old.{table.name}")
+            for view in VIEWS:
+                connection.execute(view.create_sql)
+            for statement in _CHANGES[change]:
+                connection.execute(statement)
+            connection.execute("DETACH old")
+    (root / "archive.duckdb").unlink()
+    (root / "archive.duckdb").symlink_to(os.path.relpath(target, root))
+    return root
+
+
+_NUMBERS = {
+    "rivets": ("x_mm", "y_mm", "z_mm", "u_px", "v_px", "diameter_mm", "major_px", "minor_px", "angle_deg",
+               "height_mean_mm", "height_u95_mm", "tilt_deg", "tilt_u95_deg"),
+    "seam_stations": ("s_mm", "x_mm", "y_mm", "z_mm", "u_px", "v_px", "step_mm", "step_u95_mm", "width_mm",
+                      "width_u95_mm"),
+}  # fmt: skip
+
+
+def _all_numbers(value: str) -> list[str]:
+    return [
+        f"UPDATE {table} SET {', '.join(f'{column} = {value}' for column in columns)}"
+        for table, columns in _NUMBERS.items()
+    ]
+
+
+_CHANGES = {
+    "no rows": ["DELETE FROM rivets", "DELETE FROM seam_stations"],
+    "no scenes": ["DELETE FROM scenes"],
+    "nothing measured": _all_numbers("NULL"),
+    "nan": _all_numbers("'nan'"),
+    "huge": _all_numbers("1e300"),
+    "infinite": _all_numbers("'inf'"),
+    "markup": [
+        "UPDATE rivets SET reason = '<img src=x onerror=alert(1)> **[x](javascript:1)**', rivet_id = '<b>' || rivet_id",
+        "UPDATE scenes SET operator = '`', rig_id = '<script>', warnings = ['# <script>alert(1)</script>']",
+    ],
+    "paths out of the store": [
+        "UPDATE scenes SET preview_path = '../../../../etc/passwd', cloud_path = '/etc/passwd', "
+        "overlay_path = '../x', bundle_path = '..'"
+    ],
+    "files gone": [
+        "UPDATE scenes SET preview_path = 'gone.png', cloud_path = 'gone', overlay_path = 'gone', bundle_path = 'gone'"
+    ],
+    "wrong files": ["UPDATE scenes SET preview_path = 'flushline-store.json', cloud_path = 'flushline-store.json'"],
+    "null columns": [
+        "UPDATE scenes SET rig_id = NULL, software_version = NULL, status = NULL, warnings = NULL, n_rivets = NULL, "
+        "n_stations = NULL, preview_path = NULL, cloud_path = NULL, bundle_path = NULL, processed_at = NULL, "
+        "epipolar_rms_px = NULL, seconds_total = NULL, run_id = NULL, panel_spec = NULL"
+    ],
+    "strange verdicts": ["UPDATE rivets SET decision = 'maybe', severity = 'pink'"],
+    "missing column": ["DROP VIEW latest_rivets", "ALTER TABLE rivets DROP COLUMN height_mean_mm"],
+    "missing table": ["DROP TABLE seam_stations"],
+    "no tables": [],
+}
+
+
+@pytest.mark.parametrize("change", _CHANGES)
+def test_hostile_stores_never_raise(change: str, writable: Path, open_page: Open) -> None:
+    make_hostile(writable, change)
+    of_scenes = any("scenes" in statement or "TABLE" in statement for statement in _CHANGES[change])
+    for name in ("overview", "scene", "review", "trends", *(("archive", "runs") if of_scenes else ())):
+        page = open_page(name, writable)
+        assert not page.exception, name
+        assert not any("something it did not expect" in error.value for error in page.error), name
+
+
+@pytest.mark.parametrize("view", ["Deviation map", "3-D", "Overlay", "Table", "Files"])
+def test_every_view_of_a_scene(view: str, filled: Path, open_page: Open) -> None:
+    clean(open_page("scene", filled, scene=LAST, view=view))
+
+
+@pytest.mark.parametrize("view", ["Picture", "Deviation map", "3-D", "Overlay", "Table", "Files"])
+def test_views_of_hostile_scenes(view: str, writable: Path, open_page: Open) -> None:
+    for change in ("nan", "paths out of the store", "null columns"):
+        make_hostile(writable, change)
+        page = open_page("scene", writable, scene=LAST, view=view)
+        assert not page.exception
+        assert not any("something it did not expect" in error.value for error in page.error)
+        assert "root:" not in texts(page)
+
+
+@pytest.mark.parametrize("what", ["rivet", "seam", "panel", "fastener type"])
+def test_trends_of_every_subject(what: str, filled: Path, open_page: Open) -> None:
+    page = clean(open_page("trends", filled, what=what))
+    assert [metric.label for metric in page.metric] == ["Cp", "Cpk", "Pp", "Ppk"]
+    assert page.metric[3].value != "–"
+
+
+def test_a_damaged_index_is_one_line(writable: Path, open_page: Open) -> None:
+    target = Path(os.path.realpath(writable / "archive.duckdb"))
+    target.chmod(0o644)
+    target.write_bytes(b"not a database" * 1000)
+    for name in ("overview", "archive", "scene", "review", "trends", "runs"):
+        page = open_page(name, writable)
+        assert not page.exception
+        assert len(page.error) == 1
+        assert "readable index" in page.error[0].value.replace("\\", "")
+
+
+def test_quarantined_scenes_are_listed(writable: Path, tmp_path: Path, open_page: Open) -> None:
+    folder = tmp_path / "inbox" / "quarantine"
+    folder.mkdir(parents=True)
+    (folder / "scan-7.reason.txt").write_text("scene.json: found no key 'rig', expected it\n")
+    (writable / "dashboard.toml").write_text(f'inboxes = ["{tmp_path / "inbox"}"]\n')
+    page = clean(open_page("runs", writable, view="Warnings and failures"))
+    assert "found no key" in page.dataframe[-1].value.to_string()
+
+
+def test_a_wrong_settings_file_is_one_line(writable: Path, open_page: Open) -> None:
+    (writable / "dashboard.toml").write_text("roles = 7\n")
+    page = open_page("overview", writable)
+    assert not page.exception
+    assert "dashboard.toml" in page.error[0].value.replace("\\", "")
+
+
+def test_a_damaged_manifest_leaves_the_page_without_limits(writable: Path, open_page: Open) -> None:
+    for manifest in writable.glob("bundles/*/*/*/*/manifest.json"):
+        manifest.chmod(0o644)
+        manifest.write_text('{"panel_spec": {"zones": {"default": {"height_mm": {"lower": 3, "upper": 1}}}}}')
+    page = clean(open_page("scene", writable, scene=LAST))
+    assert "no limit is known" in texts(page)
+
+
+def test_new_results_show_without_a_restart(writable: Path, open_page: Open) -> None:
+    from conftest import recipe
+    from synthetic_scene import synthetic_result
+
+    from storage.archive.store import Store
+
+    page = open_page("overview", writable)
+    assert "RH-F99" not in page.multiselect(key="panel").options
+    Store(writable).publish(synthetic_result(recipe(0, "S3", "RH-F99")))
+    page.run()
+    assert "RH-F99" in page.multiselect(key="panel").options
+
+
+def test_the_worst_rivet_of_last_night_is_first(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("review", filled, period="last night"))
+    said = texts(page)
+    assert "Rivet R04" in said
+    assert "0.23" in said
+    assert "outside" in said
+
+
+def test_disposing_is_recorded_with_what_was_shown(writable: Path, open_page: Open) -> None:
+    page = clean(open_page("review", writable, period="last night"))
+    page.button_group(key="disposition").set_value("rework")
+    page.text_input(key="comment").set_value("shave the head")
+    page.text_input(key="who").set_value("M. Weber")
+    record = next(button for button in page.button if "Record" in button.label)
+    clean(record.click().run())
+    (entry,) = ReviewLog(writable).read().entries
+    assert (entry.who, entry.disposition, entry.comment) == ("M. Weber", "rework", "shave the head")
+    assert (entry.scene_id, entry.feature_id) == (LAST, "R04")
+    assert entry.shown["value_mm"] == pytest.approx(WORST_HEIGHT, abs=0.01)
+    assert entry.shown["software_version"] == "0.2.0"
+    assert "example" in entry.shown["panel_spec"]
+
+
+def test_disposing_needs_a_name_and_a_disposition(writable: Path, open_page: Open) -> None:
+    page = open_page("review", writable)
+    record = next(button for button in page.button if "Record" in button.label)
+    assert "Choose a disposition" in texts(record.click().run())
+    assert ReviewLog(writable).read().entries == ()
+
+
+def test_a_signed_off_scene_offers_no_form(writable: Path, open_page: Open) -> None:
+    log = ReviewLog(writable)
+    log.dispose("a", LAST, "run", [Feature("rivet", "R04")], "rework", "", {})
+    log.sign_off("K. Ito", LAST, "run", "", {})
+    page = clean(open_page("review", writable, scene=LAST, state="decided"))
+    assert "this scan is locked" in texts(page)
+    assert not [button for button in page.button if "Record" in button.label]
+
+
+def test_a_tampered_log_is_said_and_not_written(writable: Path, open_page: Open) -> None:
+    log = ReviewLog(writable)
+    for _ in range(2):
+        log.dispose("a", LAST, "run", [Feature("rivet", "R04")], "rework", "", {})
+    log.path.write_bytes(log.path.read_bytes().replace(b"rework", b"scrap ", 1))
+    page = open_page("review", writable)
+    assert not page.exception
+    assert "expected" in texts(page)
+    assert not [button for button in page.button if "Record" in button.label]
+    assert "review log needs attention" in texts(open_page("overview", writable))
+
+
+def test_the_query_page_answers_and_says_what_is_wrong(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("sql", filled))
+    page.text_area(key="sql").set_value("SELECT count(*) AS n FROM rivets")
+    run = next(button for button in page.button if button.label == "Run")
+    page = clean(run.click().run())
+    assert page.dataframe[0].value["n"][0] == 12 * 12
+    page.text_area(key="sql").set_value("DROP TABLE rivets")
+    page = next(button for button in page.button if button.label == "Run").click().run()
+    assert not page.exception
+    assert "read\\-only" in page.error[0].value

@@ -1,0 +1,313 @@
+"""The parts behind the pages: habits, roles, close-ups against known geometry, figures, exports, trends."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import recipe
+from synthetic_scene import synthetic_result
+
+from dashboard import settings
+from dashboard.access import role_of
+from dashboard.closeup import rivet_close_up, seam_section
+from dashboard.data import Archive
+from dashboard.deviation import field_deviation
+from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
+from dashboard.figures.scene import cloud_figure, scene_figure
+from dashboard.findings import Selection, Wanted, feature_from_parameter, feature_parameter, findings
+from dashboard.frame import plain
+from dashboard.habits import Habits, habits_of
+from dashboard.launch import check_address, command, login_is_configured
+from dashboard.pictures import load_picture
+from dashboard.review_report import csv_report, html_report
+from dashboard.scenes import limits_used, load_features, load_scene_row, seam_neighbours, worst_feature
+from dashboard.trends import QUANTITIES, Subject, capability_of, events, series, spread
+from metrology.errors import StoreError, UsageError
+from metrology.tolerance import Limit
+from storage.review import Feature, ReviewLog
+from storage.saved_queries import SavedQueries
+
+LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
+MOMENT = datetime(2026, 11, 20, 20, 5, tzinfo=UTC)
+
+
+@pytest.fixture
+def archive(filled: Path) -> Archive:
+    return Archive(filled)
+
+
+# -- habits
+
+
+def test_numbers_and_times_as_people_write_them() -> None:
+    german, american = habits_of("de-DE", "Europe/Berlin"), habits_of("en-US", "America/New_York")
+    assert german.number(-1234.5678) == "−1.234,568"
+    assert american.number(-1234.5678) == "−1,234.568"
+    assert german.time(MOMENT) == "20.11.2026 21:05"
+    assert american.time(MOMENT) == "11/20/2026 3:05 PM"
+    assert Habits().time(MOMENT) == "2026-11-20 20:05"
+    assert german.measured(0.0612, 0.003, "mm").replace("\u00a0", " ") == "+0,061 ± 0,003 mm"
+    assert Habits().number(-0.0001) == "0.000"
+
+
+@pytest.mark.parametrize("nothing", [None, float("nan"), float("inf"), "x", pd.NaT])
+def test_nothing_is_a_dash(nothing: object) -> None:
+    assert Habits().number(nothing) == Habits().time(nothing) == Habits().day(nothing) == "–"
+
+
+@pytest.mark.parametrize(
+    ("locale", "zone"), [(None, None), ("", "Mars/Base"), ("xx-YY", "../../etc/passwd"), ("💥", "💥")]
+)
+def test_a_browser_may_claim_anything(locale: str | None, zone: str | None) -> None:
+    assert habits_of(locale, zone).time(MOMENT)
+
+
+def test_text_of_others_is_never_markup() -> None:
+    assert plain("**[a](javascript:1)** <b>\n# x") == r"\*\*\[a\]\(javascript\:1\)\*\* \<b\> \# x"
+
+
+# -- who may do what
+
+
+def test_roles_by_configuration() -> None:
+    roles = settings.RolesModel(reviewers=("M.Weber@x.de",), viewers=("*",))
+    assert role_of("m.weber@x.de", roles) == "reviewer"
+    assert role_of("someone@x.de", roles) == "viewer"
+    assert role_of("someone@x.de", settings.RolesModel(viewers=())) == "nobody"
+    assert role_of("", settings.RolesModel(reviewers=("*",))) == "nobody"
+
+
+def test_only_this_computer_without_a_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")
+    assert not login_is_configured(tmp_path)
+    with pytest.raises(UsageError, match="only localhost"):
+        check_address("0.0.0.0", login=False)
+    check_address("127.0.0.1", login=False)
+    (tmp_path / ".streamlit").mkdir()
+    (tmp_path / ".streamlit" / "secrets.toml").write_text('[auth]\nclient_id = "x"\n')
+    assert login_is_configured(tmp_path)
+    check_address("0.0.0.0", login=True)
+    line = command(8501, "localhost")
+    assert line[line.index("--server.address") + 1] == "localhost"
+    assert line[line.index("--browser.gatherUsageStats") + 1] == "false"
+
+
+def test_settings_are_checked(tmp_path: Path) -> None:
+    (tmp_path / "dashboard.toml").write_text('title = "Hall 7"\n[roles]\nreviewers = ["a@b"]\n')
+    assert settings.read_settings(tmp_path, None).roles.reviewers == ("a@b",)
+    (tmp_path / "dashboard.toml").write_text("reviewrs = 1\n")
+    with pytest.raises(UsageError, match="reviewrs"):
+        settings.read_settings(tmp_path, None)
+    with pytest.raises(UsageError):
+        settings.read_settings(tmp_path, tmp_path / "missing.toml")
+
+
+def test_importing_the_dashboard_loads_neither_open3d_nor_prefect() -> None:
+    import subprocess
+
+    code = "import sys, dashboard.app; print([m for m in ('open3d', 'prefect') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+# -- close-ups
+
+
+def test_rivet_close_up_measures_what_was_made(archive: Archive) -> None:
+    made = recipe(5, "S2")
+    cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
+    rivets = load_features(archive, load_scene_row(archive, LAST)).rivets
+    for rivet, height in zip(rivets.itertuples(), made.heights_mm, strict=True):
+        found = rivet_close_up(cloud, rivet)
+        assert not isinstance(found, str), found
+        assert float(found.head.height(0.0, 0.0)) == pytest.approx(height, abs=0.006)
+        assert abs(np.median(found.deviation[found.outer])) < 0.002
+        assert np.hypot(found.x, found.y)[found.inner].max() < found.radius
+        slope = np.degrees(np.arctan(np.hypot(*found.head.coefficients[1:])))
+        assert slope == pytest.approx(made.tilt_deg, abs=0.12)
+
+
+def test_seam_section_measures_what_was_made(archive: Archive) -> None:
+    features = load_features(archive, load_scene_row(archive, LAST))
+    cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
+    for station in list(features.stations.itertuples())[3:-3:6]:
+        found = seam_section(cloud, station, seam_neighbours(features, station))
+        assert not isinstance(found, str), found
+        step = found.line_b[0] - found.line_a[0]
+        assert step == pytest.approx(station.step_mm, abs=0.02)
+        assert found.edge_a is not None
+        assert found.edge_b is not None
+        assert found.edge_b[0] - found.edge_a[0] == pytest.approx(station.width_mm)
+        assert found.line_a[0] < found.line_b[0]  # side B, at larger u, stands higher
+
+
+@pytest.mark.parametrize("change", [{"x_mm": None}, {"diameter_mm": 0.0}, {"u_px": 1e9}, {"z_mm": float("nan")}])
+def test_no_close_up_says_why(archive: Archive, change: dict) -> None:
+    cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
+    rivet = next(load_features(archive, load_scene_row(archive, LAST)).rivets.itertuples(index=False))
+    assert isinstance(rivet_close_up(cloud, SimpleNamespace(**{**rivet._asdict(), **change})), str)
+
+
+def test_field_deviation_takes_the_skin_off(archive: Archive) -> None:
+    field = field_deviation(archive.cloud(load_scene_row(archive, LAST).cloud_path), 30_000)
+    assert field is not None
+    assert np.isfinite(field.deviation).sum() < 31_000
+    left = field.deviation[:, : field.deviation.shape[1] // 2]
+    assert abs(np.nanmedian(left)) < 0.02
+    assert len(cloud_figure(field, 50, Habits()).to_json()) < 3_000_000
+
+
+# -- figures
+
+
+def test_scene_figure_carries_what_a_click_needs(archive: Archive) -> None:
+    row, features = load_scene_row(archive, LAST), load_features(archive, load_scene_row(archive, LAST))
+    picture = load_picture(archive.file(row.preview_path))
+    worst = worst_feature(features)
+    assert worst == Feature("rivet", "R04")
+    fig = scene_figure(picture, features, worst, Habits())
+    carried = [name for trace in fig.data if trace.customdata is not None for name in trace.customdata]
+    assert sorted(n for n in carried if n.startswith("rivet")) == sorted(
+        f"rivet:{n}" for n in features.rivets["rivet_id"]
+    )
+    assert len([n for n in carried if n.startswith("station")]) == len(features.stations)
+    symbols = {trace.marker.symbol for trace in fig.data if trace.name and trace.name.startswith("rivet")}
+    assert len(symbols) > 1  # never colour alone
+    assert len(fig.to_json()) < 600_000
+
+
+def test_close_up_figures_draw(archive: Archive) -> None:
+    row, features = load_scene_row(archive, LAST), load_features(archive, load_scene_row(archive, LAST))
+    cloud = archive.cloud(row.cloud_path)
+    limits = limits_used(archive, row.bundle_path, "default")
+    rivet = next(features.rivets.itertuples())
+    found = rivet_close_up(cloud, rivet)
+    assert not isinstance(found, str)
+    section = rivet_section(found, rivet.height_mean_mm, limits["height_mm"], Habits())
+    assert {"inner plane", "outer plane (skin)"} <= {trace.name for trace in section.data}
+    assert rivet_map(found, Habits()).data
+    station = list(features.stations.itertuples())[10]
+    seam = seam_section(cloud, station, seam_neighbours(features, station))
+    assert not isinstance(seam, str)
+    fig = seam_figure(seam, station, Habits("de"))
+    letters = {trace.text[0] for trace in fig.data if trace.text}
+    assert letters == {f"<b>{letter}</b>" for letter in ("D", "G", "D′", "G′")}
+    said = " ".join(annotation.text or "" for annotation in fig.layout.annotations)
+    assert f"W {station.width_mm:.3f}".replace(".", ",") in said
+
+
+@pytest.mark.parametrize("limit", [None, Limit(upper=1.0), Limit(-0.1, 0.1, -0.2, 0.2)])
+@pytest.mark.parametrize("value", [None, 0.05, float("nan"), 1e6])
+def test_limit_bar_takes_any_limit_and_value(limit: Limit | None, value: float | None) -> None:
+    assert limit_bar(value, None, limit, "mm", Habits()).layout
+
+
+# -- findings and exports
+
+
+def test_findings_are_the_gravest_first_and_shrink_as_they_are_decided(writable: Path) -> None:
+    archive = Archive(writable)
+    rows = findings(archive, Wanted())
+    order = [("fail", "conditional fail", "not measured", "conditional pass").index(d) for d in rows["decision"]]
+    assert order == sorted(order)
+    assert (rows["scene_id"][0], rows["feature_id"][0]) == (LAST, "R04")
+    last_night = findings(archive, Wanted(selection=Selection(since=datetime(2026, 11, 19, 12, tzinfo=UTC))))
+    assert set(last_night["aircraft_serial"]) == {"MSN-0425"}
+    ReviewLog(writable).dispose("x", LAST, "run", [Feature("rivet", "R04")], "scrap", "", {})
+    station = next(f for f in rows.itertuples() if f.feature_kind == "seam station")
+    ReviewLog(writable).dispose(
+        "x", station.scene_id, "run", [Feature("seam station", station.feature_id)], "repair", "", {}
+    )
+    assert len(findings(archive, Wanted())) == len(rows) - 2
+    decided = findings(archive, Wanted(state="decided"))
+    assert set(decided["disposition"]) == {"scrap", "repair"}
+
+
+@pytest.mark.parametrize("feature", [Feature("rivet", "R01"), Feature("seam station", "M1@24.0")])
+def test_features_survive_the_url(feature: Feature) -> None:
+    assert feature_from_parameter(feature_parameter(feature)) == feature
+
+
+def test_csv_in_both_habits_and_without_formulas(archive: Archive) -> None:
+    rows = findings(archive, Wanted()).head(3)
+    rows.loc[0, "reason"] = "=HYPERLINK(1)"
+    german = csv_report(rows, Habits("de")).decode("utf-8-sig").splitlines()
+    assert ";" in german[0]
+    assert f"{rows['value_mm'][0]}".replace(".", ",") in german[1]
+    assert "'=HYPERLINK(1)" in german[1]
+    assert pd.read_csv(pd.io.common.BytesIO(csv_report(rows, Habits("us"))))["value_mm"][0] == rows["value_mm"][0]
+
+
+def test_html_report_is_one_safe_page(archive: Archive) -> None:
+    rows = findings(archive, Wanted()).head(5)
+    rows.loc[0, "reason"] = "<script>alert(1)</script>"
+    page = html_report(rows, archive, Habits(), "Hall <7>").decode()
+    assert "<script>" not in page
+    assert "Hall &lt;7&gt;" in page
+    assert page.count("data:image/jpeg") == 5
+    assert "0.2.0" in page
+    assert "http" not in page.replace("https://", "http") or 'src="http' not in page
+
+
+# -- trends
+
+
+def test_trend_of_a_drifting_rivet(archive: Archive) -> None:
+    subject = Subject("rivet", "LH-F12", "S1", "R09")
+    rows = series(archive, subject, QUANTITIES["height"], Selection())
+    assert len(rows) == 6
+    assert (np.diff(rows["value"]) > 0).all()
+    assert [event.text for event in events(rows)] == ["rig rig-2026-11-17", "version 0.2.0"]
+    values = spread(archive, subject, QUANTITIES["height"], Selection())
+    assert values is not None
+    assert values.counts.sum() == values.n == 6
+    assert values.mean == pytest.approx(rows["value"].mean())
+    found = capability_of(subject, rows, values, Limit(-0.1, 0.1))
+    assert found is not None
+    assert found.cpk is not None
+    assert found.sigma_overall > 1.5 * found.sigma_within  # drift
+
+
+def test_trend_of_a_panel_counts_every_value(archive: Archive) -> None:
+    subject = Subject("panel", "LH-F12")
+    values = spread(archive, subject, QUANTITIES["step"], Selection())
+    total = archive.rows("SELECT count(step_mm) AS n FROM seam_stations WHERE panel = 'LH-F12'")["n"][0]
+    assert values is not None
+    assert values.n == values.counts.sum() == total
+    assert spread(archive, Subject("panel", "nowhere"), QUANTITIES["step"], Selection()) is None
+
+
+# -- files
+
+
+@pytest.mark.parametrize("path", ["../x", "/etc/passwd", "", None, "bundles/../../x", "nowhere.png"])
+def test_no_file_outside_the_store(archive: Archive, path: str | None) -> None:
+    with pytest.raises(StoreError):
+        archive.file(path)
+
+
+def test_saved_queries(tmp_path: Path) -> None:
+    saved = SavedQueries(tmp_path)
+    assert saved.read() == {}
+    saved.save("mine", "SELECT 1")
+    saved.save("mine", "SELECT 2")
+    assert SavedQueries(tmp_path).read() == {"mine": "SELECT 2"}
+    saved.save("mine", None)
+    assert saved.read() == {}
+    with pytest.raises(UsageError):
+        saved.save("", "SELECT 1")
+    saved.path.write_text("{")
+    with pytest.raises(StoreError):
+        saved.read()
+
+
+def test_recipe_is_what_is_stored(archive: Archive) -> None:
+    made = synthetic_result(recipe(5, "S2"))
+    stored = load_features(archive, load_scene_row(archive, LAST)).rivets
+    assert stored["height_mean_mm"].tolist() == pytest.approx([r.height_mean_mm for r in made.rivets])
