@@ -39,11 +39,16 @@ def flag_neighbourhoods(view: DecodedView, frames: int, settings: Reconstruction
     reach = int(np.ceil(2 * settings.blur_radius_px))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = (x * x + y * y <= (reach + 0.5) ** 2).astype(np.uint8)
-    flags = view.flags | cv2.dilate(_edges(view, frames, settings), disc)
+    flags = view.flags | _spread(_edges(view, frames, settings), disc)
     saturated = (flags & (PixelFlag.SATURATED | PixelFlag.SATURATED_SAMPLES)) != 0
     if saturated.any():
-        flags |= cv2.dilate(saturated * np.uint8(PixelFlag.SATURATED_SAMPLES), disc)
+        flags |= _spread(saturated * np.uint8(PixelFlag.SATURATED_SAMPLES), disc)
     return replace(view, flags=flags)
+
+
+def _spread(mask: NDArray[np.uint8], disc: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The mask's largest value within the disc about every pixel."""
+    return np.asarray(cv2.dilate(mask, disc), np.uint8)
 
 
 def _edges(view: DecodedView, frames: int, settings: ReconstructionSettings) -> NDArray[np.uint8]:
