@@ -20,7 +20,8 @@ from metrology.seams.blur import EdgeResponse
 Array = NDArray[np.float64]
 
 _ITERATIONS = 40
-# Residuals beyond this many standard deviations lose weight (Huber): specks, not borders that the model misses a little.
+# Residuals beyond this many standard deviations lose weight (Huber): specks, not borders that the model misses a
+# little.
 _OUTLIER_SIGMAS = 5.0
 
 

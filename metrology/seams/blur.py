@@ -1,6 +1,7 @@
 """How a camera blurs a straight edge: lens, pixel aperture, and light that spills into neighbouring pixels.
 
-A border's position is as good as this model where another border (a chamfer's) lies within the blur. The point spread is
+A border's position is as good as this model where another border (a chamfer's) lies within the blur. The point
+spread is
 taken as a Gaussian (lens) folded with the pixel's square aperture and with ``[q, 1 − 2q, q]`` along rows and columns
 (spill: halation, sensor cross-talk, sharpening if negative). An edge in any direction sees its projection.
 """

@@ -1,9 +1,12 @@
 """The shape that both cameras see of a seam's edges, shared by all its stations: chamfers and blur.
 
-Paper Fig. 8: L1 ends at C, the chamfer runs down to the inflection point D, and the ideal edge D′ is D's projection onto
+Paper Fig. 8: L1 ends at C, the chamfer runs down to the inflection point D, and the ideal edge D′ is D's projection
+onto
 L1. A camera shows C where the bright skin ends and D where the chamfer turns into the gap's wall or hides its floor. C
-lies on the skin and is sharp in both views. D lies deeper by an unknown depth d: in a view whose rays lean by the tangent
-t towards the gap (t > 0: it sees this side's wall), the chamfer of width w appears ``a = w + d t`` wide on the skin. Two
+lies on the skin and is sharp in both views. D lies deeper by an unknown depth d: in a view whose rays lean by the
+tangent
+t towards the gap (t > 0: it sees this side's wall), the chamfer of width w appears ``a = w + d t`` wide on the skin.
+Two
 views with different t give w and d; a chamfer is about as deep as wide, which decides where the views lean alike.
 
 A station alone shows too little of this. So the profiles of all stations in a stretch are laid over each other,
@@ -173,7 +176,8 @@ class Stack:
         return fitted([0.0]), min(sound, key=lambda fit: fit.cost, default=None)
 
     def _sound(self, fit: BandFit) -> bool:
-        """Whether a fit with a chamfer means one: wide enough to be seen, with gap behind it, not darker than darkness."""
+        """Whether a fit with a chamfer means one: wide enough to be seen, with gap behind it, not darker than
+        darkness."""
         room = self.x[-1] - fit.edges[1] > _LEAST_GAP_PX * self.pixel
         return bool(room and fit.edges[1] - fit.edges[0] > _LEAST_CHAMFER_PX * self.pixel and fit.levels[1] > 0)
 
@@ -285,7 +289,8 @@ def stretches(own: Sequence[Stack], blur: PixelBlur) -> list[Stretch]:
 def solve_chamfer(views: Sequence[Sequence[Stretch]]) -> Chamfer:
     """Width and depth of one side's chamfer from what each camera's stretches show.
 
-    Least squares on ``a = w + d t``, one row per camera (median of its stretches), and ``d = w`` give or take a third of it.
+    Least squares on ``a = w + d t``, one row per camera (median of its stretches), and ``d = w`` give or take a
+    third of it.
     """
     rows, values = [], []
     facing_without = False

@@ -29,7 +29,8 @@ class GapEdge:
 
 
 def signed_distance(section: Section, x: float, h: float, line: SkinLine) -> float:
-    """Distance of a point from a skin line, positive outside the skin: eqs 7 and 8 with a sign, for curved lines too."""
+    """Distance of a point from a skin line, positive outside the skin: eqs 7 and 8 with a sign, for curved
+    lines too."""
     return (h - line.height(x)) / float(np.hypot(1.0, line.slope(x)))
 
 

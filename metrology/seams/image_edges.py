@@ -2,7 +2,8 @@
 
 One camera sees a wall of the gap, so the dark band's middle is not the gap's. What both cameras see sharply is C, the
 border of each skin. It is found by shifting the edge's shape (`edge_shape`) over each station's pixels, laid along the
-viewing ray onto the skin line, and averaged over the cameras; the ideal edges D′ and G′ lie a chamfer's width further in.
+viewing ray onto the skin line, and averaged over the cameras; the ideal edges D′ and G′ lie a chamfer's width
+further in.
 """
 
 from __future__ import annotations

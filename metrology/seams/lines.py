@@ -138,7 +138,7 @@ def _candidates(relative: Float32, level: int, settings: LineSettings) -> list[_
     faintest = bar_curvature(2 * _SIGMA, settings.min_contrast, _SIGMA)
     found = []
     for polarity in ("dark", "bright"):
-        noise = _grain(reduced) * curvature_noise(_SIGMA)
+        noise = _grain(np.asarray(reduced, np.float32)) * curvature_noise(_SIGMA)
         high = max(faintest, settings.noise_sigmas * noise)
         ridges = ridge_points(reduced, _SIGMA, _HYSTERESIS * high, polarity)
         chains = link(ridges, high, 6)

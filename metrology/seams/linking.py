@@ -32,7 +32,7 @@ def link(ridges: RidgeMap, high: float, min_points: int) -> list[Array]:
     points, ends = _link(
         ridges.strength, ridges.u, ridges.v, ridges.normal_u, ridges.normal_v, seeds.astype(np.int64), min_points
     )
-    starts = np.concatenate([[0], ends[:-1]]).astype(int)
+    starts = np.concatenate([[0], ends])[:-1].astype(int)
     return [points[start:end].copy() for start, end in zip(starts, ends, strict=True)]
 
 

@@ -1,7 +1,8 @@
 """The paper's own edge finding in a section's points: adaptive piecewise straight lines (§4.2, eq 5, Fig. 8).
 
 From each end of the section the pieces are taken in turn; neighbours that meet at less than θ are merged into the skin
-line (L1, L2); the piece after it is the chamfer, if the skin line is not met by the gap at once; the chamfer's inner end
+line (L1, L2); the piece after it is the chamfer, if the skin line is not met by the gap at once; the chamfer's inner
+end
 is the inflection point (D, G).
 """
 
@@ -15,7 +16,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # A piece of fewer points is a gap between pieces, not a line.
-_MIN_PIECE_POINTS = 3
+_MIN_PIECE_POINTS = 2
+# Pieces belong to one line only where they also meet: this close, in units of ε. A wall may hold no point at all, and
+# then skin and floor follow each other in parallel.
+_JOINT = 4.0
 
 
 @dataclass(frozen=True)
@@ -105,17 +109,23 @@ def _line(x: Array, y: Array, first: int, end: int) -> Piece:
     return Piece(first, end, slope, float(ys.mean() - slope * xs.mean()))
 
 
-def merge_skin(x: Array, y: Array, pieces: list[Piece], angle: float) -> tuple[Piece, list[Piece]]:
+def merge_skin(x: Array, y: Array, pieces: list[Piece], tolerance: float, angle: float) -> tuple[Piece, list[Piece]]:
     """The skin line of the first side, and the pieces that are left.
 
     Starting with the first piece, the next one is merged into it by least squares as long as they meet at less than
     `angle` (θ, radians).
     """
     skin, rest = pieces[0], pieces[1:]
-    while rest and abs(rest[0].angle - skin.angle) < angle:
+    while rest and abs(rest[0].angle - skin.angle) < angle and _meet(x, skin, rest[0]) < _JOINT * tolerance:
         skin = _line(x, y, skin.first, rest[0].end)
         rest = rest[1:]
     return skin, rest
+
+
+def _meet(x: Array, piece: Piece, following: Piece) -> float:
+    """How far apart two neighbouring pieces are where one ends and the other begins."""
+    place = 0.5 * (x[piece.end - 1] + x[following.first])
+    return float(abs((following.slope - piece.slope) * place + following.intercept - piece.intercept))
 
 
 def side_of_section(x: Array, y: Array, tolerance: float, angle: float) -> SideFit | None:
@@ -129,12 +139,12 @@ def side_of_section(x: Array, y: Array, tolerance: float, angle: float) -> SideF
         ε (mm) and θ (radians).
     """
     pieces = fit_pieces(x, y, tolerance)
-    skin, rest = merge_skin(x, y, pieces, angle)
+    skin, rest = merge_skin(x, y, pieces, tolerance, angle)
     if not rest:
         return None
     # The chamfer falls away from the skin at a finite angle; a piece that drops into the gap is the wall.
     corner = skin.end - 1
-    chamfer = rest[0]
+    chamfer, _ = merge_skin(x, y, rest, tolerance, angle)
     falls = chamfer.angle < skin.angle - angle
     if falls and _is_chamfer(x, y, chamfer, skin):
         corner = chamfer.end - 1

@@ -160,7 +160,7 @@ def _both_sides(x: Array, y: Array, inverse: Array, sigma: Array) -> tuple[Array
         keep = np.abs(residual) < 4 * spread
         if min((keep & (x < 0)).sum(), (keep & (x > 0)).sum()) < _MIN_SIDE_POINTS // 2:
             return None
-    return solution, np.linalg.inv(normal) * spread**2
+    return np.asarray(solution, float), np.asarray(np.linalg.inv(normal) * spread**2, float)
 
 
 def _is_groove(

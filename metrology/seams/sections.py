@@ -1,6 +1,8 @@
-"""Cross-sections of a seam: a plane across it at each station, and the two skin lines in that plane (paper §4.2, Fig. 7).
+"""Cross-sections of a seam: a plane across it at each station, and the two skin lines in that plane (paper §4.2,
+Fig. 7).
 
-The points within ε_d of the plane are projected onto it. Each side has its line ``h = c_0 + c_1 x + c_2 x²``; both sides
+The points within ε_d of the plane are projected onto it. Each side has its line ``h = c_0 + c_1 x + c_2 x²``; both
+sides
 share the curvature c_2 (one skin, bent as a whole), which a strip of a dozen millimetres on one side alone determines
 poorly. A slope along the seam on each side takes out what the strip's finite length would smear.
 """

@@ -93,7 +93,8 @@ def join_pieces(pieces: Sequence[Array], max_gap: float, tolerance: float, max_b
 def _best_joint(
     lines: Sequence[Array], max_gap: float, tolerance: float, max_bend: float
 ) -> tuple[int, int, int, int] | None:
-    """(line, end, line, end) of the pair of ends that continue each other best; end 0 is the first point, 1 the last."""
+    """(line, end, line, end) of the pair of ends that continue each other best; end 0 is the first point, 1
+    the last."""
     if len(lines) < 2:
         return None
     ends = [(i, end, *_end(line, end)) for i, line in enumerate(lines) for end in (0, 1)]

@@ -169,13 +169,22 @@ def _row(
     u, v = (float(x) for x in station.pixel)
     if not isinstance(section, Section):
         return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=section)
-    counts = {"n_left": section.a.n, "n_right": section.b.n}
+    n_left, n_right = section.a.n, section.b.n
     if station.narrow_limit_mm is not None:
         return _narrow_row(seam_id, station, section, station.narrow_limit_mm, reconstruction)
     if a is None or b is None:
         missing = " and ".join(name for name, edge in (("A", a), ("B", b)) if edge is None)
         return SeamStation(
-            seam_id, station.s_mm, None, None, None, u, v, **counts, reason=f"edge {missing} not seen by a camera"
+            seam_id,
+            station.s_mm,
+            None,
+            None,
+            None,
+            u,
+            v,
+            n_left=n_left,
+            n_right=n_right,
+            reason=f"edge {missing} not seen by a camera",
         )
     middle = midpoint(section, a.ideal_mm, b.ideal_mm)
     pixel = reconstruction.rig.left.project(middle)
@@ -183,14 +192,17 @@ def _row(
     return SeamStation(
         seam_id,
         station.s_mm,
-        *(float(x) for x in middle),
+        float(middle[0]),
+        float(middle[1]),
+        float(middle[2]),
         float(pixel[0]),
         float(pixel[1]),
         step_mm=step_height(section, a.ideal_mm, b.ideal_mm),
         step_u95_mm=_step_u95(section, a.ideal_mm, b.ideal_mm),
         width_mm=gap_width(section, GapEdge(a.ideal_mm, a.depth_mm), GapEdge(b.ideal_mm, b.depth_mm)),
         width_u95_mm=_COVERAGE_95 * float(np.sqrt(width_variance)),
-        **counts,
+        n_left=n_left,
+        n_right=n_right,
     )
 
 
@@ -204,7 +216,9 @@ def _narrow_row(
     return SeamStation(
         seam_id,
         station.s_mm,
-        *(float(x) for x in middle),
+        float(middle[0]),
+        float(middle[1]),
+        float(middle[2]),
         float(pixel[0]),
         float(pixel[1]),
         step_mm=step_height(section, a, b),

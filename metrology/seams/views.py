@@ -65,7 +65,8 @@ class SectionView:
         return cls(section, fit_map(offsets, pixels), section.frame.local(device.centre))
 
     def ray_slope(self, x: float) -> float:
-        """t = dx/dh along the viewing ray through the reference curve at x: the tangent of its angle from the normal."""
+        """t = dx/dh along the viewing ray through the reference curve at x: the tangent of its angle from the
+        normal."""
         h = reference_height(self.section, x)
         return float((self.eye[0] - x) / (self.eye[2] - h))
 
