@@ -13,18 +13,17 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from metrology.calibration.lens import INTRINSICS, left_jacobian, project, skew
+from metrology.calibration.levenberg import minimise
 from metrology.calibration.observations import DeviceName, Sighting
-from metrology.errors import CalibrationError
+from metrology.errors import CalibrationError, RigError
 from metrology.rig import Device
 
 Array = NDArray[np.float64]
 
 _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 _ROBUST_AT = 3.0  # standard deviations at which the loss turns from square to linear
-_MAX_EVALUATIONS = 200
 _UNDETERMINED = 1e-13  # smallest over largest eigenvalue of the scaled normal matrix: nothing but rounding
 
 
@@ -131,7 +130,10 @@ class _Problem:
         return np.asarray(cv2.Rodrigues(motion[:3])[0]), motion[3:]
 
     def residuals(self, x: Array) -> Array:
-        state = self.unpack(x)
+        try:
+            state = self.unpack(x)
+        except RigError:  # a step too far, such as to a negative focal length
+            return np.full(2 * sum(len(s) for s in self.sightings), np.inf)
         whitened = [(predict(state, s) - s.pixels) / s.sigma_px for s in self.sightings]
         return np.concatenate([r.ravel() for r in whitened])
 
@@ -238,22 +240,11 @@ def adjust(
     count = 2 * sum(len(s) for s in sightings)
     if count <= len(problem.names):
         raise CalibrationError(f"found {count} measured coordinates, expected more than {len(problem.names)} unknowns")
-    solution = least_squares(
-        problem.residuals,
-        problem.pack(),
-        jac=problem.jacobian,
-        x_scale="jac",
-        loss="huber" if robust else "linear",
-        f_scale=_ROBUST_AT,
-        max_nfev=_MAX_EVALUATIONS,
-        xtol=1e-12,
-        ftol=1e-12,
-        gtol=1e-12,
-    )
-    state = problem.unpack(solution.x)
-    residuals = problem.residuals(solution.x)
+    x = minimise(problem.residuals, problem.jacobian, problem.pack(), _ROBUST_AT if robust else None)
+    state = problem.unpack(x)
+    residuals = problem.residuals(x)
     chi2, freedom = float(residuals @ residuals), count - len(problem.names)
-    jacobian = problem.jacobian(solution.x)
+    jacobian = problem.jacobian(x)
     size = np.linalg.norm(jacobian, axis=0)
     if not (size > 0).all():
         raise CalibrationError(f"{problem.names[int(np.argmin(size))]}: found nothing that depends on it")
