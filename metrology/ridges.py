@@ -1,7 +1,8 @@
 """Dark or bright lines of an image to a fraction of a pixel: Steger's detector (paper §3.2).
 
 C. Steger, "An unbiased detector of curvilinear structures", IEEE Trans. PAMI 20 (1998) 113–125: a point lies on a line
-where the first derivative across the line vanishes and the second is strong. Rivet rims and seams are both dark lines, so
+where the first derivative across the line vanishes and the second is strong. Rivet rims and seams are both dark
+lines, so
 both rooms start here.
 """
 
@@ -20,7 +21,8 @@ from metrology.jit import kernel, over_rows
 Float32 = NDArray[np.float32]
 Polarity = Literal["dark", "bright", "both"]
 
-# Half a pixel finds every line point exactly once; a little more closes the holes that rounding leaves in diagonal lines.
+# Half a pixel finds every line point exactly once; a little more closes the holes that rounding leaves in diagonal
+# lines.
 _REACH_PX = 0.6
 _SIGNS = {"dark": 1, "bright": -1, "both": 0}
 
