@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from metrology.errors import SceneError
-from metrology.fringe import FringeCode
+from metrology.fringe import FringeCode, GrayCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
 from storage.documents import check_format, read_json, utc_text
@@ -28,12 +28,26 @@ Camera = Literal["left", "right"]
 CAMERAS: tuple[Camera, ...] = ("left", "right")
 
 
+class GrayModel(StrictModel):
+    """`fringe.gray` of scene.json: Gray-code frames after the fringes."""
+
+    stripes: WholeNumber
+    inverse: bool = False
+
+
 class FringeModel(StrictModel):
     """`fringe` of scene.json."""
 
     axis: Literal["x", "y"]
     steps: WholeNumber
     counts: tuple[WholeNumber, ...]
+    gray: GrayModel | None = None
+
+    @property
+    def code(self) -> FringeCode:
+        """What the projector showed."""
+        gray = GrayCode(self.gray.stripes, self.gray.inverse) if self.gray else None
+        return FringeCode(self.axis, self.steps, self.counts, gray)
 
 
 class FramesModel(StrictModel):
@@ -64,7 +78,7 @@ class SceneModel(StrictModel):
 
     @model_validator(mode="after")
     def _frames_are_complete(self) -> SceneModel:
-        code = FringeCode(self.fringe.axis, self.fringe.steps, self.fringe.counts)
+        code = self.fringe.code
         if len(set(self.exposures)) != len(self.exposures):
             raise ValueError(f"found exposures {list(self.exposures)}, expected each only once")
         for camera in CAMERAS:
@@ -77,7 +91,8 @@ class SceneModel(StrictModel):
                 if len(frames) != code.frames:
                     raise ValueError(
                         f"found {len(frames)} frames in frames.{camera}.{index}, expected {code.frames} "
-                        f"({len(code.counts)} counts × {code.steps} steps)"
+                        f"({len(code.counts)} counts × {code.steps} steps"
+                        + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
                     )
         paths = [path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames]
         twice = sorted({path for path in paths if paths.count(path) > 1})
@@ -123,7 +138,7 @@ class Scene:
         Returns
         -------
         (exposures, frames, h, w) ndarray of uint8 or uint16
-            Frames count-major, then step.
+            Frames count-major, then step; then Gray code.
         """
         paths, header = (self.left, self.left_header) if camera == "left" else (self.right, self.right_header)
         stack = read_stack(paths, header, SceneError, executor)
@@ -159,7 +174,7 @@ def load_scene(folder: Path) -> Scene:
         key=model.key,
         rig_id=model.rig,
         operator=model.operator,
-        code=FringeCode(model.fringe.axis, model.fringe.steps, model.fringe.counts),
+        code=model.fringe.code,
         exposures=model.exposures,
         left=paths["left"],
         right=paths["right"],
@@ -201,13 +216,14 @@ def write_scene(
     truth : dict, optional
         Written to truth.json beside it.
     """
+    shown = [f"c{count}_s{step}" for count in range(len(code.counts)) for step in range(code.steps)]
+    shown += [f"gray{k}" for k in range(code.gray.frames if code.gray else 0)]
     names: dict[str, list[list[str]]] = {
-        camera: [
-            [f"{camera}/e{e}_c{count}_s{step}.png" for count in range(len(code.counts)) for step in range(code.steps)]
-            for e in range(len(exposures))
-        ]
-        for camera in CAMERAS
+        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in CAMERAS
     }
+    fringe: dict[str, Any] = {"axis": code.axis, "steps": code.steps, "counts": list(code.counts)}
+    if code.gray:
+        fringe["gray"] = {"stripes": code.gray.stripes, "inverse": code.gray.inverse}
     document = {
         "format": FORMAT,
         "aircraft_serial": key.aircraft_serial,
@@ -216,7 +232,7 @@ def write_scene(
         "captured_at": utc_text(key.captured_at),
         "rig": rig_id,
         **({"operator": operator} if operator else {}),
-        "fringe": {"axis": code.axis, "steps": code.steps, "counts": list(code.counts)},
+        "fringe": fringe,
         "exposures": list(exposures),
         "frames": names,
     }

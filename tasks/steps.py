@@ -68,6 +68,7 @@ def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
 def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reconstruction:
     """Frames to organised cloud; the right camera's frames are read while the left one's are decoded."""
     scene, rig = loaded.scene, loaded.rig
+    reconstruct.check_axis(rig, scene.code.axis)
     size = scene.code.size(rig.projector.width, rig.projector.height)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:

@@ -13,9 +13,18 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         parents=[common],
         help="the images that the projector must show",
         description="Writes one 8-bit PNG per fringe frame, named by count and step, in the order of scene.json, "
-        "and the projector's white and black for calibration.",
+        "and the projector's white and black for calibration. With --recommend it only says which fringe counts suit a "
+        "projector and a camera's noise.",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument("--out", type=Path, metavar="DIR", help="write the images there")
+    task.add_argument(
+        "--recommend",
+        type=float,
+        nargs=2,
+        metavar=("NOISE", "MODULATION"),
+        help="rank fringe counts for a sample's noise and the fringe amplitude where the skin is darkest, grey levels",
+    )
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--axis", choices=("x", "y"), default="x", help="x: fringes change along columns (default)")
     parser.add_argument("--steps", type=int, default=4, help="phase steps per count (default 4)")
@@ -24,7 +33,32 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the patterns."""
+    """Write the patterns, or recommend their counts."""
+    return _recommend(options) if options.recommend else _write(options)
+
+
+def _recommend(options: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.table import Table
+
+    from metrology.fringe_choice import recommend_counts
+
+    noise, modulation = options.recommend
+    size = options.size[0 if options.axis == "x" else 1]
+    table = Table("counts", "σ [projector px]", "wrong orders", "margin [rad]", "heterodyne")
+    for choice in recommend_counts(size, noise, modulation, steps=options.steps, counts=len(options.counts)):
+        table.add_row(
+            " ".join(map(str, choice.counts)),
+            f"{choice.sigma_px:.4f}",
+            f"{choice.slip_probability:.1e}",
+            f"{choice.margin_rad:.3f}",
+            "yes" if choice.heterodyne else "no",
+        )
+    Console().print(table)
+    return 0
+
+
+def _write(options: argparse.Namespace) -> int:
     import numpy as np
 
     from metrology.errors import UsageError

@@ -183,6 +183,17 @@ def test_the_overlay_is_copied_out(tmp_path: Path) -> None:
     assert main(["overlay", "nothing", "--store", str(store.root), "--out", str(tmp_path / "x.png")]) == 2
 
 
+def test_recommended_counts_trade_noise_against_wrong_orders(capsys: pytest.CaptureFixture[str]) -> None:
+    def best(noise: str) -> tuple[float, float]:
+        assert main(["patterns", "--recommend", noise, "30", "--size", "640", "400"]) == 0
+        cells = capsys.readouterr().out.splitlines()[3].split("│")
+        return float(cells[2]), float(cells[3])
+
+    quiet, loud = best("1"), best("4")
+    assert quiet[0] < loud[0]
+    assert quiet[1] < loud[1]
+
+
 def test_patterns_are_the_sinusoids_of_the_scene_format(tmp_path: Path) -> None:
     assert main(["patterns", "--out", str(tmp_path), "--size", "64", "16", "--counts", "3", "2", "--steps", "4"]) == 0
     x = np.arange(64)

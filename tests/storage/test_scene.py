@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from metrology.errors import SceneError
-from metrology.fringe import FringeCode
+from metrology.fringe import FringeCode, GrayCode
 from metrology.results import SceneKey
 from metrology.rig import Rig
 from storage.scene import load_scene, write_scene
@@ -54,6 +54,19 @@ def test_what_was_written_is_read_back(tmp_path: Path, rig: Rig, code: FringeCod
     with ThreadPoolExecutor(2) as threads:
         assert np.array_equal(scene.frames("left", threads), left)
     assert np.array_equal(scene.frames("right"), right)
+
+
+def test_gray_code_frames_follow_the_fringes(tmp_path: Path, rig: Rig, key: SceneKey) -> None:
+    code = FringeCode("x", 4, (8,), GrayCode(16, inverse=True))
+    frames = np.zeros((1, code.frames, 48, 64), np.uint8)
+    write_scene(tmp_path / "s", key, rig.id, code, [1.0], frames, frames)
+    assert load_scene(tmp_path / "s").code == code
+    edit(tmp_path / "s", lambda d: d["fringe"].update(gray={"stripes": 32, "inverse": True}))
+    with pytest.raises(SceneError, match=r"expected 14 \(1 counts × 4 steps \+ 10 of Gray code\)"):
+        load_scene(tmp_path / "s")
+    edit(tmp_path / "s", lambda d: d["fringe"].update(gray={"stripes": 4}))
+    with pytest.raises(SceneError, match="gray stripes: found 4, expected at least 8"):
+        load_scene(tmp_path / "s")
 
 
 @pytest.mark.parametrize("suffix", [".tiff", ".bmp", ".npy"])
