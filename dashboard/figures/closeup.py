@@ -134,8 +134,9 @@ def seam_figure(section: SeamSection, station: object, habits: Habits, height: i
         (section.line_b, np.linspace(-edge, reach, 40), ORANGE, "L2"),
     ):
         inside = np.abs(span) <= edge if edge else np.zeros(span.shape, bool)
+        # On the same canvas as the points, which would hide them otherwise.
         skin = np.polyval(line[::-1], span)
-        fig.add_scatter(
+        fig.add_scattergl(
             x=span[~inside],
             y=skin[~inside],
             mode="lines",
@@ -143,7 +144,7 @@ def seam_figure(section: SeamSection, station: object, habits: Habits, height: i
             name=name,
             hoverinfo="skip",
         )
-        fig.add_scatter(
+        fig.add_scattergl(
             x=span[inside],
             y=skin[inside],
             mode="lines",
@@ -242,7 +243,7 @@ def _section_range(section: SeamSection) -> tuple[float, float]:
     used = section.h[section.used]
     lips = [lip[1] for lip in (section.lip_a, section.lip_b) if lip]
     low, high = _range([*(used if used.size else [0.0]), *lips])
-    return low - 0.6 * (high - low), high + 0.25 * (high - low)
+    return low - 0.3 * (high - low), high + 0.25 * (high - low)
 
 
 def _range(values: list[float]) -> tuple[float, float]:

@@ -86,8 +86,8 @@ def _headline(desk: Desk, row: Any) -> None:
             panel=row.panel,
             scene=row.scene_id,
         )
-    for warning in _texts(row.warnings):
-        st.warning(plain(warning), icon=":material/warning:")
+    if warnings := _texts(row.warnings):
+        st.markdown(f":small[:orange[:material/warning:] {' · '.join(plain(warning) for warning in warnings)}]")
 
 
 def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT
+from week import ROOT
 
 from dashboard.launch import command
 from storage.review import ReviewLog

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import duckdb
 import pytest
-from conftest import WORST_HEIGHT, texts
 from streamlit.testing.v1 import AppTest
+from week import WORST_HEIGHT, texts
 
 from dashboard.app import PAGES
 from storage.archive.schema import TABLES
@@ -212,8 +212,8 @@ def test_a_damaged_manifest_leaves_the_page_without_limits(writable: Path, open_
 
 
 def test_new_results_show_without_a_restart(writable: Path, open_page: Open) -> None:
-    from conftest import recipe
     from synthetic_scene import synthetic_result
+    from week import recipe
 
     from storage.archive.store import Store
 

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import recipe
 from synthetic_scene import synthetic_result
+from week import recipe
 
 from dashboard import settings
 from dashboard.access import role_of
