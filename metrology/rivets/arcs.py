@@ -68,22 +68,23 @@ def gaussian_derivatives(image: Float32, sigma: float) -> tuple[Float32, ...]:
     return derivative(d1, g), derivative(g, d1), derivative(d2, g), derivative(d1, d1), derivative(g, d2)
 
 
-def curvature_noise(guu: Float32, gvv: Float32, block: int = 48) -> Float32:
+def curvature_noise(guu: Float32, gvv: Float32, blocks: int = 14) -> Float32:
     """Local standard deviation of the second derivatives, (h, w) float32.
 
-    The median of |guu| and |gvv| in blocks: sensor noise and grain of the metal count, rings, seams and scratches are
-    too thin to move it. Blocks without contrast (clipped) get a share of the typical noise instead of 0.
+    The median of |guu| and |gvv| in blocks, `blocks` along the longer side: sensor noise and grain of the metal count,
+    rings, seams and scratches are too thin to move it. Blocks without contrast (clipped) get a share of the typical noise
+    instead of 0.
     """
     height, width = guu.shape
-    rows, columns = max(1, round(height / block)), max(1, round(width / block))
-    grid = np.empty((rows, columns), np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            part = np.s_[
-                i * height // rows : (i + 1) * height // rows : 2, j * width // columns : (j + 1) * width // columns : 2
-            ]
-            grid[i, j] = np.sqrt(0.5 * (np.median(np.abs(guu[part])) ** 2 + np.median(np.abs(gvv[part])) ** 2))
-    grid *= 1.4826
+    side = max(1, max(height, width) // blocks)
+    rows, columns = max(1, height // side), max(1, width // side)
+    down, across = height // rows, width // columns
+
+    def medians(values: Float32) -> Float32:
+        cells = values[: rows * down, : columns * across].reshape(rows, down, columns, across)[:, ::3, :, ::3]
+        return np.median(np.abs(cells).transpose(0, 2, 1, 3).reshape(rows, columns, -1), axis=2)
+
+    grid = (1.4826 * np.sqrt(0.5 * (medians(guu) ** 2 + medians(gvv) ** 2))).astype(np.float32)
     floor = 0.2 * float(np.median(grid[grid > 0])) if (grid > 0).any() else 1.0
     return cv2.resize(np.maximum(grid, floor), (width, height), interpolation=cv2.INTER_LINEAR)
 
@@ -341,19 +342,9 @@ def _vote(u, v, nu, nv, curvature, spread, shape, cell, radii, plane, cells, vot
                     votes[plane[k], y, x] += 1.0 / r
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A circle centre that arcs vote for: u, v and radius in pixels, support as a share of the full turn."""
-
-    u: float
-    v: float
-    radius: float
-    support: float
-
-
 def vote_centres(
     arcs: Arcs, size: tuple[int, int], radii: Array, edges: Array, shape: Array, cell: float, least: float, most: int
-) -> list[Candidate]:
+) -> Array:
     """Centres that arcs agree on.
 
     Parameters
@@ -373,6 +364,11 @@ def vote_centres(
         Support below which a peak is no candidate.
     most : int
         Candidates kept per plane.
+
+    Returns
+    -------
+    (n, 3) ndarray
+        u, v and radius, px.
     """
     cells = 2.0
     rows, columns = int(size[0] / cells) + 2, int(size[1] / cells) + 2
@@ -391,5 +387,5 @@ def vote_centres(
         peak = (smooth >= cv2.dilate(smooth, np.ones((5, 5), np.uint8))) & (smooth > least)
         y, x = np.nonzero(peak)
         best = np.argsort(-smooth[y, x], kind="stable")[:most]
-        found += [Candidate(float(x[i] * cells), float(y[i] * cells), radius, float(smooth[y[i], x[i]])) for i in best]
-    return found
+        found.append(np.column_stack([x[best] * cells, y[best] * cells, np.full(len(best), radius)]))
+    return np.concatenate(found) if found else np.empty((0, 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -43,7 +44,7 @@ def levels_for(least: float, most: float) -> list[Level]:
     A thin ring loses contrast at a lower resolution, so even large heads are traced at half resolution; only those
     beyond 70 px, where the gap itself is wide, at a quarter.
     """
-    bounds = [(1, 0.0, 9.0), (2, 8.0, 70.0), (4, 60.0, np.inf)]
+    bounds = [(1, 0.0, 7.0), (2, 6.5, 70.0), (4, 60.0, np.inf)]
     return [Level(k, max(a, least), min(b, most)) for k, a, b in bounds if max(a, least) < min(b, most)]
 
 
@@ -55,13 +56,12 @@ def _candidates(
     radii = np.arange(max(level.least / k, 2.5), level.most / k + 0.5, 0.5)
     planes = max(1, int(np.ceil(np.log(radii[-1] / radii[0]) / np.log(1.35))))
     edges = np.geomspace(radii[0], radii[-1] + 1e-6, planes + 1)
-    found = vote_centres(arcs, size, radii, edges, shapes.matrices, shapes.cell / k, settings.min_support, 400)
-    if not found:
+    starts = vote_centres(arcs, size, radii, edges, shapes.matrices, shapes.cell / k, settings.min_support, 150)
+    if len(starts) == 0:
         return np.empty((0, 7))
     order = np.argsort(arcs.v, kind="stable")
     v = arcs.v[order]
     rows = np.searchsorted(v, np.arange(size[0] + 2)).astype(np.int64)
-    starts = np.array([[c.u, c.v, c.radius] for c in found])
     expected = shapes.at(starts[:, 0] * k, starts[:, 1] * k)
     ellipses, coverage, agreement = np.zeros((len(starts), 5)), np.zeros(len(starts)), np.zeros(len(starts))
     fit_candidates(
@@ -70,11 +70,12 @@ def _candidates(
     return np.column_stack([ellipses, coverage, agreement])
 
 
-def _with_evidence(image: Float32, candidates: Array, polarity: int) -> Array:
+def _with_evidence(image: Float32, candidates: Array, polarity: int, known_shape: bool) -> Array:
     """Candidates for which the image shows some ring near the ellipse."""
     evidence = np.zeros((len(candidates), 2))
     ring_evidence(image, candidates[:, :5], np.full(len(candidates), float(polarity)), 24, evidence)
-    keep = (evidence[:, 0] > 7.5) & (evidence[:, 1] >= 0.5)
+    score, hits = (11.0, 0.66) if known_shape else (8.5, 0.6)
+    keep = (evidence[:, 0] > score) & (evidence[:, 1] >= hits)
     return candidates[keep]
 
 
@@ -148,13 +149,14 @@ def detect_ellipses(
     image = np.ascontiguousarray(texture, np.float32)
     bounds = radii or (settings.min_diameter_px / 2, settings.max_diameter_px / 2)
     if shapes is not None:
-        return suppress_repeats(_rings(image, bounds, shapes, [], settings))
-    rings = _rings(image, bounds, None, [], settings)
+        return suppress_repeats(_rings(image, bounds, shapes, [], [], settings))
+    rings = _rings(image, bounds, None, [], [], settings)
     shapes = shapes_of([r.ellipse for r in suppress_repeats(rings) if r.confident], image.shape)
     if shapes is None:
         return suppress_repeats(rings)
     sure = [r for r in rings if r.confident and _agrees(r.ellipse, shapes)]
-    return suppress_repeats(_rings(image, bounds, shapes, sure, settings))
+    others = [r.ellipse for r in rings if not any(r is s for s in sure)]
+    return suppress_repeats(_rings(image, bounds, shapes, sure, others, settings))
 
 
 def _rings(
@@ -162,23 +164,26 @@ def _rings(
     radii: tuple[float, float],
     shapes: CircleShapes | None,
     known: list[Ring],
+    likely: list[Ellipse],
     settings: RivetSettings,
 ) -> list[Ring]:
-    """Known rings and those that suspects lead to, repeats included."""
+    """Known rings and those that likely places and suspects lead to, repeats included."""
     rings = list(known)
+    starts = list(likely)
     for level in levels_for(*radii):
-        for start in _suspects(image, level, shapes or CircleShapes.round(), settings):
-            if not any(_same(start, r.ellipse) for r in rings):
-                ring = _verified(image, start, shapes, radii, settings)
-                if ring is not None:
-                    rings.append(ring)
+        starts += _suspects(image, level, shapes or CircleShapes.round(), settings)
+    for start in starts:
+        if not any(_same(start, r.ellipse) for r in rings):
+            ring = _verified(image, start, shapes, radii, settings)
+            if ring is not None:
+                rings.append(ring)
     return rings
 
 
 def _same(ellipse: Ellipse, other: Ellipse) -> bool:
     """Whether a suspect would only lead to a ring that has been found."""
-    return bool(
-        np.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
+    return (
+        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
         and abs(ellipse.radius - other.radius) < 0.15 * other.radius
     )
 
@@ -196,10 +201,10 @@ def _suspects(image: Float32, level: Level, shapes: CircleShapes, settings: Rive
     for polarity in (1, -1):
         arcs = trace_arcs(field, polarity, (settings.ridge_low, settings.ridge_high), 7, 0.35)
         candidates = _candidates(arcs, (small.shape[0], small.shape[1]), level, shapes, settings)
-        candidates = candidates[candidates[:, 5] >= 0.33]
+        candidates = candidates[candidates[:, 5] >= 0.38]
         candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
         candidates[:, 2:4] *= k
-        found.append(_with_evidence(image, candidates, polarity))
+        found.append(_with_evidence(image, candidates, polarity, shapes.known))
     return [Ellipse.of(c[:5]) for c in _distinct(np.concatenate(found))]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,7 @@ class Ellipse:
     @property
     def radius(self) -> float:
         """Geometric mean of the semi-axes, pixels."""
-        return float(np.sqrt(self.a * self.b))
+        return math.sqrt(self.a * self.b)
 
     @property
     def shape(self) -> Array:
@@ -71,5 +72,7 @@ class Ellipse:
 
 def ellipse_of_shape(u: float, v: float, shape: ArrayLike) -> Ellipse:
     """The ellipse about (u, v) whose matrix Σ (see `Ellipse.shape`) is given."""
-    values, vectors = np.linalg.eigh(np.asarray(shape, float))
-    return Ellipse.of([u, v, np.sqrt(values[1]), np.sqrt(values[0]), np.arctan2(vectors[1, 1], vectors[0, 1])])
+    (uu, uv), (_, vv) = np.asarray(shape, float).tolist()
+    middle, half = 0.5 * (uu + vv), math.hypot(0.5 * (uu - vv), uv)
+    angle = 0.5 * math.atan2(2 * uv, uu - vv)
+    return Ellipse(float(u), float(v), math.sqrt(middle + half), math.sqrt(middle - half), angle % math.pi)

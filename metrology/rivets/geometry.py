@@ -26,7 +26,7 @@ def image_scale(camera: Device, point: Array, normal: Array) -> Array:
     return np.asarray(((pixels[1:] - pixels[0]) / step).T)
 
 
-def circle_shapes(reconstruction: Reconstruction, cell: int = 96) -> tuple[CircleShapes, Array]:
+def circle_shapes(reconstruction: Reconstruction, cell: int = 160) -> tuple[CircleShapes, Array]:
     """What circles on the skin look like in each cell of the left image, and how large a millimetre is.
 
     Each cell's plane is fitted to its points (median of differences, so that heads and seams do not tip it); cells with
@@ -73,9 +73,9 @@ def _robust_plane(points: Array) -> tuple[Array, Array]:
     design = np.column_stack([np.ones(len(points)), points[:, :2] - centre[:2]])
     depth = points[:, 2] - centre[2]
     weight = np.ones(len(points))
-    for _ in range(3):
+    for _ in range(2):
         weighted = design * weight[:, None]
-        solution = np.linalg.lstsq(weighted.T @ design, weighted.T @ depth, rcond=None)[0]
+        solution = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ depth)
         residual = np.abs(depth - design @ solution)
         weight = (residual < 3 * 1.4826 * np.median(residual) + 1e-9).astype(float)
     return centre + [0, 0, solution[0]], np.array([solution[1], solution[2], -1.0])

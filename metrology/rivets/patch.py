@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LEAST_POINTS = 50
+_FRAME_POINTS = 400  # are enough for a frame
 _DEFAULT_SEAM_PX = 4.0  # width of a seam that tells none
 _DEFAULT_RIM_SIGMA_PX = 1.0  # of a head without a visible rim
 
@@ -109,7 +110,7 @@ def cut_patch(
     guard_px = settings.guard_px + settings.guard_sigmas * sigma_px
     reach = outer_radius(ellipse.radius / scale, settings) * scale * ellipse.a / ellipse.radius + 4
     window = _window(ellipse, reach, blocked.shape)
-    valid = reconstruction.valid[window]
+    valid = np.isfinite(reconstruction.points[window][..., 2])
     v, u = (a[valid] for a in np.mgrid[window])
     cloud = reconstruction.points[window][valid].astype(float)
     usable = ~blocked[window][valid]
@@ -153,7 +154,7 @@ def _window(ellipse: Ellipse, reach: float, size: tuple[int, ...]) -> tuple[slic
 
 def _pixels_per_mm(reconstruction: Reconstruction, ellipse: Ellipse) -> float | None:
     """Scale at a head from the distance of the points there: focal length over depth."""
-    z = reconstruction.points[_window(ellipse, 1.3 * ellipse.a, reconstruction.valid.shape)][..., 2]
+    z = reconstruction.points[_window(ellipse, 1.3 * ellipse.a, reconstruction.points.shape)][..., 2]
     z = z[np.isfinite(z)]
     if len(z) == 0:
         return None
@@ -163,9 +164,10 @@ def _pixels_per_mm(reconstruction: Reconstruction, ellipse: Ellipse) -> float | 
 
 def _skin_frame(points: Array) -> Frame:
     """Frame on the plane that most points share."""
+    points = points[:: max(1, len(points) // _FRAME_POINTS)]
     keep = np.ones(len(points), bool)
     frame = Frame(points.mean(axis=0), np.eye(3))
-    for _ in range(3):
+    for _ in range(2):
         centre = points[keep].mean(axis=0)
         normal = np.linalg.eigh(np.cov((points[keep] - centre).T))[1][:, 0]
         frame = Frame.on_plane(centre, normal)

@@ -73,7 +73,7 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
 
 def _cells(reconstruction: Reconstruction) -> tuple[Float32, Float32]:
     """Mean 1/z of the valid points per cell, and the share of pixels that have one."""
-    height, width = reconstruction.valid.shape
+    height, width = reconstruction.points.shape[:2]
     rows, columns = height // _REDUCTION, width // _REDUCTION
     part = np.s_[: rows * _REDUCTION, : columns * _REDUCTION]
     z = reconstruction.points[part][..., 2]
@@ -219,12 +219,12 @@ class HeadRelief:
 def head_relief(reconstruction: Reconstruction, ellipse: Ellipse) -> HeadRelief:
     """Height of a ring's inside over its outside, simply: a plane outside, a median inside."""
     reach = int(1.8 * ellipse.a) + 2
-    height, width = reconstruction.valid.shape
+    height, width = reconstruction.points.shape[:2]
     u0, u1 = max(0, int(ellipse.u) - reach), min(width, int(ellipse.u) + reach + 1)
     v0, v1 = max(0, int(ellipse.v) - reach), min(height, int(ellipse.v) + reach + 1)
     v, u = np.mgrid[v0:v1, u0:u1]
     level = ellipse.level(u, v)
-    valid = reconstruction.valid[v0:v1, u0:u1]
+    valid = np.isfinite(reconstruction.points[v0:v1, u0:u1, 2])
     clear = 3 / ellipse.b
     inside, outside = level < max(1 - clear, 0.6), (level > 1 + clear) & (level < 1.8)
     shares = (

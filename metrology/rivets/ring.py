@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.jit import kernel
-from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 
 Array = NDArray[np.float64]
 
@@ -170,11 +170,11 @@ def _scaled(normal, size, damping, work, scale):
 
 
 @kernel
-def _row(x, y, geometry, scale, sigma, params, row):
+def _row(x, y, knot, part, geometry, scale, sigma, params, row):
     """Model value at a pixel; its derivatives by the dense unknowns in `row`.
 
-    Also the ring's profile, the polar angle, the amplitude, and which knots the amplitude comes from: the first of two,
-    and the share of the second.
+    The amplitude comes from `knot` and, by the share `part`, from the one after it. Also returns the ring's profile and
+    the amplitude.
     """
     dx = x - geometry[0]
     dy = y - geometry[1]
@@ -187,11 +187,12 @@ def _row(x, y, geometry, scale, sigma, params, row):
     slope = math.sqrt(gx * gx + gy * gy) + 1e-12
     z = (f - 1.0) / slope / sigma
     ring = math.exp(-0.5 * z * z)
-    inside = 0.5 * math.erfc(z * 0.7071067811865476)
-    theta = math.atan2(dy, dx)
-    position = (theta + math.pi) / (2.0 * math.pi) * KNOTS
-    knot = min(int(position), KNOTS - 1)
-    part = position - knot
+    # Φ(−z) from the same exponential (Abramowitz and Stegun 7.1.26, error below 1e-7).
+    t = 1.0 / (1.0 + 0.23164191 * abs(z))
+    tail = (
+        0.5 * ring * t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+    )
+    inside = tail if z > 0.0 else 1.0 - tail
     xs = dx / scale
     ys = dy / scale
     row[0] = 1.0
@@ -217,7 +218,7 @@ def _row(x, y, geometry, scale, sigma, params, row):
     row[GEOMETRY + 2] = by_f * dx * dx / (2.0 * f)
     row[GEOMETRY + 3] = by_f * dy * dy / (2.0 * f)
     row[GEOMETRY + 4] = by_f * dx * dy / f
-    return model, ring, theta, amplitude, knot, part
+    return model, ring, amplitude
 
 
 @kernel
@@ -247,16 +248,14 @@ def _hide_clusters(x, y, magnitude, limit, reach, hidden):
 
 
 @kernel
-def _glint_limit(x, y, magnitude, ellipse):
+def _glint_limit(knot, magnitude):
     """Departure from the band's median beyond which a pixel is a glint.
 
-    Twice what the median sector reaches: a ring departs all round, a glint in a few sectors.
+    Twice what the median direction reaches: a ring departs all round, a glint in a few directions.
     """
-    largest = np.zeros(SECTORS)
-    for i in range(len(x)):
-        theta = math.atan2(y[i] - ellipse[1], x[i] - ellipse[0])
-        sector = min(int((theta + math.pi) / (2.0 * math.pi) * SECTORS), SECTORS - 1)
-        largest[sector] = max(largest[sector], magnitude[i])
+    largest = np.zeros(KNOTS)
+    for i in range(len(knot)):
+        largest[knot[i]] = max(largest[knot[i]], magnitude[i])
     return 2.0 * np.median(largest)
 
 
@@ -374,10 +373,17 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     work = np.empty((UNKNOWNS, UNKNOWNS))
     normal = np.zeros((UNKNOWNS, UNKNOWNS))
     start_sigma = sigma
+    # Which knots a pixel depends on, by its direction from the starting centre.
+    knot = np.empty(n, np.int64)
+    part = np.empty(n)
+    for i in range(n):
+        position = (math.atan2(y[i] - ellipse[1], x[i] - ellipse[0]) + math.pi) / (2.0 * math.pi) * KNOTS
+        knot[i] = min(int(position), KNOTS - 1)
+        part[i] = position - knot[i]
     middle = np.median(value)
     for i in range(n):
         magnitude[i] = abs(value[i] - middle)
-    _hide_clusters(x, y, magnitude, _glint_limit(x, y, magnitude, ellipse), 3, hidden)
+    _hide_clusters(x, y, magnitude, _glint_limit(knot, magnitude), 3, hidden)
     noise = 0.0
     for iteration in range(iterations):
         # First the brightness alone on the starting ellipse, then everything; half of the pixels will do to get there.
@@ -386,12 +392,12 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         normal[:] = 0.0
         step[:] = 0.0
         for i in range(pixels):
-            model, ring, theta, amplitude, knot, part = _row(x[i], y[i], geometry, scale, sigma, params, row)
+            model, ring, amplitude = _row(x[i], y[i], knot[i], part[i], geometry, scale, sigma, params, row)
             residual[i] = value[i] - model
             magnitude[i] = abs(residual[i])
             weight = 1.0 if iteration == 0 else _tukey(residual[i], noise)
             if weight > 0.0 and not hidden[i]:
-                _accumulate(weight, residual[i], row, ring, knot, part, normal, step)
+                _accumulate(weight, residual[i], row, ring, knot[i], part[i], normal, step)
         if linear:
             for j in range(SIGMA, DENSE):
                 step[j] = 0.0
@@ -454,19 +460,19 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     normal[:] = 0.0
     step[:] = 0.0
     for i in range(n):
-        model, ring, theta, amplitude, knot, part = _row(x[i], y[i], geometry, scale, sigma, params, row)
+        model, ring, amplitude = _row(x[i], y[i], knot[i], part[i], geometry, scale, sigma, params, row)
         residual[i] = value[i] - model
         weight = _tukey(residual[i], noise)
         if hidden[i] or weight == 0.0:
             continue
-        sector = min(int((theta + math.pi) / (2.0 * math.pi) * SECTORS), SECTORS - 1)
+        sector = min(int((knot[i] + part[i]) / KNOTS * SECTORS), SECTORS - 1)
         scores[sector] += weight * (residual[i] + amplitude * ring) * ring
         norms[sector] += weight * ring * ring
         total += weight * residual[i] ** 2
         used += weight
         for j in range(5):
             gradients[sector, j] += weight * residual[i] * row[GEOMETRY + j]
-        _accumulate(weight, residual[i], row, ring, knot, part, normal, step)
+        _accumulate(weight, residual[i], row, ring, knot[i], part[i], normal, step)
     norm = norms.sum()
     if used < 0.35 * n or norm <= 0.0:
         return False
@@ -517,9 +523,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
 
 def ellipse_of_inverse(u: float, v: float, A: float, B: float, C: float) -> Ellipse:
     """The ellipse A x² + 2 C x y + B y² = 1 about (u, v)."""
-    values, vectors = np.linalg.eigh(np.array([[A, C], [C, B]]))
-    a, b = 1 / np.sqrt(values)
-    return Ellipse.of([u, v, a, b, np.arctan2(vectors[1, 0], vectors[0, 0])])
+    determinant = A * B - C * C
+    return ellipse_of_shape(u, v, [[B / determinant, -C / determinant], [-C / determinant, A / determinant]])
 
 
 def fit_ring(

@@ -68,8 +68,8 @@ class RivetSettings:
     max_diameter_mm: float = 15.0
     min_diameter_px: float = 10.0
     max_diameter_px: float = 90.0
-    ridge_low: float = 2.2
-    ridge_high: float = 3.2
+    ridge_low: float = 2.0
+    ridge_high: float = 2.8
     min_support: float = 0.12
     min_coverage: float = 0.52
     min_score: float = 8.0
