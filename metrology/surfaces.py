@@ -131,7 +131,7 @@ def fit_surface(
     generator: np.random.Generator,
     trials: int = 60,
 ) -> Polynomial | None:
-    """Polynomial through a patch: RANSAC (paper §4.1) finds the surface that most points share, least squares refines it.
+    """Polynomial through a patch: RANSAC (paper §4.1) finds the surface most points share, least squares refines it.
 
     The refinement is iteratively reweighted with weights σ⁻² times Tukey's.
 
@@ -164,9 +164,9 @@ def fit_surface(
     if start is None:
         return None
     solution, spread, weights = start, 1.0, np.ones(len(x))
-    for iteration in range(12):
+    for iteration in range(8):
         residual = target - design @ solution
-        spread = _MAD * float(np.median(np.abs(residual - np.median(residual)))) + 1e-12
+        spread = _MAD * float(np.median(np.abs(residual))) + 1e-12
         t = residual / (_TUKEY * spread)
         weights = np.where(np.abs(t) < 1, (1 - t**2) ** 2, 0.0)
         normal = design.T @ (weights[:, None] * design)
@@ -176,7 +176,7 @@ def fit_surface(
             return None
         change = np.abs(design @ (updated - solution)).max()
         solution = updated
-        if iteration > 1 and change < 1e-3:
+        if iteration > 0 and change < 0.01:
             break
     residual = target - design @ solution
     chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * _TUKEY_VARIANCE

@@ -1,8 +1,8 @@
 """Synthetic textures of riveted skin with exact truth: what detection is tested and timed on.
 
 A flat panel seen by a tilted pinhole camera: brushed metal under uneven light, rims as thin rings, seams, scratches,
-glints, slots, and round things that are no rivets. The scene is painted at twice the resolution, blurred by the lens and
-averaged to pixels, so that rims are blurred as a lens blurs them.
+glints, slots, and round things that are no rivets. The scene is painted at twice the resolution, blurred by the lens
+and averaged to pixels, so that rims are blurred as a lens blurs them.
 """
 
 from __future__ import annotations
@@ -158,15 +158,15 @@ def paint_texture(spec: TextureSpec, generator: np.random.Generator) -> Texture:
     rims = _paint_rims(canvas, view, spec, seams, blur, generator)
     _paint_distractors(canvas, view, spec, seams, rims, generator)
     _paint_scratches(canvas, spec, generator)
-    canvas = cv2.GaussianBlur(canvas, (0, 0), blur * _FINE)
-    image = cv2.resize(canvas, (spec.width, spec.height), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(canvas, (0, 0), blur * _FINE)
+    image = cv2.resize(blurred, (spec.width, spec.height), interpolation=cv2.INTER_AREA).astype(np.float32)
     for _ in range(spec.highlights):
         centre = generator.uniform([0, 0], [spec.width, spec.height])
         _add_glint(image, centre, generator.uniform(15, 80, 2), generator.uniform(40, 130), generator)
     rims = [_with_glint(image, r, generator) if generator.random() < spec.glints else r for r in rims]
-    image = image + generator.normal(0, spec.noise, image.shape)
+    levels = image + generator.normal(0, spec.noise, image.shape)
     return Texture(
-        image=np.clip(np.rint(image), 0, 255).astype(np.uint8),
+        image=np.clip(np.rint(levels), 0, 255).astype(np.uint8),
         rims=tuple(rims),
         seams=tuple(view.pixels(s(np.linspace(-300, 300, 3000))) for s in seams),
     )
@@ -245,7 +245,7 @@ def _paint_rims(
 
 
 def _jacobian(view: _View, centre: Array) -> Array:
-    ends = view.pixels(np.array([centre, centre + [1e-3, 0], centre + [0, 1e-3]]))
+    ends = view.pixels(centre + np.array([[0, 0], [1e-3, 0], [0, 1e-3]]))
     return np.asarray((ends[1:] - ends[0]).T / 1e-3)
 
 

@@ -10,7 +10,7 @@ from metrology.jit import kernel
 
 
 @kernel
-def fit_conic(x, y, use, ellipse):
+def fit_conic(x, y, use, ellipse):  # type: ignore[no-untyped-def]
     """Least-squares conic through points with A + C = 1, which no rotation or shift changes.
 
     Minimises Σ (A x² + B x y + C y² + D x + E y + F)² on centred and scaled points.
@@ -88,7 +88,7 @@ def fit_conic(x, y, use, ellipse):
 
 
 @kernel
-def _circle(x, y, use):
+def _circle(x, y, use):  # type: ignore[no-untyped-def]
     """Algebraic circle (Kåsa) through points: u, v, radius; radius 0 where there is none."""
     n = 0
     mx = 0.0
@@ -128,7 +128,7 @@ def _circle(x, y, use):
 
 
 @kernel
-def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):
+def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):  # type: ignore[no-untyped-def]
     """Ellipse through the ridge points round a candidate.
 
     First the radius that most points share, then a circle in the frame where the expected shape is a circle (three
@@ -212,7 +212,7 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):
     tolerance = max(1.8, 0.14 * mode)
     a = 0.0
     b = 0.0
-    for step in range(3):
+    for _ in range(3):
         for i in range(n):
             use[i] = abs(math.sqrt((x[i] - a) ** 2 + (y[i] - b) ** 2) - mode) < tolerance
         p, q, d = _circle(x, y, use)
@@ -273,7 +273,7 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):
 
 
 @kernel
-def fit_candidates(candidates, u, v, nu, nv, rows, shapes, ellipses, coverage, agreement):
+def fit_candidates(candidates, u, v, nu, nv, rows, shapes, ellipses, coverage, agreement):  # type: ignore[no-untyped-def]
     """`fit_candidate` for each row (u, v, radius) of `candidates`, with its own expected shape."""
     for i in range(len(candidates)):
         coverage[i], agreement[i] = fit_candidate(

@@ -1,8 +1,8 @@
 """Ridge points, the arcs they link to, and the votes arcs cast for circle centres (paper §3.1).
 
-An arc is a chain of ridge points followed from neighbour to neighbour. Its local curvature, with its uncertainty, says
-how far away and on which side the centre may lie; straight chains (seams, long scratches) have none in range and cast no
-votes, so only the neighbourhoods of suspects are voted in and the image is never traversed.
+An arc is a chain of ridge points followed from neighbour to neighbour. Its local curvature, with its uncertainty,
+says how far away and on which side the centre may lie; straight chains (seams, long scratches) have none in range
+and cast no votes, so only the neighbourhoods of suspects are voted in and the image is never traversed.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.jit import kernel
+from metrology.ridges import Derivatives, gaussian_derivatives
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -48,32 +49,12 @@ class Arcs:
     strength: Array
 
 
-def gaussian_derivatives(image: Float32, sigma: float) -> tuple[Float32, ...]:
-    """First and second derivatives gu, gv, guu, guv, gvv of the image smoothed by a Gaussian, each (h, w) float32."""
-    radius = int(np.ceil(4 * sigma))
-    t = np.arange(-radius, radius + 1)
-    g = np.exp(-0.5 * (t / sigma) ** 2)
-    g /= g.sum()
-    d1 = -t / sigma**2 * g
-    d1 /= -(d1 * t).sum()
-    d2 = (t**2 / sigma**2 - 1) / sigma**2 * g
-    d2 -= d2.mean()
-    d2 /= 0.5 * (d2 * t**2).sum()
-    # cv2 correlates instead of convolving: odd kernels are flipped.
-    d1 = -d1[::-1]
-
-    def derivative(along_u: Array, along_v: Array) -> Float32:
-        return cv2.sepFilter2D(image, cv2.CV_32F, along_u, along_v, borderType=cv2.BORDER_REFLECT_101)
-
-    return derivative(d1, g), derivative(g, d1), derivative(d2, g), derivative(d1, d1), derivative(g, d2)
-
-
 def curvature_noise(guu: Float32, gvv: Float32, blocks: int = 14) -> Float32:
     """Local standard deviation of the second derivatives, (h, w) float32.
 
-    The median of |guu| and |gvv| in blocks, `blocks` along the longer side: sensor noise and grain of the metal count,
-    rings, seams and scratches are too thin to move it. Blocks without contrast (clipped) get a share of the typical noise
-    instead of 0.
+    The median of |guu| and |gvv| in blocks, `blocks` along the longer side: sensor noise and grain of the metal
+    count, rings, seams and scratches are too thin to move it. Blocks without contrast (clipped) get a share of the
+    typical noise instead of 0.
     """
     height, width = guu.shape
     side = max(1, max(height, width) // blocks)
@@ -90,7 +71,7 @@ def curvature_noise(guu: Float32, gvv: Float32, blocks: int = 14) -> Float32:
 
 
 @kernel
-def _ridge_points(gu, gv, guu, guv, gvv, noise, polarity, threshold, index, out):
+def _ridge_points(gu, gv, guu, guv, gvv, noise, polarity, threshold, index, out):  # type: ignore[no-untyped-def]
     """Steger's ridge points: where the profile across the ridge has its extremum within the pixel."""
     height, width = guu.shape
     n = 0
@@ -129,7 +110,7 @@ def _ridge_points(gu, gv, guu, guv, gvv, noise, polarity, threshold, index, out)
 
 
 @kernel
-def _follow(points, index, taken, start, direction, path):
+def _follow(points, index, taken, start, direction, path):  # type: ignore[no-untyped-def]
     """Walk from a point along its tangent; returns how many points were written to `path`."""
     height, width = index.shape
     count = 0
@@ -137,8 +118,8 @@ def _follow(points, index, taken, start, direction, path):
     tx = -points[at, 3] * direction
     ty = points[at, 2] * direction
     while True:
-        cx = int(round(points[at, 0]))
-        cy = int(round(points[at, 1]))
+        cx = round(points[at, 0])
+        cy = round(points[at, 1])
         best = -1
         cost = 1e9
         for y in range(max(cy - 2, 0), min(cy + 3, height)):
@@ -171,7 +152,7 @@ def _follow(points, index, taken, start, direction, path):
 
 
 @kernel
-def _link(points, index, high, order, chain):
+def _link(points, index, high, order, chain):  # type: ignore[no-untyped-def]
     """Chains from every point of at least `high` strength; fills `order` and `chain`, returns the number of points."""
     n = len(points)
     taken = np.zeros(n, np.bool_)
@@ -201,7 +182,7 @@ def _link(points, index, high, order, chain):
 
 
 @kernel
-def _curvatures(points, chain, window, noise, result):
+def _curvatures(points, chain, window, noise, result):  # type: ignore[no-untyped-def]
     """Local parabola through each chain, in the frame of the point's own normal.
 
     With y = a + b x + c x² across against along, the curvature is 2c / (1 + b²)^1.5 and its variance that of c; the
@@ -262,15 +243,15 @@ def _curvatures(points, chain, window, noise, result):
 
 @dataclass(frozen=True)
 class RidgeField:
-    """Derivatives of an image at one scale, and their noise; see `gaussian_derivatives` and `curvature_noise`."""
+    """Derivatives of an image at one scale, and the noise of the second ones (see `curvature_noise`)."""
 
-    derivatives: tuple[Float32, ...]
+    derivatives: Derivatives
     noise: Float32
 
     @classmethod
     def of(cls, image: Float32, sigma: float) -> RidgeField:
         derivatives = gaussian_derivatives(image, sigma)
-        return cls(derivatives, curvature_noise(derivatives[2], derivatives[4]))
+        return cls(derivatives, curvature_noise(derivatives.uu, derivatives.vv))
 
 
 def trace_arcs(
@@ -293,7 +274,8 @@ def trace_arcs(
     shape = field.noise.shape
     index = np.full(shape, -1, np.int32)
     points = np.empty((field.noise.size // 3, 5))
-    count = _ridge_points(*field.derivatives, field.noise, float(polarity), thresholds[0], index, points)
+    d = field.derivatives
+    count = _ridge_points(d.u, d.v, d.uu, d.uv, d.vv, field.noise, float(polarity), thresholds[0], index, points)
     points = points[:count]
     order, chain = np.empty(count, np.int64), np.empty(count, np.int64)
     total = _link(points, index, thresholds[1], order, chain)
@@ -313,7 +295,7 @@ def trace_arcs(
 
 
 @kernel
-def _vote(u, v, nu, nv, curvature, spread, shape, cell, radii, plane, cells, votes):
+def _vote(u, v, nu, nv, curvature, spread, shape, cell, radii, plane, cells, votes):  # type: ignore[no-untyped-def]
     """Each point votes for the centres from which a circle of each radius would pass through it along its direction."""
     _, rows, columns = votes.shape
     nr = len(radii)
@@ -323,7 +305,7 @@ def _vote(u, v, nu, nv, curvature, spread, shape, cell, radii, plane, cells, vot
         p = shape[gy, gx, 0]
         q = shape[gy, gx, 1]
         w = shape[gy, gx, 2]
-        # The centre of the ellipse of shape S and radius r through the point with normal n is at ± r S n / sqrt(nᵀ S n).
+        # The ellipse of shape S and radius r through a point with normal n has its centre at ± r S n / sqrt(nᵀ S n).
         dx = p * nu[i] + w * nv[i]
         dy = w * nu[i] + q * nv[i]
         norm = math.sqrt(dx * nu[i] + dy * nv[i])
@@ -336,8 +318,8 @@ def _vote(u, v, nu, nv, curvature, spread, shape, cell, radii, plane, cells, vot
             for side in (-1.0, 1.0):
                 if abs(side * curvature[i] - expected) > 2.5 * spread[i] + 0.35 * expected:
                     continue
-                x = int(round((u[i] + side * r * dx) / cells))
-                y = int(round((v[i] + side * r * dy) / cells))
+                x = round((u[i] + side * r * dx) / cells)
+                y = round((v[i] + side * r * dy) / cells)
                 if 0 <= x < columns and 0 <= y < rows:
                     votes[plane[k], y, x] += 1.0 / r
 

@@ -15,7 +15,7 @@ _REACH = _AWAY + _SLACK + _FLANK
 
 
 @kernel
-def _contrast(profile, shift, polarity):
+def _contrast(profile, shift, polarity):  # type: ignore[no-untyped-def]
     """Flanks minus ridge (times polarity) of a profile, the largest within the slack about `shift`."""
     best = -1e9
     for s in range(shift - _SLACK, shift + _SLACK + 1):
@@ -27,12 +27,12 @@ def _contrast(profile, shift, polarity):
 
 
 @kernel
-def ring_evidence(image, ellipses, polarity, sectors, result):
+def ring_evidence(image, ellipses, polarity, sectors, result):  # type: ignore[no-untyped-def]
     """Contrast of the ring against what the same measure finds beside it.
 
     Each sector's mean profile across the ellipse is measured as ridge minus the mean of its two flanks, the best of the
-    positions within two pixels; the same at seven pixels' distance to either side, where no ring is, gives the noise. Grain, shading
-    and clutter are thereby in the noise.
+    positions within two pixels; the same at seven pixels' distance to either side, where no ring is, gives the noise:
+    grain, shading and clutter are thereby in it.
 
     Parameters
     ----------
@@ -123,8 +123,8 @@ def ring_evidence(image, ellipses, polarity, sectors, result):
 
 
 @kernel
-def _template_mean(image, ellipse, du, dv, sigma, angles):
-    """Trimmed mean over the ellipse, shifted by (du, dv), of the ring's matched filter: the amplitude that a ring there has.
+def _template_mean(image, ellipse, du, dv, sigma, angles):  # type: ignore[no-untyped-def]
+    """Amplitude of a ring on the ellipse shifted by (du, dv): trimmed mean over it of the ring's matched filter.
 
     The filter is the ring's profile across the ellipse less its mean over ±4 px. NaN where less than half of it lies on
     the image.
@@ -176,7 +176,7 @@ def _template_mean(image, ellipse, du, dv, sigma, angles):
 
 
 @kernel
-def distinction(image, ellipse, sigma):
+def distinction(image, ellipse, sigma):  # type: ignore[no-untyped-def]
     """How far the ring's amplitude stands out from what the same ring finds at other places nearby.
 
     Sixty-four places on a spiral from just outside the ring to two and a half radii: their robust standard deviation

@@ -58,8 +58,8 @@ def flushness(
 
     Notes
     -----
-    The tilt is the length of a slope of two noisy components, which noise alone makes longer: its square exceeds the true
-    one by the components' variance. One component's variance is taken off (Wardle and Kronberg 1974).
+    The tilt is the length of a slope of two noisy components, which noise alone makes longer: its square exceeds the
+    true one by the components' variance. One component's variance is taken off (Wardle and Kronberg 1974).
     """
     (h1, a1, b1), head_covariance = head.tangent(x, y)
     (h0, a0, b0), skin_covariance = skin.tangent(x, y)

@@ -67,7 +67,7 @@ def circle_shapes(reconstruction: Reconstruction, cell: int = 160) -> tuple[Circ
     return CircleShapes(matrices, float(cell)), scales
 
 
-def _robust_plane(points: Array) -> tuple[Array, Array]:
+def _robust_plane(points: NDArray[np.floating]) -> tuple[Array, Array]:
     """A point on, and the normal of, the plane z(x, y) through points, outliers beyond three sigmas left out."""
     centre = points.mean(axis=0)
     design = np.column_stack([np.ones(len(points)), points[:, :2] - centre[:2]])
@@ -78,7 +78,7 @@ def _robust_plane(points: Array) -> tuple[Array, Array]:
         solution = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ depth)
         residual = np.abs(depth - design @ solution)
         weight = (residual < 3 * 1.4826 * np.median(residual) + 1e-9).astype(float)
-    return centre + [0, 0, solution[0]], np.array([solution[1], solution[2], -1.0])
+    return np.array([centre[0], centre[1], centre[2] + solution[0]]), np.array([solution[1], solution[2], -1.0])
 
 
 def lay_on_plane(camera: Device, ellipse: Ellipse, frame: Frame, height: float = 0.0) -> tuple[float, float, float]:

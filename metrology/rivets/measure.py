@@ -132,14 +132,15 @@ def _inflation(fits: Sequence[Fits], controls: Sequence[Fits]) -> Inflation:
     blocks = _block_correlation([*fits, *controls])
     if not controls:
         return Inflation(blocks, blocks)
-    heights, slopes = [], []
+    heights: list[float] = []
+    slopes: list[float] = []
     for c in controls:
         (h1, a1, b1), head = c.head.tangent(0.0, 0.0)
         (h0, a0, b0), skin = c.skin.tangent(0.0, 0.0)
         covariance = head + skin
-        heights.append((h1 - h0) ** 2 / covariance[0, 0])
+        heights.append(float((h1 - h0) ** 2 / covariance[0, 0]))
         slope = np.array([a1 - a0, b1 - b0])
-        slopes.append(0.5 * slope @ np.linalg.solve(covariance[1:, 1:], slope))
+        slopes.append(float(0.5 * slope @ np.linalg.solve(covariance[1:, 1:], slope)))
 
     def pooled(squares: list[float]) -> float:
         # A control on a dent or a scratch is not noise: the largest tenth counts as the next one down.

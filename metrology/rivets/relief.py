@@ -1,7 +1,7 @@
 """Heads in the height map: what the cloud says about a ring, and heads that show no ring at all (painted over).
 
-Heights are taken against the skin smoothed over a few head diameters, heads themselves left out. In 1/z a plane is linear
-over the (undistorted) image, so smoothing bends nothing: δh = −z² δ(1/z) · (ray · n).
+Heights are taken against the skin smoothed over a few head diameters, heads themselves left out. In 1/z a plane is
+linear over the (undistorted) image, so smoothing bends nothing; a height is about z² times what 1/z exceeds it by.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ _REDUCTION = 4  # pixels per cell of the height map
 _PLATEAU = 0.7  # area above half the height over area above a fifth of it: 1 for a disc, 0.43 for a Gaussian bump
 _SHAPE_TOLERANCE = 0.15  # of the elongation of a blob of few cells
 _TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does not show
-_LEAST_SIGMAS = 6.0  # of a cell's noise
+_GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
+_LEAST_SIGMAS = 7.0  # of a cell's noise
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ def _linear_smooth(values: Float32, mask: NDArray[np.bool_], sigma: float) -> Ar
 
     def gathered(image: Float32) -> Array:
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float64)
-        return cv2.GaussianBlur(small, (0, 0), spread[0], sigmaY=spread[1], borderType=cv2.BORDER_CONSTANT)
+        blurred = cv2.GaussianBlur(small, (0, 0), spread[0], sigmaY=spread[1], borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(blurred, np.float64)
 
     m0, mu, mv = gathered(w), gathered(w * u), gathered(w * v)
     muu, muv, mvv = gathered(w * u * u), gathered(w * u * v), gathered(w * v * v)
@@ -146,7 +148,9 @@ def plain_heads(
                 continue
             window = np.s_[v0 : v0 + rows, u0 : u0 + columns]
             head = _disc(np.where(labels[window] == k, height[window], 0.0), (u0, v0), limit, shapes, radii)
-            if head is None or _shows_in_texture(reconstruction.left.texture, head[0]):
+            if head is None or not _on_skin(reconstruction, head[0]):
+                continue
+            if _shows_in_texture(reconstruction.left.texture, head[0]):
                 continue
             ellipse, level = head
             found.append(PlainHead(ellipse, sign * level, level / relief.noise))
@@ -180,6 +184,22 @@ def _disc(
     if np.linalg.norm(log_shape(blob) - log_shape(expected)) > _SHAPE_TOLERANCE + 1.0 / (radius / _REDUCTION) ** 2:
         return None
     return expected, level
+
+
+def _on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
+    """Whether good points surround and fill a disc: borders of panels, holes and shadows are steps too."""
+    reach = int(1.8 * ellipse.a) + 1
+    height, width = reconstruction.points.shape[:2]
+    u0, v0 = int(ellipse.u) - reach, int(ellipse.v) - reach
+    u1, v1 = u0 + 2 * reach + 1, v0 + 2 * reach + 1
+    if u0 < 0 or v0 < 0 or u1 > width or v1 > height:
+        return False
+    window = np.s_[v0:v1, u0:u1]
+    good = np.isfinite(reconstruction.points[window][..., 2])
+    good &= (reconstruction.flags[window] & np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)) == 0
+    v, u = np.mgrid[window]
+    level = ellipse.level(u, v)
+    return bool(min(good[level < 0.7].mean(), good[(level > 1.3) & (level < 1.8)].mean()) > _GOOD_SHARE)
 
 
 def _shows_in_texture(texture: Float32, ellipse: Ellipse) -> bool:

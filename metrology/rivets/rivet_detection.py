@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection
-from metrology.rivets.detect import Ring, detect_ellipses
 from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import circle_shapes, nearby_plane
 from metrology.rivets.relief import HeadRelief, PlainHead, head_relief, plain_heads, relief_map
 from metrology.rivets.ring import ellipse_of_inverse
@@ -49,8 +49,8 @@ def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None
 def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
     """Whether ring and cloud together make a rivet.
 
-    A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain needs
-    a step in height to be believed.
+    A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain
+    needs a step in height to be believed.
     """
     if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
         return False
@@ -97,7 +97,7 @@ def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
 
 
 def _plain_detection(head: PlainHead, reconstruction: Reconstruction) -> RivetDetection:
-    """A head seen in the height map only; its place is good to about a cell of that map over its height's significance."""
+    """A head seen in the height map only, where its place is good to about a pixel."""
     e = head.ellipse
     right = _in_right_camera(e, reconstruction)
     place = 1.0

@@ -95,11 +95,13 @@ class RivetSettings:
     def __post_init__(self) -> None:
         if not 0 < self.min_diameter_mm < self.max_diameter_mm:
             raise UsageError(
-                f"rivet diameters: found {self.min_diameter_mm:g} to {self.max_diameter_mm:g} mm, expected 0 < min < max"
+                f"rivet diameters: found {self.min_diameter_mm:g} to {self.max_diameter_mm:g} mm, "
+                "expected 0 < min < max"
             )
         if not 6 <= self.min_diameter_px < self.max_diameter_px:
             raise UsageError(
-                f"rivet diameters: found {self.min_diameter_px:g} to {self.max_diameter_px:g} px, expected 6 <= min < max"
+                f"rivet diameters: found {self.min_diameter_px:g} to {self.max_diameter_px:g} px, "
+                "expected 6 <= min < max"
             )
         if self.reference not in ("quadric", "plane"):
             raise UsageError(f"rivet reference: found {self.reference!r}, expected 'quadric' or 'plane'")

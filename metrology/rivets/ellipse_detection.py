@@ -39,7 +39,7 @@ class Level:
 
 
 def levels_for(least: float, most: float) -> list[Level]:
-    """Resolutions for radii between `least` and `most` pixels: heads of few pixels at full resolution, the rest at half.
+    """Resolutions for radii from `least` to `most` pixels: heads of few pixels at full resolution, others at half.
 
     A thin ring loses contrast at a lower resolution, so even large heads are traced at half resolution; only those
     beyond 70 px, where the gap itself is wide, at a quarter.
@@ -195,7 +195,9 @@ def _within(ellipse: Ellipse, other: Ellipse) -> bool:
 def _suspects(image: Float32, level: Level, shapes: CircleShapes, settings: RivetSettings) -> list[Ellipse]:
     """Ellipses at one resolution that ridge points support, in pixels of the image, best first."""
     k = level.reduction
-    small = image if k == 1 else cv2.resize(image, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA)
+    small = image
+    if k > 1:
+        small = cv2.resize(image, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA).astype(np.float32)
     field = RidgeField.of(small, 1.4 if k == 1 else 1.0)
     found = []
     for polarity in (1, -1):
@@ -247,7 +249,7 @@ def _agrees(ellipse: Ellipse, shapes: CircleShapes) -> bool:
 
 
 def suppress_repeats(rings: list[Ring]) -> list[Ring]:
-    """One ring per rivet: of rings within each other the best stays, the larger one of equals (a recess has a rim too)."""
+    """One ring per rivet: of rings within each other the best stays, the larger of equals (a recess has a rim)."""
     kept: list[Ring] = []
     for ring in sorted(rings, key=lambda r: -r.quality * r.ellipse.radius):
         if not any(_within(ring.ellipse, q.ellipse) or _within(q.ellipse, ring.ellipse) for q in kept):
