@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -25,6 +26,7 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
 }
+_closing = threading.Lock()
 
 
 def publish(layout: Layout) -> None:
@@ -58,9 +60,10 @@ def connect(layout: Layout) -> duckdb.DuckDBPyConnection:
                     publish(layout)
                 continue
             raise StoreError(f"{layout.archive}: found {_first_line(problem)}, expected a readable index") from None
-        closed = connection.execute("SELECT current_setting('lock_configuration')").fetchone()
-        if closed and not closed[0]:
-            connection.execute("SET GLOBAL TimeZone = 'UTC'; SET lock_configuration = true")
+        with _closing:  # connections to the same file in one process share its settings
+            [(closed,)] = connection.execute("SELECT current_setting('lock_configuration')").fetchall()
+            if not closed:
+                connection.execute("SET GLOBAL TimeZone = 'UTC'; SET lock_configuration = true")
         return connection
     raise StoreError(
         f"{layout.archive}: found it replaced {_ATTEMPTS} times while opening it, expected a quieter store"

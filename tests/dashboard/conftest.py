@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ def writable(filled: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def _fresh_caches(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    # AppTest leaves its page as __main__, which processes started by later tests would run.
+    monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])
     for variable in ("FLUSHLINE_STORE", "FLUSHLINE_DASHBOARD_SETTINGS"):
         monkeypatch.delenv(variable, raising=False)
     yield

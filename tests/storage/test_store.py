@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -151,6 +152,14 @@ def test_times_are_utc_whatever_the_machine_says(store: Store) -> None:
         [sys.executable, "-c", code, str(store.root)], capture_output=True, text=True, env=environment, check=True
     )
     assert "2026-11-20 08:15:00+00" in said.stdout
+
+
+def test_many_threads_query_at_once(store: Store) -> None:
+    store.publish(small_result())
+    sql = "SELECT count(*) AS n FROM rivets WHERE panel = ?"
+    with ThreadPoolExecutor(4) as threads:
+        tables = list(threads.map(lambda _: store.query(sql, ["LH-F12"]), range(40)))
+    assert {table["n"][0].as_py() for table in tables} == {3}
 
 
 def test_a_plain_client_reads_while_results_are_published(store: Store) -> None:
