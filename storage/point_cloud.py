@@ -40,6 +40,10 @@ def _open3d() -> ModuleType:
     library = libusb_package.get_library_path()
     if library:
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
-    import open3d
-
+    try:
+        import open3d
+    except (ImportError, OSError) as problem:
+        raise StoreError(
+            f"open3d: found {problem}, expected the system's OpenGL libraries (Debian: libgl1 libegl1 libx11-6)"
+        ) from None
     return open3d
