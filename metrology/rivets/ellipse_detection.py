@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from metrology.rivets.arc_fit import fit_candidates
 from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.evidence import distinction, ring_evidence
+from metrology.rivets.evidence import distinction, ring_evidence, ring_profile
 from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+
+_LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,9 @@ def _verified(
         start = shapes.ellipse(start.u, start.v, start.radius)
         shape = start.shape
     fit = fit_ring(image, start, 1.0, limits, shape)
-    if fit is None or not _is_rim(fit, settings):
+    if fit is None or not _is_rim(fit, settings) or not _is_line(image, fit):
+        return None
+    if shape is None and fit.coverage < settings.min_coverage_alone:
         return None
     ring = Ring(fit, float(distinction(image, fit.ellipse.parameters, fit.sigma_px)))
     return ring if ring.quality >= settings.min_quality else None
@@ -246,6 +250,15 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
 def _agrees(ellipse: Ellipse, shapes: CircleShapes) -> bool:
     expected = shapes.ellipse(ellipse.u, ellipse.v, 1.0)
     return bool(np.linalg.norm(log_shape(ellipse) - log_shape(expected)) < 0.05)
+
+
+def _is_line(image: Float32, ring: RingFit) -> bool:
+    """Whether the image itself is darker (or brighter) on the ellipse than on both sides of it."""
+    beside = max(2.5, 2.5 * ring.sigma_px)
+    levels = np.empty(3)
+    ring_profile(image, ring.ellipse.parameters, np.array([-beside, 0.0, beside]), levels)
+    contrasts = np.sign(ring.amplitude) * (levels[1] - levels[::2])
+    return bool(np.min(contrasts) > _LEAST_CONTRAST * abs(ring.amplitude))
 
 
 def suppress_repeats(rings: list[Ring]) -> list[Ring]:

@@ -202,3 +202,45 @@ def distinction(image, ellipse, sigma):  # type: ignore[no-untyped-def]
     # The 90 % quantile too: grain has heavy tails, while neighbours and seams fill fewer places than that.
     spread = max(1.4826 * departures[n // 2], departures[int(0.9 * n)] / 1.645) + 1e-12
     return abs(own - middle) / spread
+
+
+@kernel
+def ring_profile(image, ellipse, offsets, result):  # type: ignore[no-untyped-def]
+    """Median level round the ellipse at distances from it along its normal; NaN where less than half is on the image.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+    ellipse : (5,) float64
+    offsets : (n,) float64
+        px, negative inside.
+    result : (n,) float64, output
+    """
+    height, width = image.shape
+    angles = 64
+    a, b = ellipse[2], ellipse[3]
+    ca = math.cos(ellipse[4])
+    sa = math.sin(ellipse[4])
+    values = np.empty(angles)
+    for o in range(len(offsets)):
+        count = 0
+        for k in range(angles):
+            t = 2.0 * math.pi * k / angles
+            c = math.cos(t)
+            s = math.sin(t)
+            length = math.sqrt((c / a) ** 2 + (s / b) ** 2)
+            x = a * c + offsets[o] * c / a / length
+            y = b * s + offsets[o] * s / b / length
+            px = ellipse[0] + ca * x - sa * y
+            py = ellipse[1] + sa * x + ca * y
+            if px < 0.0 or py < 0.0 or px > width - 2.0 or py > height - 2.0:
+                continue
+            ix = int(px)
+            iy = int(py)
+            fx = px - ix
+            fy = py - iy
+            values[count] = (1.0 - fy) * ((1.0 - fx) * image[iy, ix] + fx * image[iy, ix + 1]) + fy * (
+                (1.0 - fx) * image[iy + 1, ix] + fx * image[iy + 1, ix + 1]
+            )
+            count += 1
+        result[o] = np.median(values[:count]) if count > angles // 2 else np.nan

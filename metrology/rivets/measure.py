@@ -72,12 +72,13 @@ def measure_rivets(
     generator = generator or np.random.default_rng(0)
     blocked = blocked_pixels(reconstruction, seams, settings.seam_margin_px)
 
-    def fit(detection: RivetDetection, others: Sequence[RivetDetection]) -> Fits | str:
-        return _fit(detection, others, reconstruction, blocked, settings, generator)
+    def fit(detection: RivetDetection, others: Sequence[RivetDetection], bare: bool = False) -> Fits | str:
+        patch = cut_patch(detection, others, reconstruction, blocked, settings)
+        return patch if isinstance(patch, str) else _fit(patch, bare, settings, generator)
 
     outcomes = [fit(d, [o for o in detections if o is not d]) for d in detections]
     places = control_places(detections, blocked, settings.controls, generator)
-    controls = [c for c in (fit(p, detections) for p in places) if isinstance(c, Fits)]
+    controls = [c for c in (fit(p, detections, bare=True) for p in places) if isinstance(c, Fits)]
     fits = [f for f in outcomes if isinstance(f, Fits)]
     inflation = _inflation(fits, controls)
     return [
@@ -86,18 +87,8 @@ def measure_rivets(
     ]
 
 
-def _fit(
-    detection: RivetDetection,
-    others: Sequence[RivetDetection],
-    reconstruction: Reconstruction,
-    blocked: NDArray[np.bool_],
-    settings: RivetSettings,
-    generator: np.random.Generator,
-) -> Fits | str:
-    """Head and skin of one rivet, or why they cannot be had."""
-    patch = cut_patch(detection, others, reconstruction, blocked, settings)
-    if isinstance(patch, str):
-        return patch
+def _fit(patch: Patch, bare: bool, settings: RivetSettings, generator: np.random.Generator) -> Fits | str:
+    """Head and skin of one patch, or why they cannot be had; a bare patch has skin where the head would be."""
     inner, outer = point_sets(patch, settings)
     for name, members, least in (("head", inner, settings.min_inner), ("skin", outer, settings.min_outer)):
         if members.sum() < least:
@@ -106,6 +97,11 @@ def _fit(
     if directions < settings.min_sectors:
         return f"skin: points in {directions} of {_DIRECTIONS} directions, at least {settings.min_sectors} needed"
     skin = _surface(patch, outer, 2 if settings.reference == "quadric" else 1, generator)
+    if skin is not None and bare:
+        # Bare skin goes on bending where a head would be flat.
+        h, by_x, by_y = skin.tangent(0.0, 0.0)[0]
+        bend = skin.height(patch.x, patch.y) - (h + by_x * patch.x + by_y * patch.y)
+        patch = replace(patch, h=np.where(inner, patch.h - bend, patch.h))
     head = _surface(patch, inner, 1, generator)
     if skin is None or head is None:
         return "points lie too unevenly for a surface"

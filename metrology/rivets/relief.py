@@ -25,7 +25,8 @@ _PLATEAU = 0.7  # area above half the height over area above a fifth of it: 1 fo
 _SHAPE_TOLERANCE = 0.15  # of the elongation of a blob of few cells
 _TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does not show
 _GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
-_LEAST_SIGMAS = 7.0  # of a cell's noise
+_LEAST_HEIGHT_MM = 0.04  # of a head that is only seen in the height map
+_LEAST_SIGMAS = 8.0  # of a cell's noise
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def plain_heads(
         Radii looked for, px.
     """
     found = []
-    limit = max(_LEAST_SIGMAS * relief.noise, 0.02)
+    limit = max(_LEAST_SIGMAS * relief.noise, _LEAST_HEIGHT_MM)
     for sign in (1.0, -1.0):
         height = np.nan_to_num(sign * relief.height, nan=0.0)
         count, labels, stats, _ = cv2.connectedComponentsWithStats((height > 0.5 * limit).astype(np.uint8))
@@ -164,6 +165,8 @@ def _disc(
     if height.max() < limit:
         return None
     level = float(np.median(height[height > 0.5 * height.max()]))
+    if level < limit:
+        return None
     weight = np.clip(height / level, 0, 1)
     if (weight > 0.5).sum() < _PLATEAU * (weight > 0.2).sum():
         return None

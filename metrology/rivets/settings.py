@@ -26,6 +26,8 @@ class RivetSettings:
         Share of a full turn that must vote for a centre before it is looked at.
     min_coverage : float
         Share of a ring's sectors in which the ring must show to be a rivet.
+    min_coverage_alone : float
+        The same where neither cloud nor other rings tell what shape to expect: scratches that cross make polygons.
     min_score : float
         Amplitude of the ring over its standard deviation to be a rivet.
     min_quality : float
@@ -72,6 +74,7 @@ class RivetSettings:
     ridge_high: float = 2.8
     min_support: float = 0.12
     min_coverage: float = 0.52
+    min_coverage_alone: float = 0.64
     min_score: float = 8.0
     min_quality: float = 3.0
     sure_quality: float = 6.0
