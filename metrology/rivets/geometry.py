@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.rig import Device
-from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.shapes import CircleShapes
-from metrology.surfaces import Frame
+from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
+from metrology.rivets.shapes import CircleShapes, log_shape
+from metrology.surfaces import Frame, monomials
 
 Array = NDArray[np.float64]
 
 _STRIDE = 8  # pixels between the points that a normal is taken from
+_STEP = 3  # of those between the ends of a difference
+_CELL_TOLERANCE = 0.05  # in elongation and log size, between a cell and its surroundings
 _MIN_SHARE = 0.3  # of a cell's pixels must have points for a normal
 
 
@@ -29,42 +31,66 @@ def image_scale(camera: Device, point: Array, normal: Array) -> Array:
 def circle_shapes(reconstruction: Reconstruction, cell: int = 160) -> tuple[CircleShapes, Array]:
     """What circles on the skin look like in each cell of the left image, and how large a millimetre is.
 
-    Each cell's plane is fitted to its points (median of differences, so that heads and seams do not tip it); cells with
-    few points take the shape of the nearest one that has it.
+    On a plane 1/z is linear over the image; each cell's slope is the median of differences, which heads, seams and the
+    border of the panel hardly move. Over the image elongation and size change smoothly: cells that disagree with a
+    robust quadratic through all, or have few points, take its value.
 
     Returns
     -------
     shapes : CircleShapes
     pixels_per_mm : (rows, columns) ndarray
-        Geometric mean over directions.
+        Geometric mean over directions; NaN everywhere where no cell has points enough.
     """
-    points = reconstruction.points
-    height, width = points.shape[:2]
+    camera = reconstruction.rig.left
+    inverse = 1 / reconstruction.points[::_STRIDE, ::_STRIDE, 2].astype(float)
+    along_u, along_v = inverse[:, _STEP:] - inverse[:, :-_STEP], inverse[_STEP:] - inverse[:-_STEP]
+    height, width = reconstruction.points.shape[:2]
     rows, columns = -(-height // cell), -(-width // cell)
-    matrices, scales = np.full((rows, columns, 3), np.nan), np.full((rows, columns), np.nan)
+    seen = np.full((rows, columns, 3), np.nan)
     for i in range(rows):
         for j in range(columns):
             # Half a cell more all round: one cell may hold little but a head.
-            v, u = max(i * cell - cell // 2, 0), max(j * cell - cell // 2, 0)
-            part = points[v : (i + 1) * cell + cell // 2 : _STRIDE, u : (j + 1) * cell + cell // 2 : _STRIDE].reshape(
-                -1, 3
-            )
-            part = part[np.isfinite(part[:, 2])].astype(float)
-            if len(part) < _MIN_SHARE * (cell // _STRIDE) ** 2:
+            v, u = max(i * cell - cell // 2, 0) // _STRIDE, max(j * cell - cell // 2, 0) // _STRIDE
+            part = np.s_[v : ((i + 1) * cell + cell // 2) // _STRIDE, u : ((j + 1) * cell + cell // 2) // _STRIDE]
+            known = inverse[part][np.isfinite(inverse[part])]
+            steps = [a[part][np.isfinite(a[part])] for a in (along_u, along_v)]
+            if min(len(known), len(steps[0]), len(steps[1])) < _MIN_SHARE * (cell // _STRIDE) ** 2:
                 continue
-            point, normal = _robust_plane(part)
-            jacobian = image_scale(reconstruction.rig.left, point, normal)
-            shape = jacobian @ jacobian.T
-            scale = np.sqrt(np.linalg.det(shape))
-            matrices[i, j] = np.array([shape[0, 0], shape[1, 1], shape[0, 1]]) / scale
-            scales[i, j] = np.sqrt(scale)
-    known = np.argwhere(np.isfinite(scales))
-    if len(known) == 0:
+            # 1/z = (n · ray) / (n · point): the normal up to its length.
+            focal = np.array([camera.K[0, 0], camera.K[1, 1]])
+            slope = focal * [np.median(s) for s in steps] / (_STEP * _STRIDE)
+            ray = camera.normalized(np.array([(j + 0.5) * cell, (i + 0.5) * cell]))
+            level = float(np.median(known))
+            normal = np.array([slope[0], slope[1], level - slope @ ray])
+            jacobian = image_scale(camera, np.array([ray[0], ray[1], 1.0]) / level, normal)
+            shape = ellipse_of_shape(0.0, 0.0, jacobian @ jacobian.T)
+            seen[i, j, :2] = log_shape(shape)
+            seen[i, j, 2] = np.log(shape.radius)
+    if not np.isfinite(seen).any():
         return CircleShapes.round(), np.full((1, 1), np.nan)
-    for i, j in np.argwhere(~np.isfinite(scales)):
-        k = known[np.argmin(((known - [i, j]) ** 2).sum(axis=1))]
-        matrices[i, j], scales[i, j] = matrices[k[0], k[1]], scales[k[0], k[1]]
-    return CircleShapes(matrices, float(cell)), scales
+    smooth = _smooth_over_cells(seen)
+    agrees = np.linalg.norm(seen - smooth, axis=-1, keepdims=True) < _CELL_TOLERANCE
+    values = np.where(agrees, seen, smooth)
+    return CircleShapes.of_elongation(values[..., :2], float(cell)), np.exp(values[..., 2])
+
+
+def _smooth_over_cells(seen: Array) -> Array:
+    """Robust polynomial over the cells (rows, columns, k): quadratic, linear or constant as the known cells allow."""
+    rows, columns = seen.shape[:2]
+    y, x = np.mgrid[0:rows, 0:columns].astype(float)
+    x, y = (x - columns / 2) / columns, (y - rows / 2) / rows
+    known = np.isfinite(seen[..., 0])
+    order = 2 if known.sum() >= 18 else 1 if known.sum() >= 8 else 0
+    design = monomials(x, y, order)
+    values, at = seen[known], design[known]
+    weight = np.ones(len(values))
+    for _ in range(10):
+        weighted = at * weight[:, None]
+        model = np.linalg.solve(weighted.T @ at + 1e-9 * np.eye(at.shape[1]), weighted.T @ values)
+        error = np.linalg.norm(values - at @ model, axis=1)
+        # Least absolute deviations: a row of cells along a border does not tip the whole.
+        weight = 1 / np.maximum(error, 0.2 * np.median(error) + 1e-6)
+    return np.asarray(design @ model)
 
 
 def _robust_plane(points: NDArray[np.floating]) -> tuple[Array, Array]:

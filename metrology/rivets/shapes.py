@@ -37,6 +37,14 @@ class CircleShapes:
         """Circles look like circles everywhere."""
         return cls(np.array([[[1.0, 1.0, 0.0]]]), 1e9)
 
+    @classmethod
+    def of_elongation(cls, elongation: Array, cell: float) -> CircleShapes:
+        """From (rows, columns, 2) elongations, see `log_shape`: exp of the symmetric matrix [[x, y], [y, −x]]."""
+        e = np.linalg.norm(elongation, axis=-1)
+        ratio = np.sinh(e) / np.maximum(e, 1e-9)
+        x, y = elongation[..., 0] * ratio, elongation[..., 1] * ratio
+        return cls(np.stack([np.cosh(e) + x, np.cosh(e) - x, y], axis=-1), cell)
+
     def at(self, u: Array, v: Array) -> Array:
         """(n, 3) shapes at pixels."""
         rows, columns = self.matrices.shape[:2]
@@ -76,9 +84,4 @@ def shapes_of(ellipses: list[Ellipse], size: tuple[int, ...]) -> CircleShapes | 
     cell = 64.0
     v, u = np.mgrid[0 : np.ceil(size[0] / cell), 0 : np.ceil(size[1] / cell)]
     place = np.stack([np.ones_like(u), (u + 0.5) * cell / size[1], (v + 0.5) * cell / size[0]], axis=-1)[..., :columns]
-    elongation = place @ model
-    e = np.linalg.norm(elongation, axis=-1)
-    # exp of the symmetric matrix [[x, y], [y, -x]] with x² + y² = e².
-    ratio = np.sinh(e) / np.maximum(e, 1e-9)
-    x, y = elongation[..., 0] * ratio, elongation[..., 1] * ratio
-    return CircleShapes(np.stack([np.cosh(e) + x, np.cosh(e) - x, y], axis=-1), cell)
+    return CircleShapes.of_elongation(place @ model, cell)
