@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from reference_scans import reference_scan
 from rivet_scan import Head, Skin, rig_of, scan
 
 from metrology.cloud import PixelFlag, Reconstruction
@@ -213,16 +215,20 @@ def test_the_ellipse_centre_is_not_the_circle_centre() -> None:
     assert radius == pytest.approx(8.0, rel=2e-3)
 
 
-@pytest.mark.parametrize("name", ["standard-part", "skin", "skin-worn"])
-def test_reference_scans(shared, name: str, reference_reconstruction) -> None:
-    """All rivets of independently rendered scans, none else, and their heights to about a micrometre."""
-    reconstruction, truth = reference_reconstruction(shared / "scenes" / name)
+@pytest.mark.parametrize("name", ["standard-part", "skin", "skin-worn", "skin-shiny"])
+def test_reference_scans(shared: Path, name: str) -> None:
+    """All rivets of independently rendered scans, none else, and their heights to a micrometre or two."""
+    reconstruction, truth = reference_scan(shared / "scenes" / name)
     rivets = measure_rivets(detect_rivets(reconstruction), reconstruction)
     assert len(rivets) == len(truth["rivets"])
-    errors = []
+    errors, tilts = [], []
     for t in truth["rivets"]:
         rivet = min(rivets, key=lambda r: np.hypot(r.u_px - t["uv_px"][0], r.v_px - t["uv_px"][1]))
         assert np.hypot(rivet.u_px - t["uv_px"][0], rivet.v_px - t["uv_px"][1]) < 0.3
+        assert rivet.diameter_mm == pytest.approx(t["diameter_mm"], rel=0.015)
         errors.append(rivet.height_mean_mm - t["height_mean_mm"])
+        tilts.append(rivet.tilt_deg - t["tilt_deg"])
     assert np.mean(np.abs(errors)) < 0.0020
     assert np.abs(errors).max() < 0.006
+    assert abs(np.mean(errors)) < 0.0008
+    assert np.mean(np.abs(tilts)) < 0.06
