@@ -1,0 +1,181 @@
+"""Compiled kernels against plain numpy: conic, ring model and its derivatives, profiles, votes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+from scipy.special import erfc
+
+from metrology.rivets.arc_fit import fit_conic
+from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_centres
+from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.evidence import distinction, ring_evidence, ring_profile
+from metrology.rivets.ring_kernel import DENSE, KNOTS, UNKNOWNS, _factor, _row, _substitute
+
+ELLIPSE = Ellipse(61.3, 57.8, 22.0, 17.0, 0.7)
+
+
+def test_conic_equals_least_squares_in_numpy(rng: np.random.Generator) -> None:
+    points = ELLIPSE.points(80)[:55] + rng.normal(0, 0.3, (55, 2))
+    found = np.zeros(5)
+    assert fit_conic(points[:, 0].copy(), points[:, 1].copy(), np.ones(55, bool), found)
+    middle = points.mean(axis=0)
+    scale = np.sqrt(((points - middle) ** 2).sum(axis=1).mean())
+    p, q = ((points - middle) / scale).T
+    a, b, d, e, f = np.linalg.lstsq(np.column_stack([p * p - q * q, p * q, p, q, np.ones(55)]), -q * q, rcond=None)[0]
+    matrix = np.array([[a, b / 2], [b / 2, 1 - a]])
+    centre = np.linalg.solve(2 * matrix, [-d, -e])
+    axes = np.sqrt(-(f + 0.5 * (d * centre[0] + e * centre[1])) / np.linalg.eigvalsh(matrix))
+    assert found[:2] == pytest.approx(centre * scale + middle, abs=1e-4)
+    assert sorted(found[2:4]) == pytest.approx(sorted(axes * scale), abs=1e-4)
+
+
+def test_conic_refuses_a_hyperbola() -> None:
+    t = np.linspace(-1, 1, 30)
+    branch = np.stack([2 * np.cosh(t), np.sinh(t)], axis=1)
+    points = np.concatenate([branch, -branch])
+    assert not fit_conic(points[:, 0].copy(), points[:, 1].copy(), np.ones(60, bool), np.zeros(5))
+
+
+def model_in_numpy(x: float, y: float, geometry: np.ndarray, scale: float, sigma: float, params: np.ndarray) -> float:
+    """The ring model of `metrology.rivets.ring`, written out."""
+    dx, dy = x - geometry[0], y - geometry[1]
+    inverse = np.array([[geometry[2], geometry[4]], [geometry[4], geometry[3]]])
+    d = np.array([dx, dy])
+    f = np.sqrt(d @ inverse @ d)
+    rho = (f - 1) / np.linalg.norm(inverse @ d / f)
+    xs, ys = dx / scale, dy / scale
+    background = params[:6] @ [1, xs, ys, xs * xs, xs * ys, ys * ys]
+    step = params[6:9] @ [1, xs, ys] * 0.5 * erfc(rho / sigma / np.sqrt(2))
+    position = (np.arctan2(dy, dx) + np.pi) / (2 * np.pi) * KNOTS
+    knots = params[DENSE:]
+    k, part = int(position), position % 1
+    amplitude = knots[k] * (1 - part) + knots[(k + 1) % KNOTS] * part
+    return float(background + step + amplitude * np.exp(-0.5 * (rho / sigma) ** 2))
+
+
+def test_ring_model_and_its_derivatives(rng: np.random.Generator) -> None:
+    inverse = np.linalg.inv(ELLIPSE.shape)
+    geometry = np.array([ELLIPSE.u, ELLIPSE.v, inverse[0, 0], inverse[1, 1], inverse[0, 1]])
+    params, row, scale, sigma = rng.normal(0, 10, UNKNOWNS), np.zeros(DENSE), 19.0, 1.1
+    for u, v in ELLIPSE.points(9) + rng.normal(0, 1.2, (9, 2)):
+        position = (np.arctan2(v - geometry[1], u - geometry[0]) + np.pi) / (2 * np.pi) * KNOTS
+        knot, part = int(position), position % 1
+
+        def value(g: np.ndarray, s: float, u: float = u, v: float = v, k: int = knot, p: float = part) -> float:
+            return _row(u, v, k, p, g, scale, s, params, row)[0]
+
+        assert value(geometry, sigma) == pytest.approx(
+            model_in_numpy(u, v, geometry, scale, sigma, params), rel=1e-6, abs=1e-5
+        )
+        by_sigma = (value(geometry, sigma + 1e-4) - value(geometry, sigma - 1e-4)) / 2e-4
+        by_u = []
+        for j in range(2):
+            step = np.zeros(5)
+            step[j] = 1e-4
+            by_u.append((value(geometry + step, sigma) - value(geometry - step, sigma)) / 2e-4)
+        value(geometry, sigma)
+        assert row[9] == pytest.approx(by_sigma, rel=1e-3, abs=1e-3)
+        # Derivatives by place leave out how the slope |∇f| and the background's frame change: a few per cent.
+        background = params[1:3] / scale
+        assert row[10:12] == pytest.approx(np.array(by_u) + background, rel=0.15, abs=4.0)
+
+
+def test_cholesky_solves(rng: np.random.Generator) -> None:
+    half = rng.normal(size=(12, 7))
+    matrix, right = half.T @ half, rng.normal(size=7)
+    expected = np.linalg.solve(matrix, right)
+    assert _factor(matrix, 7)
+    _substitute(matrix, 7, right)
+    assert right == pytest.approx(expected)
+    assert not _factor(np.array([[1.0, 2.0], [2.0, 1.0]]), 2)
+
+
+def test_profile_equals_interpolation_along_the_normals(rng: np.random.Generator) -> None:
+    image = rng.normal(100, 20, (120, 130)).astype(np.float32)
+    offsets, found = np.array([-3.0, 0.0, 2.5]), np.zeros(3)
+    ring_profile(image, ELLIPSE.parameters, offsets, found)
+    t = 2 * np.pi * np.arange(64) / 64
+    c, s = np.cos(ELLIPSE.angle), np.sin(ELLIPSE.angle)
+    normals = np.stack([np.cos(t) / ELLIPSE.a, np.sin(t) / ELLIPSE.b], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals @ np.array([[c, s], [-s, c]])
+    for offset, level in zip(offsets, found, strict=True):
+        u, v = (ELLIPSE.points(64) + offset * normals).T
+        assert level == pytest.approx(np.median(map_coordinates(image, [v, u], order=1)), abs=1e-3)
+
+
+def test_distinction_grows_with_the_ring_and_not_with_the_exposure(rng: np.random.Generator) -> None:
+    v, u = np.mgrid[:200, :200].astype(float)
+    e = Ellipse(100.0, 100.0, 20.0, 18.0, 0.3)
+    ring = np.exp(-0.5 * ((e.level(u, v) - 1) * 19) ** 2)
+    noise = rng.normal(0, 2, u.shape)
+    values = [
+        distinction((100 - a * ring + noise).astype(np.float32), e.parameters, 1.0) for a in (0.0, 3.0, 6.0, 12.0)
+    ]
+    assert values[0] < 3.5
+    assert np.all(np.diff(values) > 0)
+    assert values[3] / values[2] == pytest.approx(2, rel=0.35)
+    dim = distinction((0.1 * (100 - 6 * ring + noise)).astype(np.float32), e.parameters, 1.0)
+    assert dim == pytest.approx(values[2], rel=1e-3)
+
+
+def test_evidence_tells_a_ring_from_an_edge_and_from_noise(rng: np.random.Generator) -> None:
+    v, u = np.mgrid[:160, :160].astype(float)
+    e = Ellipse(80.0, 80.0, 22.0, 20.0, 0.3)
+    rho = (e.level(u, v) - 1) * 21
+    noise = rng.normal(0, 2, u.shape)
+    result = np.zeros((1, 2))
+    scores = {}
+    for name, image in (
+        ("ring", 100 - 8 * np.exp(-0.5 * rho**2)),
+        ("disc", 100 - 8 * (rho < 0)),
+        ("noise", np.full(u.shape, 100.0)),
+    ):
+        ring_evidence((image + noise).astype(np.float32), e.parameters[None], np.ones(1), 24, result)
+        scores[name] = result[0].copy()
+    assert scores["ring"][0] > 15
+    assert scores["ring"][1] > 0.9
+    assert scores["noise"][0] < 8.5
+    assert scores["disc"][0] < 0.6 * scores["ring"][0]
+
+
+def test_arcs_of_a_circle_vote_for_its_centre_and_a_line_for_nothing(rng: np.random.Generator) -> None:
+    v, u = np.mgrid[:150, :200].astype(float)
+    ring = np.exp(-0.5 * ((np.hypot(u - 70.4, v - 80.6) - 18) / 1.0) ** 2)
+    line = np.exp(-0.5 * ((u - 150 - 0.1 * v) / 1.0) ** 2)
+    image = (100 - 20 * ring - 30 * line + rng.normal(0, 0.5, u.shape)).astype(np.float32)
+    arcs = trace_arcs(RidgeField.of(image, 1.0), 1, (4.0, 6.0), 7, 0.3)
+    on_ring = np.abs(np.hypot(arcs.u - 70.4, arcs.v - 80.6) - 18) < 1
+    assert on_ring.sum() > 80
+    assert np.abs(np.abs(arcs.curvature[on_ring]) - 1 / 18).mean() < 0.02
+    shape = np.array([[[1.0, 1.0, 0.0]]])
+    found = vote_centres(arcs, (150, 200), np.arange(12.0, 25.0, 0.5), np.array([12.0, 25.0]), shape, 1e9, 0.3, 10)
+    assert np.hypot(found[0, 0] - 70.4, found[0, 1] - 80.6) < 3
+    assert (np.hypot(found[:, 0] - 70.4, found[:, 1] - 80.6) < 6).all()
+
+
+def test_a_tilted_circle_is_voted_for_sharply_when_its_shape_is_known(rng: np.random.Generator) -> None:
+    """Normals of an ellipse do not meet in its centre; with the known shape the votes do."""
+    e = Ellipse(80.0, 75.0, 24.0, 15.0, 0.5)
+    v, u = np.mgrid[:150, :160].astype(float)
+    image = (100 - 20 * np.exp(-0.5 * ((e.level(u, v) - 1) * 18) ** 2) + rng.normal(0, 0.5, u.shape)).astype(np.float32)
+    arcs = trace_arcs(RidgeField.of(image, 1.0), 1, (4.0, 6.0), 7, 0.3)
+    s = e.shape / e.radius**2
+    radii, edges = np.arange(14.0, 24.0, 0.5), np.array([14.0, 24.0])
+    known = vote_centres(arcs, (150, 160), radii, edges, np.array([[[s[0, 0], s[1, 1], s[0, 1]]]]), 1e9, 0.05, 20)
+    blind = vote_centres(arcs, (150, 160), radii, edges, np.array([[[1.0, 1.0, 0.0]]]), 1e9, 0.05, 20)
+    assert np.hypot(known[0, 0] - e.u, known[0, 1] - e.v) < 2.5
+    assert len(known) < len(blind)
+
+
+def test_curvature_noise_is_that_of_white_noise(rng: np.random.Generator) -> None:
+    """sqrt(3 / (16 π)) / σ³ per grey level; lines and rings do not count."""
+    image = rng.normal(100, 2, (400, 500)).astype(np.float32)
+    image[200:203] -= 60
+    field = RidgeField.of(image, 1.5)
+    expected = 2 * np.sqrt(3 / (16 * np.pi)) / 1.5**3
+    assert np.median(field.noise) == pytest.approx(expected, rel=0.06)
+    d = field.derivatives
+    assert curvature_noise(3 * d.uu, 3 * d.vv) == pytest.approx(3 * field.noise, rel=1e-4)
