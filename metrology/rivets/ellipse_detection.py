@@ -46,7 +46,7 @@ def levels_for(least: float, most: float) -> list[Level]:
     A thin ring loses contrast at a lower resolution, so even large heads are traced at half resolution; only those
     beyond 70 px, where the gap itself is wide, at a quarter.
     """
-    bounds = [(1, 0.0, 7.0), (2, 6.5, 70.0), (4, 60.0, np.inf)]
+    bounds = [(1, 0.0, 6.0), (2, 5.5, 70.0), (4, 60.0, np.inf)]
     return [Level(k, max(a, least), min(b, most)) for k, a, b in bounds if max(a, least) < min(b, most)]
 
 

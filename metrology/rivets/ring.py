@@ -79,7 +79,7 @@ def fit_ring(
     limits: Array,
     shape: Array | None = None,
     shape_sd: float = 0.03,
-    iterations: int = 15,
+    iterations: int = 11,
 ) -> RingFit | None:
     """Fit the ring model near a starting ellipse; None where there is none.
 

@@ -21,6 +21,7 @@ _SETTLED = 5  # iteration by which the ring is in place
 # Least median of the amplitude over its standard deviation from the scatter of the knots, by iteration.
 _STEADY = np.array([0.0, 1.0, 1.0, 1.2, 1.5, 2.0])
 _CONVERGED_PX = 0.01
+_ENOUGH_PIXELS = 450  # to get near the solution
 _SIGMA_PRIOR_PX = 0.3  # how much rings of one image differ in σ from where the fit starts
 TUKEY = 5.0  # residuals beyond this many sigmas count nothing
 # For normal noise of variance 1 and Tukey's weights w with that limit: 1 / (Σ w r² / Σ w), and the estimate's variance
@@ -31,9 +32,10 @@ _WEIGHTED_COVARIANCE = 0.962
 
 @kernel
 def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
-    """Pixels within `reach` of the ellipse, those of one colour of the chessboard first.
+    """Pixels within `reach` of the ellipse, in an order of which every beginning is spread evenly.
 
-    Returns how many there are of that colour and in all, and the share of the ellipse on the image.
+    One colour of a chessboard first, of each colour one row in two. Returns how many are enough to begin with, how many
+    there are in all, and the share of the ellipse on the image.
     """
     height, width = image.shape
     size = max(e[2], e[3]) + reach + 1.0
@@ -44,9 +46,10 @@ def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
     c = math.cos(e[4])
     s = math.sin(e[4])
     n = 0
-    half = 0
-    for colour in range(2):
-        for v in range(v0, v1):
+    enough = 0
+    for turn in range(4):
+        colour = turn // 2
+        for v in range(v0 + (v0 + turn) % 2, v1, 2):
             for u in range(u0 + (u0 + v + colour) % 2, u1, 2):
                 p = (c * (u - e[0]) + s * (v - e[1])) / e[2]
                 q = (c * (v - e[1]) - s * (u - e[0])) / e[3]
@@ -57,8 +60,8 @@ def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
                     y[n] = v
                     value[n] = image[v, u]
                     n += 1
-        if colour == 0:
-            half = n
+        if enough == 0 and (n >= _ENOUGH_PIXELS or turn == 1):
+            enough = n
     seen = 0
     for k in range(72):
         t = k * (2.0 * math.pi / 72.0)
@@ -66,7 +69,7 @@ def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
         v = e[1] + s * e[2] * math.cos(t) + c * e[3] * math.sin(t)
         if 0.0 <= u <= width - 1 and 0.0 <= v <= height - 1:
             seen += 1
-    return half, n, seen / 72.0
+    return enough, n, seen / 72.0
 
 
 @kernel
@@ -288,8 +291,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     x = np.empty(room)
     y = np.empty(room)
     value = np.empty(room)
-    half_n, n, share = _collect(image, ellipse, reach, x, y, value)
-    if half_n < 3 * UNKNOWNS or share < 0.5:
+    few, n, share = _collect(image, ellipse, reach, x, y, value)
+    if few < 3 * UNKNOWNS or share < 0.5:
         return False
     x = x[:n]
     y = y[:n]
@@ -328,9 +331,9 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     _hide_clusters(x, y, magnitude, _glint_limit(knot, magnitude), 3, hidden)
     noise = 0.0
     for iteration in range(iterations):
-        # First the brightness alone on the starting ellipse, then everything; half of the pixels will do to get there.
+        # First the brightness alone on the starting ellipse, then everything; few pixels will do to get there.
         linear = iteration < _LINEAR_STEPS
-        pixels = half_n if iteration < _SETTLED else n
+        pixels = few if iteration < _SETTLED else n
         normal[:] = 0.0
         step[:] = 0.0
         for i in range(pixels):
