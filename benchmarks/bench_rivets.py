@@ -2,9 +2,9 @@
 
 python benchmarks/bench_rivets.py [--images 40] [--contrib PYTHON] [--scene FOLDER]
 
---contrib names the Python of an environment that has opencv-contrib (for EdgeDrawing); --scene a scan beside its
-rig.json, with truth.json, on which detection and measurement are timed. Times are of one core (process time), beside ten Gaussian
-blurs of the same image.
+--contrib names the Python of an environment that has opencv-contrib (for EdgeDrawing); --scene a scan with truth.json,
+beside its rig.json, on which detection and measurement are timed. Times are of one core (process time), beside ten
+Gaussian blurs of the same image.
 """
 
 from __future__ import annotations
