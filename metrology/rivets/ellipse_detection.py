@@ -3,96 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.rivets.arc_fit import fit_candidates
-from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.evidence import distinction, ring_evidence, ring_profile
+from metrology.rivets.evidence import distinction, ring_profile
 from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
-from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
+from metrology.rivets.shapes import CircleShapes, shapes_of
+from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, levels_for, suspects, trace
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
-
-
-@dataclass(frozen=True)
-class Level:
-    """One resolution at which arcs are traced.
-
-    Attributes
-    ----------
-    reduction : int
-        Pixels of the image per pixel of the level.
-    least, most : float
-        Radii looked for, pixels of the image.
-    """
-
-    reduction: int
-    least: float
-    most: float
-
-
-def levels_for(least: float, most: float) -> list[Level]:
-    """Resolutions for radii from `least` to `most` pixels: heads of few pixels at full resolution, others at half.
-
-    A thin ring loses contrast at a lower resolution, so even large heads are traced at half resolution; only those
-    beyond 70 px, where the gap itself is wide, at a quarter.
-    """
-    bounds = [(1, 0.0, 6.0), (2, 5.5, 70.0), (4, 60.0, np.inf)]
-    return [Level(k, max(a, least), min(b, most)) for k, a, b in bounds if max(a, least) < min(b, most)]
-
-
-def _candidates(
-    arcs: Arcs, size: tuple[int, int], level: Level, shapes: CircleShapes, settings: RivetSettings
-) -> Array:
-    """(n, 7) ellipses in pixels of the level that ridge points support, then coverage and agreement."""
-    k = level.reduction
-    radii = np.arange(max(level.least / k, 2.5), level.most / k + 0.5, 0.5)
-    planes = max(1, int(np.ceil(np.log(radii[-1] / radii[0]) / np.log(1.35))))
-    edges = np.geomspace(radii[0], radii[-1] + 1e-6, planes + 1)
-    starts = vote_centres(arcs, size, radii, edges, shapes.matrices, shapes.cell / k, settings.min_support, 150)
-    if len(starts) == 0:
-        return np.empty((0, 7))
-    order = np.argsort(arcs.v, kind="stable")
-    v = arcs.v[order]
-    rows = np.searchsorted(v, np.arange(size[0] + 2)).astype(np.int64)
-    expected = shapes.at(starts[:, 0] * k, starts[:, 1] * k)
-    ellipses, coverage, agreement = np.zeros((len(starts), 5)), np.zeros(len(starts)), np.zeros(len(starts))
-    fit_candidates(
-        starts, arcs.u[order], v, arcs.nu[order], arcs.nv[order], rows, expected, ellipses, coverage, agreement
-    )
-    return np.column_stack([ellipses, coverage, agreement])
-
-
-def _with_evidence(image: Float32, candidates: Array, polarity: int, known_shape: bool) -> Array:
-    """Candidates for which the image shows some ring near the ellipse."""
-    evidence = np.zeros((len(candidates), 2))
-    ring_evidence(image, candidates[:, :5], np.full(len(candidates), float(polarity)), 24, evidence)
-    score, hits = (11.0, 0.66) if known_shape else (8.5, 0.6)
-    keep = (evidence[:, 0] > score) & (evidence[:, 1] >= hits)
-    return candidates[keep]
-
-
-def _distinct(candidates: Array) -> Array:
-    """Candidates in order of support without those that repeat a better one."""
-    order = np.argsort(-candidates[:, 5] * candidates[:, 6], kind="stable")
-    candidates = candidates[order]
-    radius = np.sqrt(candidates[:, 2] * candidates[:, 3])
-    alive = np.ones(len(candidates), bool)
-    for k in range(len(candidates)):
-        if alive[k]:
-            c = candidates[k]
-            near = np.hypot(candidates[k + 1 :, 0] - c[0], candidates[k + 1 :, 1] - c[1]) < 0.1 * c[3] + 1.0
-            alive[k + 1 :] &= ~(near & (np.abs(radius[k + 1 :] - radius[k]) < 0.04 * radius[k] + 1.0))
-    return candidates[alive]
 
 
 @dataclass(frozen=True)
@@ -150,30 +77,32 @@ def detect_ellipses(
     settings = settings or RivetSettings()
     image = np.ascontiguousarray(texture, np.float32)
     bounds = radii or (settings.min_diameter_px / 2, settings.max_diameter_px / 2)
+    traces = [trace(image, level, settings) for level in levels_for(*bounds)]
+
+    def rings(known: CircleShapes | None, evidence: Evidence, likely: Sequence[Ring] = ()) -> list[Ring]:
+        starts = [r.ellipse for r in likely]
+        for t in traces:
+            starts += suspects(image, t, known or CircleShapes.round(), settings, evidence)
+        return _verified_rings(image, starts, known, bounds, settings)
+
     if shapes is not None:
-        return suppress_repeats(_rings(image, bounds, shapes, [], [], settings))
-    rings = _rings(image, bounds, None, [], [], settings)
-    shapes = shapes_of([r.ellipse for r in suppress_repeats(rings) if r.confident], image.shape)
-    if shapes is None:
-        return suppress_repeats(rings)
-    sure = [r for r in rings if r.confident and _agrees(r.ellipse, shapes)]
-    others = [r.ellipse for r in rings if not any(r is s for s in sure)]
-    return suppress_repeats(_rings(image, bounds, shapes, sure, others, settings))
+        return suppress_repeats(rings(shapes, KNOWN_SHAPE))
+    strong = rings(None, STRONG)
+    learnt = shapes_of([r.ellipse for r in suppress_repeats(strong) if r.confident], image.shape)
+    if learnt is None:
+        return suppress_repeats(rings(None, ANY_SHAPE))
+    return suppress_repeats(rings(learnt, ANY_SHAPE, likely=strong))
 
 
-def _rings(
+def _verified_rings(
     image: Float32,
-    radii: tuple[float, float],
+    starts: Sequence[Ellipse],
     shapes: CircleShapes | None,
-    known: list[Ring],
-    likely: list[Ellipse],
+    radii: tuple[float, float],
     settings: RivetSettings,
 ) -> list[Ring]:
-    """Known rings and those that likely places and suspects lead to, repeats included."""
-    rings = list(known)
-    starts = list(likely)
-    for level in levels_for(*radii):
-        starts += _suspects(image, level, shapes or CircleShapes.round(), settings)
+    """The rings that suspects lead to; some more than once."""
+    rings: list[Ring] = []
     for start in starts:
         if not any(_same(start, r.ellipse) for r in rings):
             ring = _verified(image, start, shapes, radii, settings)
@@ -192,24 +121,6 @@ def _same(ellipse: Ellipse, other: Ellipse) -> bool:
 
 def _within(ellipse: Ellipse, other: Ellipse) -> bool:
     return bool(np.hypot(ellipse.u - other.u, ellipse.v - other.v) < other.b)
-
-
-def _suspects(image: Float32, level: Level, shapes: CircleShapes, settings: RivetSettings) -> list[Ellipse]:
-    """Ellipses at one resolution that ridge points support, in pixels of the image, best first."""
-    k = level.reduction
-    small = image
-    if k > 1:
-        small = cv2.resize(image, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA).astype(np.float32)
-    field = RidgeField.of(small, 1.4 if k == 1 else 1.0)
-    found = []
-    for polarity in (1, -1):
-        arcs = trace_arcs(field, polarity, (settings.ridge_low, settings.ridge_high), 7, 0.35)
-        candidates = _candidates(arcs, (small.shape[0], small.shape[1]), level, shapes, settings)
-        candidates = candidates[candidates[:, 5] >= 0.38]
-        candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
-        candidates[:, 2:4] *= k
-        found.append(_with_evidence(image, candidates, polarity, shapes.known))
-    return [Ellipse.of(c[:5]) for c in _distinct(np.concatenate(found))]
 
 
 def _verified(
@@ -245,11 +156,6 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
         and beside_head > 0.3 * abs(ring.amplitude)
         and abs(ring.amplitude) > settings.min_ring_share * abs(ring.step)
     )
-
-
-def _agrees(ellipse: Ellipse, shapes: CircleShapes) -> bool:
-    expected = shapes.ellipse(ellipse.u, ellipse.v, 1.0)
-    return bool(np.linalg.norm(log_shape(ellipse) - log_shape(expected)) < 0.05)
 
 
 def _is_line(image: Float32, ring: RingFit) -> bool:
