@@ -41,7 +41,9 @@ class Patch:
     u, v : (n,) ndarray of int
         Pixels of the points.
     usable : (n,) bool
-        Not flagged, and neither on a seam nor on a neighbour.
+        Neither on a seam nor on a neighbour.
+    edge : (n,) bool
+        Flagged as beside a reflectance or depth edge.
     """
 
     frame: Frame
@@ -54,6 +56,7 @@ class Patch:
     u: NDArray[np.int64]
     v: NDArray[np.int64]
     usable: Mask
+    edge: Mask
 
 
 def ellipse_of(detection: RivetDetection) -> Ellipse:
@@ -71,8 +74,7 @@ def ellipse_of(detection: RivetDetection) -> Ellipse:
 
 def blocked_pixels(reconstruction: Reconstruction, seams: Sequence[SeamLine], margin_px: float) -> Mask:
     """(h, w) pixels without a trustworthy point, or on a seam or within a margin of it."""
-    doubtful = np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)
-    blocked = ~reconstruction.valid | ((reconstruction.flags & doubtful) != 0)
+    blocked = ~reconstruction.valid | ((reconstruction.flags & np.uint16(PixelFlag.SLOPE)) != 0)
     band = np.zeros(blocked.shape, np.uint8)
     for seam in seams:
         known = seam.width_px[np.isfinite(seam.width_px)]
@@ -117,6 +119,7 @@ def cut_patch(
     for other in map(ellipse_of, others):
         if np.hypot(other.u - ellipse.u, other.v - ellipse.v) < reach + other.a:
             usable &= (other.level(u, v) - 1) * other.b > guard_px
+    edge = (reconstruction.flags[window][valid] & np.uint16(PixelFlag.EDGE)) != 0
     skin = usable & ((ellipse.level(u, v) - 1) * ellipse.b > guard_px)
     if skin.sum() < _LEAST_POINTS:
         return f"skin: {int(skin.sum())} usable points, at least {_LEAST_POINTS} needed"
@@ -126,7 +129,7 @@ def cut_patch(
     local = frame.local(cloud)
     sigma = frame.height_sigma(cloud, reconstruction.sigma_z[window][valid])
     usable &= np.isfinite(sigma) & (sigma > 0)
-    return Patch(frame, radius, guard_px / scale, local[:, 0], local[:, 1], local[:, 2], sigma, u, v, usable)
+    return Patch(frame, radius, guard_px / scale, local[:, 0], local[:, 1], local[:, 2], sigma, u, v, usable, edge)
 
 
 def outer_radius(radius_mm: float, settings: RivetSettings) -> float:
@@ -137,12 +140,19 @@ def outer_radius(radius_mm: float, settings: RivetSettings) -> float:
 def point_sets(patch: Patch, settings: RivetSettings) -> tuple[Mask, Mask]:
     """Points of head and skin, (n,) bool each.
 
-    Both keep the guard from the rim; the inner set of a very small head keeps at least half its radius.
+    Both keep the guard from the rim; the inner set of a very small head keeps at least half its radius. Points flagged
+    as beside an edge are left out, but where most are flagged, it is the metal's grain that is taken for edges: then
+    they stay, and the guard alone keeps the rim away.
     """
     r = np.hypot(patch.x, patch.y)
     inner = max(min(settings.inner_radius * patch.radius, patch.radius - patch.guard), 0.5 * patch.radius)
     start = max(settings.outer_radii[0] * patch.radius, patch.radius + patch.guard)
-    return patch.usable & (r < inner), patch.usable & (r > start) & (r < outer_radius(patch.radius, settings))
+    sets = []
+    for members in (r < inner, (r > start) & (r < outer_radius(patch.radius, settings))):
+        points = patch.usable & members
+        clear = points & ~patch.edge
+        sets.append(clear if clear.sum() > settings.min_clear_share * points.sum() else points)
+    return sets[0], sets[1]
 
 
 def _window(ellipse: Ellipse, reach: float, size: tuple[int, ...]) -> tuple[slice, slice]:

@@ -16,6 +16,8 @@ from metrology.rivets.settings import RivetSettings
 
 Array = NDArray[np.float64]
 
+_LEAST_STEP = 0.6  # of a head's height in the height map, between the points inside and outside its border
+
 
 def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None = None) -> list[RivetDetection]:
     """Find the rivet heads of a scan.
@@ -42,6 +44,7 @@ def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None
     if settings.plain_heads:
         heads = plain_heads(reconstruction, relief_map(reconstruction, most), shapes, (least, most))
         free = [h for h in heads if not any(_overlap(h.ellipse, r.ellipse) for r in rings)]
+        free = [h for h in free if _steps_up(h, reconstruction)]
         found += [_plain_detection(head, reconstruction) for head in free]
     return _in_reading_order(found)
 
@@ -55,6 +58,12 @@ def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
     if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
         return False
     return ring.quality >= settings.sure_quality or relief.significance >= settings.sure_relief
+
+
+def _steps_up(head: PlainHead, reconstruction: Reconstruction) -> bool:
+    """Whether the points beside the disc bear its height out: waves of the skin do not step at its border."""
+    step = head_relief(reconstruction, head.ellipse).step_mm
+    return bool(step * np.sign(head.height_mm) > _LEAST_STEP * abs(head.height_mm))
 
 
 def _overlap(one: Ellipse, other: Ellipse) -> bool:

@@ -54,6 +54,8 @@ class RivetSettings:
         The outer annulus reaches at least this far from the rim, so that small heads have skin enough.
     guard_px, guard_sigmas : float
         Both sets keep this distance from the rim: pixels, plus multiples of the rim's half-width σ in the image.
+    min_clear_share : float
+        Share of a set's points that must be free of edge flags for the flagged ones to be left out.
     seam_margin_px : float
         Kept from a seam beyond its half-width.
     controls : int
@@ -88,6 +90,7 @@ class RivetSettings:
     min_outer_width_mm: float = 4.0
     guard_px: float = 0.5
     guard_sigmas: float = 3.0
+    min_clear_share: float = 0.35
     seam_margin_px: float = 3.0
     controls: int = 24
     min_crown_mm: float = 0.015
