@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 _DIRECTIONS = 12
 _PRIOR_CONTROLS = 4  # weight of the residuals' own correlation against that many controls
 _CLIPPED_MEAN = 0.83  # of a squared normal deviate, the largest tenth clipped
+_MOST_CHI = 3.0  # of the head's points over the skin's: beyond, it is no plane and no dome that is seen
 _NINETY_FIVE = 1.96
 
 
@@ -196,6 +197,11 @@ def _row(
         return replace(empty, reason=outcome)
     p, rig = outcome.patch, reconstruction.rig
     head = _dome(outcome, settings, inflation, generator) or outcome.head
+    if head.chi > _MOST_CHI * max(outcome.skin.chi, 1.0):
+        expected = head.rms_mm / head.chi
+        return replace(
+            empty, reason=f"head: points scatter {head.rms_mm:.3f} mm about their surface, {expected:.3f} mm expected"
+        )
     # The rim's image is that of the gap, half-way between head and skin.
     middle = 0.5 * float(head.height(0.0, 0.0) + outcome.skin.height(0.0, 0.0))
     x, y, radius = lay_on_plane(rig.left, ellipse_of(detection), p.frame, middle)
