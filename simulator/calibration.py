@@ -18,7 +18,9 @@ from simulator.board import PrintedBoard, view_board
 from simulator.projection import Beamer, Stripes, project_image, project_stripes, receive_image, receive_stripes
 from simulator.relief import Floats
 from simulator.rig import aim_frame
+from simulator.scene import make_rig
 from simulator.sensor import Sensor
+from simulator.spec import CalibrationSpec, SimulationSpec
 from simulator.trace import Float32
 from simulator.truth import Pose
 
@@ -188,6 +190,29 @@ def render_calibration(
         if progress:
             progress((k + 1) / settings.poses, f"board pose {k + 1} of {settings.poses}")
     return CalibrationCapture(board, dots if fringe is None else None, fringe, rig, tuple(poses))
+
+
+def simulate_calibration(
+    spec: SimulationSpec, rig: Rig | None = None, progress: Callable[[float, str], None] | None = None
+) -> CalibrationCapture:
+    """The capture that a specification's `calibration` asks for (its defaults if it has none).
+
+    Parameters
+    ----------
+    spec : SimulationSpec
+    rig : Rig, optional
+        As it really is; the specification's own if None.
+    progress : callable, optional
+        Called with the share done (0 … 1) and what is being done.
+    """
+    asked = spec.calibration or CalibrationSpec()
+    settings = CaptureSettings(
+        poses=asked.poses, tilt_deg=asked.tilt_deg, depth_mm=asked.depth_mm, brightness=asked.brightness,
+        fringe=FringeCode("x", spec.fringe.steps, spec.fringe.counts) if asked.show == "fringes" else None,
+        ambient=spec.light.ambient, blur_px=spec.camera.blur_px, sensor=spec.camera.sensor, projector=spec.projector,
+    )  # fmt: skip
+    rng = np.random.default_rng([spec.seed, 3])
+    return render_calibration(rig or make_rig(spec), rng, asked.board, settings=settings, progress=progress)
 
 
 def _shown(

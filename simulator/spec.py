@@ -11,6 +11,7 @@ from typing import Literal
 
 from metrology.errors import SpecError
 from metrology.fringe import FringeCode
+from simulator.board import PrintedBoard
 from simulator.panel import Panel
 from simulator.projection import Beamer
 from simulator.rig import RigDesign
@@ -146,10 +147,46 @@ class Disturbances:
 
 
 @dataclass(frozen=True)
+class CalibrationSpec:
+    """The capture with which the rig is to be calibrated, by the same cameras and projector as the scans.
+
+    Attributes
+    ----------
+    show : "dots" or "fringes"
+        What the projector shows on the board beside white and black: a dot grid, or fringes in both axes.
+    poses : int
+    tilt_deg : float
+        Largest tilt of the board.
+    depth_mm : float
+        How far the poses reach before and behind the rig's aim point.
+    brightness : float
+        Grey levels of white matt paper that faces the projector at the aim point.
+    """
+
+    show: Literal["dots", "fringes"] = "dots"
+    poses: int = 9
+    tilt_deg: float = 28.0
+    depth_mm: float = 45.0
+    brightness: float = 210.0
+    board: PrintedBoard = field(default_factory=PrintedBoard)
+
+    def __post_init__(self) -> None:
+        if self.show not in ("dots", "fringes"):
+            raise SpecError(f"show: found {self.show!r}, expected dots or fringes")
+        if self.poses < 1:
+            raise SpecError(f"poses: found {self.poses}, expected at least 1")
+        if not 0 <= self.tilt_deg <= 45:
+            raise SpecError(f"tilt_deg: found {self.tilt_deg}, expected 0 to 45")
+        if self.brightness <= 0:
+            raise SpecError(f"brightness: found {self.brightness}, expected a positive number of grey levels")
+
+
+@dataclass(frozen=True)
 class SimulationSpec:
     """Everything that determines a series of scans.
 
     `seed` governs texture and noise, `rig.seed` the rig; `repeats` is the number of scans of each placement.
+    `calibration` asks for a calibration capture beside them.
     """
 
     format: Literal["flushline-simulation/1"]
@@ -162,6 +199,7 @@ class SimulationSpec:
     projector: Beamer = field(default_factory=Beamer)
     light: Lighting = field(default_factory=Lighting)
     disturbances: Disturbances = field(default_factory=Disturbances)
+    calibration: CalibrationSpec | None = None
     seed: int = 1
     repeats: int = 1
 

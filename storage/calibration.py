@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +18,8 @@ from metrology.calibration.board import Board, BoardKind
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.errors import CalibrationError
 from metrology.fringe import Axis, FringeCode
-from storage.documents import check_format, read_json
-from storage.frames import FrameHeader, read_frame, read_header, read_stack
+from storage.documents import check_format, read_json, utc_text
+from storage.frames import FrameHeader, read_frame, read_header, read_stack, write_frame
 from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
 from storage.scene import CAMERAS, Camera
 
@@ -217,6 +220,62 @@ def load_capture(folder: Path) -> CalibrationCapture:
     except CalibrationError as problem:
         text = str(problem)
         raise CalibrationError(text if text.startswith(str(folder)) else f"{manifest}: {text}") from None
+
+
+def write_capture(
+    folder: Path,
+    rig_id: str,
+    captured_at: datetime,
+    board: Mapping[str, Any],
+    projector: Mapping[str, Any],
+    poses: Sequence[Mapping[Camera, Mapping[str, GreyFrame]]],
+) -> None:
+    """Write a capture folder; calibration.json comes last, so a folder with one is complete.
+
+    Parameters
+    ----------
+    board, projector : mapping
+        As calibration.json has them.
+    poses : sequence of mapping
+        Frames by camera and name: white, dark, dots (h, w); or fringes_x, fringes_y (frames, h, w) in place of dots.
+    """
+    manifest = folder / MANIFEST
+    document = {
+        "format": FORMAT,
+        "units": "mm",
+        "captured_at": utc_text(captured_at),
+        "rig": rig_id,
+        "board": dict(board),
+        "projector": dict(projector),
+        "poses": [
+            {camera: _frame_names(f"pose{k:02d}_{camera}", pose[camera]) for camera in CAMERAS}
+            for k, pose in enumerate(poses)
+        ],
+    }
+    validate(CaptureModel, document, manifest, CalibrationError)
+    folder.mkdir(parents=True, exist_ok=True)
+    manifest.unlink(missing_ok=True)
+    for k, pose in enumerate(poses):
+        for camera in CAMERAS:
+            for name, frames in pose[camera].items():
+                stem = f"pose{k:02d}_{camera}_{name}"
+                if frames.ndim == 2:
+                    write_frame(folder / f"{stem}.png", frames)
+                else:
+                    for i, frame in enumerate(frames):
+                        write_frame(folder / f"{stem}_{i:02d}.png", frame)
+    manifest.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def _frame_names(stem: str, frames: Mapping[str, GreyFrame]) -> dict[str, Any]:
+    """One camera's part of a pose in calibration.json."""
+    single = {name: f"{stem}_{name}.png" for name, frame in frames.items() if frame.ndim == 2}
+    fringes = {
+        name.removeprefix("fringes_"): [f"{stem}_{name}_{i:02d}.png" for i in range(len(stack))]
+        for name, stack in frames.items()
+        if stack.ndim == 3
+    }
+    return single | ({"fringes": fringes} if fringes else {})
 
 
 def _codes(fringe: FringesModel) -> dict[Axis, FringeCode]:

@@ -12,7 +12,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "simulate",
         parents=[common],
         help="scene folders with truth.json from a virtual rig and panel",
-        description="Renders the scenes of a simulation specification (TOML) and writes their rig beside them.",
+        description="Renders the scenes of a simulation specification (TOML) and writes their rig beside them, and a "
+        "calibration capture where the specification has a [calibration] table.",
     )
     parser.add_argument(
         "spec", metavar="SPEC", help="TOML file, or the name of a specification that ships with Flushline"
@@ -24,7 +25,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 def run(options: argparse.Namespace) -> int:
     """Render the scenes."""
     from flows.progress import progress_bar
-    from flows.simulate import simulate_folders
+    from flows.simulate import simulate_capture, simulate_folders
     from simulator.spec import read_spec, shipped_spec
 
     is_name = Path(options.spec).name == options.spec and not options.spec.endswith(".toml")
@@ -34,7 +35,15 @@ def run(options: argparse.Namespace) -> int:
         folders, rig = simulate_folders(
             spec, options.out, lambda done, what: progress.update(bar, completed=done, description=what)
         )
+        capture = None
+        if spec.calibration:
+            progress.update(bar, completed=0.0, description="calibration capture")
+            capture = simulate_capture(
+                spec, options.out, lambda done, what: progress.update(bar, completed=done, description=what)
+            )
     for folder in folders:
         print(folder)
     print(f"rig: {rig}")
+    if capture:
+        print(f"calibration capture: {capture}")
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from metrology.errors import CalibrationError
-from storage.calibration import load_capture
+from storage.calibration import load_capture, write_capture
 from storage.frames import write_frame
 
 DOTS = {
@@ -97,6 +98,26 @@ def test_a_wrong_capture_is_named(capture: Path, change: Callable[[dict[str, Any
         load_capture(capture)
     assert said in str(caught.value)
     assert str(capture) in str(caught.value)
+
+
+def test_what_is_written_is_loaded(tmp_path: Path, capture: Path) -> None:
+    model = load_capture(capture)
+    pictures = {
+        camera: {"white": images.white, "dark": images.dark}
+        | {f"fringes_{axis}": stack for axis, stack in images.fringes.items()}
+        for camera, images in ((camera, model.images(1, camera)) for camera in ("left", "right"))
+    }
+    projector = json.loads((capture / "calibration.json").read_text())["projector"]
+    taken = datetime(2026, 11, 2, 7, 5, tzinfo=UTC)
+    write_capture(tmp_path / "again", "rig-1", taken, BOARD, projector, [pictures])
+    again = load_capture(tmp_path / "again")
+    assert again.board == model.board
+    assert again.codes == model.codes
+    assert again.dots == model.dots
+    for camera in ("left", "right"):
+        found, expected = again.images(0, camera), model.images(1, camera)
+        np.testing.assert_array_equal(found.white, expected.white)
+        np.testing.assert_array_equal(found.fringes["y"], expected.fringes["y"])
 
 
 def test_the_reference_capture_loads(shared: Path) -> None:
