@@ -40,9 +40,7 @@ def simulate_folders(
     return folders, rig_path
 
 
-def simulate_capture(
-    spec: SimulationSpec, out: Path, on_progress: Callable[[float, str], None] | None = None
-) -> Path:
+def simulate_capture(spec: SimulationSpec, out: Path, on_progress: Callable[[float, str], None] | None = None) -> Path:
     """Render the calibration capture of a specification into a folder of `out`, and return that folder."""
     folder = out / CAPTURE_FOLDER
     capture = simulate_calibration(spec, progress=on_progress)
@@ -51,9 +49,7 @@ def simulate_capture(
     if capture.dots:
         projector["dots"] = capture.dots.as_dict()
     if capture.fringe:
-        projector["fringe"] = {
-            code.axis: {"steps": code.steps, "counts": list(code.counts)} for code in capture.fringe
-        }
+        projector["fringe"] = {code.axis: {"steps": code.steps, "counts": list(code.counts)} for code in capture.fringe}
     write_capture(
         folder,
         capture.rig.id,

@@ -228,7 +228,7 @@ def write_capture(
     captured_at: datetime,
     board: Mapping[str, Any],
     projector: Mapping[str, Any],
-    poses: Sequence[Mapping[Camera, Mapping[str, GreyFrame]]],
+    poses: Sequence[Mapping[str, Mapping[str, GreyFrame]]],
 ) -> None:
     """Write a capture folder; calibration.json comes last, so a folder with one is complete.
 

@@ -1,4 +1,4 @@
-"""From a specification to a rig, by the commands a user types: simulate a capture, calibrate, compare with the truth."""
+"""From a specification to a rig, by the commands a user types: simulate a capture, calibrate, compare with truth."""
 
 from __future__ import annotations
 
