@@ -21,6 +21,7 @@ from metrology.errors import FlushlineError, RigError, SceneError, UsageError
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.panel_spec import PanelSpecification, load_panel_spec
+from storage.review import ReviewLog
 from storage.rig import load_rig, rig_document
 from storage.scene import MANIFEST, load_manifest
 from tasks import steps
@@ -29,9 +30,10 @@ from tasks.settings import load_settings
 QUARANTINE = "quarantine"
 _DEPTH = 4
 
-State = Literal["inspected", "known", "copying", "waiting", "quarantined", "failed"]
-"""inspected: just now; known: earlier, alike; copying: still being written; waiting: its rig is not in the store;
-quarantined: broken, put aside; failed: not the scene's fault, left for the next run."""
+State = Literal["inspected", "known", "signed off", "copying", "waiting", "quarantined", "failed"]
+"""inspected: just now; known: earlier, alike; signed off: earlier, otherwise, and that result stays; copying: still
+being written; waiting: its rig is not in the store; quarantined: broken, put aside; failed: not the scene's fault,
+left for the next run."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class Plan:
     ready : list of Path
         Scene folders to inspect.
     settled : list of Outcome
-        What needs nothing more: known, still copying, waiting, or broken and put aside already.
+        What needs nothing more: known, signed off, still copying, waiting, or broken and put aside already.
     """
 
     ready: list[Path]
@@ -124,7 +126,7 @@ def plan(job: InboxJob) -> Plan:
         store.recover()  # a scene whose run was cut short just before the index is finished, too
     config_hash = _config_hashes(job, store)
     rig_hash = _rig_hashes(job, store)
-    known = _known(store)
+    known, signed = _known(store), ReviewLog(job.store).read().sign_offs()
     ready: list[Path] = []
     settled: list[Outcome] = []
     for folder in scene_folders(job.inbox):
@@ -141,6 +143,11 @@ def plan(job: InboxJob) -> Plan:
                 continue
             if known.get(scene_id) == (config_hash(key.panel), rig_hash(manifest.rig)):
                 settled.append(Outcome(folder, "known", scene_id))
+                continue
+            if entry := signed.get(scene_id):
+                settled.append(
+                    Outcome(folder, "signed off", scene_id, f"signed off by {entry.who} on run {entry.run_id}")
+                )
                 continue
             steps.load(folder, job.rig, store)
         except (SceneError, RigError) as problem:

@@ -58,5 +58,5 @@ def _tell(outcome: Outcome) -> None:
         print(f"{outcome.scene_id}: {outcome.text}; {outcome.seconds:.1f} s")
     elif outcome.state in ("quarantined", "failed"):
         print_error(f"{outcome.text} ({'put aside' if outcome.state == 'quarantined' else 'left for the next run'})")
-    elif outcome.state == "waiting":
+    elif outcome.state in ("waiting", "signed off"):
         print(f"{outcome.scene_id}: left, {outcome.text}")

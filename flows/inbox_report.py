@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 from flows.inbox import Outcome, State
 
-_ORDER: tuple[State, ...] = ("failed", "quarantined", "waiting", "copying", "inspected", "known")
+_ORDER: tuple[State, ...] = ("failed", "quarantined", "waiting", "copying", "inspected", "signed off", "known")
 _WORDS: dict[State, str] = {
     "inspected": "inspected",
     "known": "known already",
+    "signed off": "signed off earlier",
     "copying": "still being copied",
     "waiting": "waiting for their rig",
     "quarantined": "put aside",

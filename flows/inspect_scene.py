@@ -11,6 +11,8 @@ from typing import Any, Protocol, TypeVar
 
 from metrology.results import Rivet, SceneKey, SeamStation
 from storage.archive import Store
+from storage.archive.panels import PatternTaken
+from storage.archive.schema import STEPS
 from storage.panel_spec import PanelSpecification
 from tasks import steps
 from tasks.settings import InspectionSettings
@@ -111,14 +113,21 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
     with timed("measure_seams"):
         stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
     spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
-    with timed("register"):
-        registered = call(steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings)
-    with timed("judge"):
-        judged = call(steps.judge, registered.rivets, registered.stations, spec)
-    with timed("overlay"):
-        drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
-    seconds["total"] = sum(seconds.values())
-    result = steps.assemble(loaded, reconstruction, health, registered, judged, drawn, settings, spec, seconds)
-    with timed("publish"):
-        run_id = call(steps.publish, job.store, result, loaded.rig)
-    return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)
+
+    def conclude() -> Inspected:
+        with timed("register"):
+            registered = call(steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings)
+        with timed("judge"):
+            judged = call(steps.judge, registered.rivets, registered.stations, spec)
+        with timed("overlay"):
+            drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
+        seconds["total"] = sum(seconds[step] for step in STEPS)
+        result = steps.assemble(loaded, reconstruction, health, registered, judged, drawn, settings, spec, seconds)
+        with timed("publish"):
+            run_id = call(steps.publish, job.store, result, loaded.rig)
+        return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)
+
+    try:
+        return conclude()
+    except PatternTaken:  # another first scan of the station was stored meanwhile: this one is recognised by it
+        return conclude()

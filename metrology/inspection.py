@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.overlay import Overlay
+from metrology.panel import PanelLayout
 from metrology.results import Rivet, SceneKey, SeamStation
 
 
@@ -48,6 +49,8 @@ class InspectionResult:
         How the scan was recognised in its panel's pattern, as plain values.
     epipolar_rms_px : float or None
         How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines.
+    pattern : PanelLayout or None
+        The pattern that this scan, the first of its station, enrols.
     """
 
     key: SceneKey
@@ -66,3 +69,4 @@ class InspectionResult:
     operator: str | None = None
     registration: Mapping[str, Any] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
+    pattern: PanelLayout | None = None

@@ -25,6 +25,7 @@ from metrology.rig import Rig
 from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.bundle import document_hash
+from storage.archive.signed import refuse_signed_off
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
 from storage.scene import Scene, load_scene
@@ -56,8 +57,12 @@ class Judged:
 
 
 def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
-    """Check a scene folder and find its rig: the file that is given, or else the one the scene names, in the store."""
+    """Check a scene folder and find its rig: the file that is given, or else the one the scene names, in the store.
+
+    A scene that is signed off is refused: its result stays.
+    """
     scene = load_scene(folder)
+    refuse_signed_off(store.root, scene.key.scene_id)
     rig = load_rig(rig_path) if rig_path else store.find_rig(scene.rig_id)
     scene.check_fits(rig)
     if rig.id == scene.rig_id:
@@ -143,18 +148,15 @@ def register(
     store: Store,
     settings: InspectionSettings,
 ) -> Registration:
-    """Give rivets and seams the panel's ids; the first scan of a station without a pattern becomes its pattern."""
+    """Give rivets and seams the panel's ids; the first scan of a station without a pattern is to become its pattern.
+
+    Nothing is kept here: the pattern goes into the store with the result.
+    """
     key = loaded.scene.key
     vouched = _nominal(spec, key)
     pattern = vouched or store.panels.pattern(key.panel, key.station)
     if pattern is None:
-        enrolled = registration.enrol(measured, stations, reconstruction.points, key.station)
-        if enrolled.enrolled is None or enrolled.enrolled.empty:
-            return enrolled
-        store.prepare()
-        if store.panels.enrol(enrolled.enrolled, key.panel, key.station, key.scene_id):
-            return enrolled
-        pattern = store.panels.pattern(key.panel, key.station) or enrolled.enrolled
+        return registration.enrol(measured, stations, reconstruction.points, key.station)
     return registration.register(
         measured,
         stations,
@@ -226,6 +228,7 @@ def assemble(
         operator=loaded.scene.operator,
         registration=_registration_document(registered),
         epipolar_rms_px=health.epipolar_rms_px,
+        pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
     )
 
 

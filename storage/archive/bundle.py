@@ -26,10 +26,12 @@ from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
 from storage.cloud import write_cloud
 from storage.documents import read_json, utc_text
 from storage.models import Identifier, UtcTime, validate
+from storage.panel_spec import pattern_toml
 
 FORMAT = "flushline-bundle/1"
 MANIFEST = "manifest.json"
 CLOUD, OVERLAY, OVERLAY_SVG, PREVIEW, RIG = "cloud.parquet", "overlay.png", "overlay.svg", "preview.png", "rig.json"
+PATTERN = "pattern.toml"  # where the scene enrols its station's pattern
 
 
 class FileModel(BaseModel):
@@ -82,6 +84,9 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
         (folder / OVERLAY).write_bytes(_png(cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)))
         (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
         (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
+        if result.pattern:
+            text = pattern_toml(result.pattern, result.key.panel, "enrolled", result.key.scene_id)
+            (folder / PATTERN).write_text(text, encoding="utf-8")
         for name, table in tables.items():
             pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
         cloud.result()

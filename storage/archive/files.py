@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+from metrology.errors import StoreError
 
 # Linux: lets two files share their blocks until one of them changes (XFS, Btrfs).
 _FICLONE = 0x40049409
@@ -37,6 +41,18 @@ def hold(path: Path) -> int | None:
     return descriptor
 
 
+@contextlib.contextmanager
+def disk_trouble(root: Path, consequence: str) -> Iterator[None]:
+    """Say in one line what the disk would not do, and what follows from it for a store."""
+    try:
+        yield
+    except OSError as problem:
+        found = f'{problem.filename or root}: found "{problem.strerror}", expected a store that can be written'
+        if problem.errno == errno.ENOSPC:
+            found = f"{root}: found the disk full, expected room for a result"
+        raise StoreError(f"{found}; {consequence}") from problem
+
+
 def sync(path: Path) -> None:
     """Bring a file's content, or a folder's list of names, onto the disk."""
     descriptor = os.open(path, os.O_RDONLY)
@@ -47,10 +63,37 @@ def sync(path: Path) -> None:
 
 
 def write_durably(path: Path, content: bytes) -> None:
-    """Write a new file and its name onto the disk."""
-    path.write_bytes(content)
-    sync(path)
+    """Write a new file and its name onto the disk; a disk that cannot take it all is left without it."""
+    try:
+        path.write_bytes(content)
+        sync(path)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
     sync(path.parent)
+
+
+def write_first(target: Path, content: bytes) -> bool:
+    """Write a file that does not exist yet, whole or not at all; False where another was first."""
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".")
+    os.close(descriptor)
+    partial = Path(name)
+    try:
+        write_durably(partial, content)
+        partial.chmod(0o444)
+        return link_first(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def link_first(source: Path, target: Path) -> bool:
+    """Give a file a second name that does not exist yet; False where another was first."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        return False
+    sync(target.parent)
+    return True
 
 
 def make_folders(folder: Path, root: Path) -> None:

@@ -7,7 +7,9 @@ opens this file but the writer: readers get published copies (see `snapshot`).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+import errno
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import duckdb
@@ -16,7 +18,9 @@ from metrology.errors import StoreError
 from storage.archive.bundle import BundleModel, check_bundle
 from storage.archive.layout import Layout
 from storage.archive.schema import TABLES
+from storage.archive.signed import by_preference, signed_runs
 from storage.archive.views import VIEWS
+from storage.review import ReviewLog
 
 # The newest format that released command-line clients of DuckDB 1.4 and later all read.
 STORAGE_FORMAT = "v1.4.0"
@@ -38,17 +42,15 @@ def discard(path: Path) -> None:
         file.unlink(missing_ok=True)
 
 
-def current_runs(layout: Layout, runs: Iterable[Path] | None = None) -> tuple[list[Path], list[str]]:
-    """The newest undamaged run of each scene, and what is damaged.
+def current_runs(layout: Layout) -> tuple[list[Path], list[str]]:
+    """The run of each scene that is to be shown, and what is damaged.
 
-    Parameters
-    ----------
-    runs : iterable of Path, optional
-        Bundles to choose from; all of the store's where it is not given.
+    That is the one that was signed off, else the newest; a damaged one gives way to the next.
     """
     newest: dict[Path, Path] = {}
     problems = []
-    for run in sorted(runs if runs is not None else (m.parent for m in layout.runs()), reverse=True):
+    signed = signed_runs(ReviewLog(layout.root).read())
+    for run in by_preference((manifest.parent for manifest in layout.runs()), signed):
         if run.parent in newest:
             continue
         try:
@@ -60,10 +62,20 @@ def current_runs(layout: Layout, runs: Iterable[Path] | None = None) -> tuple[li
     return sorted(newest.values()), problems
 
 
-def replace_run(connection: duckdb.DuckDBPyConnection, run: Path, manifest: BundleModel) -> bool:
-    """Put a run's rows in place of those of its scene, all tables in one transaction; an older run changes nothing."""
+def replace_run(
+    connection: duckdb.DuckDBPyConnection, run: Path, manifest: BundleModel, signed: Mapping[str, str]
+) -> bool:
+    """Put a run's rows in place of those of its scene, all tables in one transaction.
+
+    An older run changes nothing, nor does another one than that on which the scene was signed off.
+
+    Parameters
+    ----------
+    signed : mapping
+        The run that each signed-off scene was signed off on.
+    """
     held = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [manifest.scene_id]).fetchone()
-    if held and held[0] >= manifest.run_id:
+    if held and (held[0] >= manifest.run_id or manifest.scene_id in signed):
         return False
     connection.execute("BEGIN")
     try:
@@ -83,13 +95,16 @@ def rebuild(layout: Layout) -> list[str]:
     runs, problems = current_runs(layout)
     partial = layout.work.with_suffix(".partial")
     discard(partial)
-    with _connected(partial) as connection:
-        for made in (*TABLES, *VIEWS):
-            connection.execute(made.create_sql)
-        for start in range(0, len(runs), _RUNS_PER_INSERT):
-            _insert(connection, runs[start : start + _RUNS_PER_INSERT])
-    discard(layout.work)
-    partial.rename(layout.work)
+    try:
+        with _connected(partial) as connection:
+            for made in (*TABLES, *VIEWS):
+                connection.execute(made.create_sql)
+            for start in range(0, len(runs), _RUNS_PER_INSERT):
+                _insert(connection, runs[start : start + _RUNS_PER_INSERT])
+        discard(layout.work)
+        partial.rename(layout.work)
+    finally:
+        discard(partial)
     return problems
 
 
@@ -108,6 +123,7 @@ def _connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
     try:
         connection = duckdb.connect(str(path), config={"storage_compatibility_version": STORAGE_FORMAT})
     except duckdb.Error as problem:
+        _refuse_full_disk(path, problem)
         raise StoreError(
             f"{path}: found a damaged index ({_first_line(problem)}), expected a DuckDB file; "
             "'flushline archive rebuild' makes it again"
@@ -116,9 +132,16 @@ def _connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
         yield connection
         connection.execute("CHECKPOINT")
     except duckdb.Error as problem:
+        _refuse_full_disk(path, problem)
         raise StoreError(f"{path}: found {_first_line(problem)}, expected the index to take the change") from problem
     finally:
         connection.close()
+
+
+def _refuse_full_disk(path: Path, problem: duckdb.Error) -> None:
+    """DuckDB says in words of its own what is an OSError elsewhere."""
+    if os.strerror(errno.ENOSPC) in str(problem):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from problem
 
 
 def _first_line(problem: Exception) -> str:

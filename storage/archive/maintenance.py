@@ -16,11 +16,14 @@ from typing import TYPE_CHECKING
 from metrology.errors import StoreError
 from storage.archive import index, snapshot
 from storage.archive.bundle import MANIFEST, check_bundle
-from storage.archive.files import locked, make_folders, point_to, sync
+from storage.archive.files import disk_trouble, locked, make_folders, point_to, sync
 from storage.archive.layout import Layout
 from storage.archive.schema import TABLES
+from storage.archive.signed import by_preference, signed_runs
+from storage.review import ReviewLog
 
 if TYPE_CHECKING:
+    import duckdb
     from pyarrow.fs import FileSystem
 
 _CHECKING_THREADS = 4
@@ -67,7 +70,7 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None) -> Check:
 
 def rebuild(layout: Layout) -> list[str]:
     """Make the index again from the bundles alone and publish it; returns what is damaged."""
-    with locked(layout.lock):
+    with disk_trouble(layout.root, "the index is as it was"), locked(layout.lock):
         problems = index.rebuild(layout)
         snapshot.publish(layout)
     return problems
@@ -79,17 +82,10 @@ def compact(layout: Layout) -> Path:
     `parquet` in the store points to the newest; the one before stays for whoever reads it just now.
     """
     target = layout.index / f"parquet-{time.time_ns():020d}"
-    with locked(layout.lock), index.writing(layout) as connection:
+    with disk_trouble(layout.root, "parquet is as it was"), locked(layout.lock):
         try:
-            for table in TABLES:
-                folder = target / table.name
-                make_folders(folder, layout.root)
-                connection.execute(
-                    f"COPY (FROM {table.name} ORDER BY aircraft_serial, panel, captured_at) TO '{_quoted(folder)}' "
-                    "(FORMAT parquet, COMPRESSION zstd, PARTITION_BY (aircraft_serial), WRITE_PARTITION_COLUMNS true)"
-                )
-            for path in target.rglob("*"):
-                sync(path)
+            with index.writing(layout) as connection:
+                _write_parquet(connection, layout, target)
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
             raise
@@ -100,7 +96,9 @@ def compact(layout: Layout) -> Path:
 
 
 def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) -> list[Path]:
-    """Remove runs that newer ones have replaced, never the one that the index shows; returns what was removed.
+    """Remove runs that newer ones have replaced; returns what was removed.
+
+    The run that the index shows stays, and so does one that somebody signed off.
 
     Parameters
     ----------
@@ -111,15 +109,19 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     """
     if keep < 1:
         raise StoreError(f"prune: found {keep} runs to keep, expected at least 1")
+    review = ReviewLog(layout.root).read()
+    if review.problem:
+        raise StoreError(f"{review.problem}; nothing is removed until that is cleared up")
+    signed = signed_runs(review)
     removed = []
-    with locked(layout.lock), index.writing(layout) as connection:
+    with locked(layout.lock):
         for left in layout.staging.glob(f"*{_REMOVED}"):  # by a prune that was cut short
             shutil.rmtree(left)
-        shown = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+        shown = _shown(layout)
         for scene in sorted(layout.bundles.glob("*/*/*")):
             former = sorted((run for run in scene.iterdir() if run.name < shown.get(scene.name, "")), reverse=True)
             for run in former[keep - 1 :]:
-                if older_than and _age(run) < older_than:
+                if run.name == signed.get(scene.name) or (older_than and _age(run) < older_than):
                     continue
                 # Out of the bundles in one step: a run that is being removed must not look like a damaged one.
                 trash = layout.staging / f"{run.name}{_REMOVED}"
@@ -192,6 +194,26 @@ def _current_paths(layout: Layout, aircraft: str | None, panel: str | None) -> l
     return [str(path) for (path,) in rows]
 
 
+def _shown(layout: Layout) -> dict[str, str]:
+    """The run of each scene that the published index shows."""
+    if not layout.archive.exists():
+        return {}
+    with contextlib.closing(snapshot.connect(layout)) as connection:
+        return dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+
+
+def _write_parquet(connection: duckdb.DuckDBPyConnection, layout: Layout, target: Path) -> None:
+    for table in TABLES:
+        folder = target / table.name
+        make_folders(folder, layout.root)
+        connection.execute(
+            f"COPY (FROM {table.name} ORDER BY aircraft_serial, panel, captured_at) TO '{_quoted(folder)}' "
+            "(FORMAT parquet, COMPRESSION zstd, PARTITION_BY (aircraft_serial), WRITE_PARTITION_COLUMNS true)"
+        )
+    for path in target.rglob("*"):
+        sync(path)
+
+
 def _without_manifest(layout: Layout) -> Iterator[str]:
     for run in sorted(layout.bundles.glob("*/*/*/*")):
         if not (run / MANIFEST).is_file():
@@ -204,9 +226,10 @@ def _index_problems(layout: Layout, sound: list[Path]) -> Iterator[str]:
         if sound:
             yield f"{layout.archive}: found no index, expected one of {len(sound)} runs ('flushline archive rebuild')"
         return
-    newest = {run.parent.name: run for run in sound}
+    signed = signed_runs(ReviewLog(layout.root).read())
+    newest = {run.parent.name: run for run in reversed(by_preference(sound, signed))}
+    shown = _shown(layout)
     with contextlib.closing(snapshot.connect(layout)) as connection:
-        shown = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
         counts = {
             table.name: dict(connection.execute(f"SELECT scene_id, count(*) FROM {table.name} GROUP BY ALL").fetchall())
             for table in TABLES

@@ -7,15 +7,13 @@ panels/PANEL/enrolled/STATION.toml  the pattern that a station's first scan enro
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from metrology.errors import SpecError, StoreError
 from metrology.panel import PanelLayout
-from storage.archive.files import make_folders, sync, write_durably
+from storage.archive.files import make_folders, sync, write_first
 from storage.models import IDENTIFIER_PATTERN
 from storage.panel_spec import PanelSpecification, load_panel_spec, pattern_toml
 
@@ -26,6 +24,10 @@ class SpecVersion:
 
     number: int
     path: Path
+
+
+class PatternTaken(StoreError):
+    """A scan was to be its station's pattern, but another one was stored first."""
 
 
 class Panels:
@@ -68,7 +70,7 @@ class Panels:
                 return versions[-1]
             number = versions[-1].number + 1 if versions else 1
             target = folder / f"spec-{number:04d}.toml"
-            if _write_first(target, content):
+            if write_first(target, content):
                 return SpecVersion(number, target)
 
     def stations(self, panel: str) -> list[str]:
@@ -100,7 +102,7 @@ class Panels:
             number = 1 + len(list(path.parent.glob(f"{station}.replaced-*")))
             path.replace(path.with_name(f"{station}.replaced-{number}"))
             sync(path.parent)
-        return _write_first(path, pattern_toml(layout, panel, "enrolled", scene_id).encode())
+        return write_first(path, pattern_toml(layout, panel, "enrolled", scene_id).encode())
 
     def _folder(self, panel: str) -> Path:
         return self.root / _checked(panel)
@@ -111,20 +113,3 @@ def _checked(name: str) -> str:
     if not re.fullmatch(IDENTIFIER_PATTERN, name):
         raise StoreError(f"panel or station {name!r}: expected letters, digits, '.', '_' and '-' only")
     return name
-
-
-def _write_first(target: Path, content: bytes) -> bool:
-    """Write a file that does not exist yet, whole or not at all; False where another was first."""
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".")
-    os.close(descriptor)
-    partial = Path(name)
-    try:
-        write_durably(partial, content)
-        partial.chmod(0o444)
-        os.link(partial, target)
-        sync(target.parent)
-    except FileExistsError:
-        return False
-    finally:
-        partial.unlink(missing_ok=True)
-    return True

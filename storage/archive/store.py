@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
-import os
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metrology.errors import RigError, StoreError
-from storage.archive.files import hold, locked, make_folders, sync, write_durably
-from storage.archive.layout import STORE_FORMAT, Layout, new_run_id
+from storage.archive.files import disk_trouble, locked, write_first
+from storage.archive.layout import STORE_FORMAT, Layout
 from storage.documents import read_json
 
 if TYPE_CHECKING:
@@ -92,64 +89,66 @@ class Store:
     def publish(self, result: InspectionResult) -> str:
         """Store a result: its bundle first, then the index, then the published index.
 
-        Whoever reads sees the scene's former rows or the new ones, all of them, whatever happens here.
+        Whoever reads sees the scene's former rows or the new ones, all of them, whatever happens here. A scene that is
+        signed off is refused.
 
         Returns
         -------
         str
             The run's id.
+
+        Raises
+        ------
+        PatternTaken
+            Where the result enrols its station's pattern, but another scan's is there by now.
         """
         from storage.archive.bundle import write_bundle
+        from storage.archive.signed import refuse_signed_off
+        from storage.archive.staging import settle, staged_run
 
-        try:
+        key = result.key
+        self.check_usable()
+        refuse_signed_off(self.root, key.scene_id)
+        pattern = self.panels.pattern_path(key.panel, key.station)
+        with disk_trouble(self.root, "the store is as it was"):
             self.prepare()
-            scene = self.layout.scene(result.key)
-            with self._staging(scene) as (run_id, staging):
-                final = scene / run_id
-                write_bundle(staging, run_id, self.layout.relative(final), result)
-                make_folders(scene, self.root)
-                staging.rename(final)
-                sync(scene)
-        except OSError as problem:
-            raise StoreError(f"{_disk_problem(self.root, problem)}; the store is as it was") from problem
-        try:
-            self.recover()
-        except (OSError, StoreError) as problem:
-            text = _disk_problem(self.root, problem) if isinstance(problem, OSError) else str(problem)
-            raise StoreError(
-                f"{text}; the result is kept in {final} and will enter the tables with the next one, "
-                "or by 'flushline archive rebuild'"
-            ) from problem
-        return run_id
+            with staged_run(self.layout, self.layout.scene(key), pattern) as run:
+                write_bundle(run.folder, run.run_id, self.layout.relative(run.final), result)
+                settle(self.layout, run, pattern)
+        later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
+        with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):
+            self._take_up()
+        refuse_signed_off(self.root, key.scene_id, run.run_id)  # signed off meanwhile
+        return run.run_id
 
     def recover(self) -> int:
         """Take up what writers left: index complete bundles, remove dead staging; returns how many runs were indexed.
 
         Every writer ends with this, so one that waited for the lock often finds its bundle indexed by another.
         """
+        with disk_trouble(self.root, "complete runs will enter the tables when there is"):
+            return self._take_up()
+
+    def _take_up(self) -> int:
         from storage.archive import index, snapshot
         from storage.archive.bundle import check_bundle
+        from storage.archive.signed import signed_runs
+        from storage.archive.staging import pending
+        from storage.review import ReviewLog
 
         with locked(self.layout.lock):
-            finished: list[tuple[Path, Path]] = []
-            for marker in sorted(self.layout.staging.glob("*.json")):
-                run = self._pending_run(marker)
-                if run is not None and run.is_dir():
-                    finished.append((marker, run))
-                elif (descriptor := hold(marker)) is not None:  # its writer is dead
-                    shutil.rmtree(marker.with_suffix(""), ignore_errors=True)
-                    marker.unlink(missing_ok=True)
-                    os.close(descriptor)
-            if not finished:
+            runs = pending(self.layout)
+            if not runs:
                 return 0
+            signed = signed_runs(ReviewLog(self.root).read())
             with index.writing(self.layout) as connection:
-                for _, run in finished:
+                for run in runs.values():
                     with contextlib.suppress(StoreError):  # damaged on disk: `archive check` names it
-                        index.replace_run(connection, run, check_bundle(run, only_tables=True))
+                        index.replace_run(connection, run, check_bundle(run, only_tables=True), signed)
             snapshot.publish(self.layout)
-            for marker, _ in finished:
+            for marker in runs:
                 marker.unlink(missing_ok=True)
-            return len(finished)
+            return len(runs)
 
     def connect(self) -> duckdb.DuckDBPyConnection:
         """A read-only connection to the newest published index that cannot reach other files."""
@@ -226,8 +225,9 @@ class Store:
         path = self.layout.rigs / f"{rig.id}.json"
         if path.exists():
             return False
-        self.prepare()
-        save_rig(rig, path)
+        with disk_trouble(self.root, f"rig {rig.id!r} is not kept"):
+            self.prepare()
+            save_rig(rig, path)
         return True
 
     def prepare(self) -> None:
@@ -237,40 +237,4 @@ class Store:
         for folder in (self.layout.bundles, self.layout.rigs, self.layout.staging, self.layout.index):
             folder.mkdir(exist_ok=True)
         if not self.layout.marker.exists():
-            write_durably(self.layout.marker, json.dumps({"format": STORE_FORMAT}).encode())
-
-    @contextlib.contextmanager
-    def _staging(self, scene: Path) -> Iterator[tuple[str, Path]]:
-        """A run's id and an empty folder to write it into, with a marker that says where it will lie.
-
-        The marker is locked as long as its writer lives; it stays after success until the run is in the index.
-        """
-        with locked(self.layout.lock):  # so that nobody sees the marker before it is locked
-            run_id = new_run_id(scene)
-            marker, folder = self.layout.staging / f"{run_id}.json", self.layout.staging / run_id
-            write_durably(marker, json.dumps({"run": self.layout.relative(scene / run_id)}).encode())
-            descriptor = hold(marker)
-            folder.mkdir()
-        try:
-            yield run_id, folder
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            if not (scene / run_id).exists():
-                marker.unlink(missing_ok=True)
-            raise
-        finally:
-            if descriptor is not None:
-                os.close(descriptor)
-
-    def _pending_run(self, marker: Path) -> Path | None:
-        """Where the run of a staging marker will lie; None for a marker that its writer did not finish."""
-        try:
-            return self.root / str(json.loads(marker.read_text())["run"])
-        except (OSError, ValueError, KeyError):
-            return None
-
-
-def _disk_problem(root: Path, problem: OSError) -> str:
-    if problem.errno == errno.ENOSPC:
-        return f"{root}: found the disk full, expected room for a result"
-    return f'{problem.filename or root}: found "{problem.strerror}", expected a store that can be written'
+            write_first(self.layout.marker, json.dumps({"format": STORE_FORMAT}).encode())

@@ -74,7 +74,10 @@ def test_only_bad_scenes_leave_no_store_behind(
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("room", "name"), [("rivets", "measure_rivets"), ("overlay", "draw_overlay")])
 def test_a_failure_on_the_way_leaves_no_store_behind(
+    room: str,
+    name: str,
     scenes: list[Path],
     rig_file: Path,
     tmp_path: Path,
@@ -85,7 +88,7 @@ def test_a_failure_on_the_way_leaves_no_store_behind(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("by\nzero")
 
-    monkeypatch.setattr(steps.rivets, "measure_rivets", fail)
+    monkeypatch.setattr(getattr(steps, room), name, fail)
     arguments = ["inspect", str(scenes[0]), "--rig", str(rig_file), "--store", str(tmp_path / "store")]
     assert main(arguments) == 2
     error = capsys.readouterr().err.splitlines()[-1]

@@ -18,6 +18,7 @@ from flows.cli import main
 from flows.inbox import InboxJob, inspect_folder, only_run, plan, scene_folders
 from metrology.errors import UsageError
 from storage.archive import Store
+from storage.review import ReviewLog
 from tasks import steps
 from tests.flows.conftest import write_small_scene
 from tests.storage.results import small_key
@@ -72,6 +73,26 @@ def test_other_settings_or_another_rig_make_a_scene_new(
     job.rig.write_text(json.dumps(document))
     assert run(job, "--settings", str(settings)) == 0
     assert "1 inspected" in capsys.readouterr().out
+
+
+def test_a_signed_off_scene_keeps_its_result(
+    job: InboxJob, fake_metrology: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, _ = fill(job.inbox, "S1", "S2")
+    assert run(job) == 0
+    store = Store(job.store)
+    signed = store.query("SELECT run_id FROM scenes WHERE station = 'S1'").column(0)[0].as_py()
+    ReviewLog(job.store).sign_off("k.ito", small_key("S1").scene_id, signed, "", {})
+    settings = tmp_path / "settings.toml"
+    settings.write_text("[rivets]\nmin_score = 9.0\n")
+    assert run(job, "--settings", str(settings)) == 0
+    assert capsys.readouterr().out.endswith("1 signed off earlier, 1 inspected\n")
+    assert first.is_dir()
+    arguments = ["inspect", str(first), "--rig", str(job.rig), "--store", str(job.store)]
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "found it signed off by k.ito" in said
+    assert store.query("SELECT run_id FROM scenes WHERE station = 'S1'").column(0).to_pylist() == [signed]
 
 
 def big_header(folder: Path) -> None:

@@ -17,9 +17,12 @@ import numpy as np
 import pytest
 
 from metrology.errors import RigError, StoreError
+from metrology.panel import NominalRivet, PanelLayout
 from metrology.results import Rivet, SeamStation
 from storage.archive import Store, index, snapshot
+from storage.archive.panels import PatternTaken
 from storage.archive.schema import KEY, RIVETS, SEAM_STATIONS, TABLES
+from storage.archive.staging import staged_run
 from tests.storage.results import small_key, small_result, small_rig
 
 COUNTS = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM rivets), (SELECT count(*) FROM seam_stations)"
@@ -218,12 +221,14 @@ def test_a_run_cut_short_leaves_the_old_rows_or_the_new(
 def test_dead_staging_is_cleared_and_living_staging_is_left(store: Store) -> None:
     store.publish(small_result())
     (store.layout.staging / "dead").mkdir()
-    (store.layout.staging / "dead.json").write_text(json.dumps({"run": "bundles/a/b/c/dead"}))
-    with store._staging(store.layout.scene(small_key("S9"))) as (run_id, folder):
-        (folder / "half.parquet").write_text("half")
+    (store.layout.staging / "dead.json").write_text(json.dumps({"run": "bundles/a/b/c/dead", "pattern": "panels/p/s"}))
+    (store.layout.staging / "not-finished.json").write_text("")
+    pattern = store.panels.pattern_path("LH-F12", "S9")
+    with staged_run(store.layout, store.layout.scene(small_key("S9")), pattern) as run:
+        (run.folder / "half.parquet").write_text("half")
         store.recover()
-        assert folder.is_dir()
-        assert {path.name for path in store.layout.staging.iterdir()} == {run_id, f"{run_id}.json"}
+        assert run.folder.is_dir()
+        assert {path.name for path in store.layout.staging.iterdir()} == {run.run_id, f"{run.run_id}.json"}
 
 
 def full_disk(*_: object) -> None:
@@ -244,6 +249,52 @@ def test_a_full_disk_is_said_and_changes_nothing(store: Store, monkeypatch: pyte
     assert counts(store)[0] == 1
     store.publish(small_result(small_key("S5")))
     assert counts(store)[0] == 3
+
+
+PATTERN = PanelLayout((NominalRivet("R1", (1.0, 2.0, 0.0)),))
+
+
+def test_a_pattern_comes_with_its_result_or_not_at_all(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = replace(small_result(), pattern=PATTERN)
+    with monkeypatch.context() as patch:
+        patch.setattr("storage.archive.bundle.write_cloud", full_disk)
+        with pytest.raises(StoreError, match="disk full"):
+            store.publish(result)
+    assert not store.layout.panels.exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", full_disk)
+        with pytest.raises(StoreError, match="disk full"):
+            store.publish(result)
+    assert store.panels.stations("LH-F12") == []
+    run = store.publish(result)
+    assert store.panels.pattern("LH-F12", "S3") == PATTERN
+    assert (store.layout.scene(result.key) / run / "pattern.toml").exists()
+
+
+def test_a_writer_killed_after_enrolling_leaves_no_pattern(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    store.publish(small_result(small_key("S4")))
+
+    def die(*_: object) -> None:
+        os._exit(9)
+
+    child = os.fork()
+    if child == 0:
+        monkeypatch.setattr(Path, "rename", die)
+        store.publish(replace(small_result(), pattern=PATTERN))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    assert store.panels.stations("LH-F12") == ["S3"]
+    assert store.recover() == 0
+    assert store.panels.stations("LH-F12") == []
+    assert list(store.layout.staging.iterdir()) == []
+
+
+def test_of_two_first_scans_the_one_stored_first_is_the_pattern(store: Store) -> None:
+    store.publish(replace(small_result(), pattern=PATTERN))
+    later = replace(small_key(), captured_at=small_key().captured_at.replace(hour=9))
+    with pytest.raises(PatternTaken, match="enrolled meanwhile"):
+        store.publish(replace(small_result(later), pattern=PATTERN))
+    assert counts(store)[0] == 1
+    assert list(store.layout.staging.iterdir()) == []
 
 
 def test_the_index_is_made_again_from_the_bundles_alone(store: Store) -> None:

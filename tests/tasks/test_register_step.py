@@ -44,6 +44,13 @@ def loaded() -> steps.LoadedScene:
     return steps.LoadedScene(scene, small_result().reconstruction.rig)
 
 
+def keep(first: steps.Registration, store: Store) -> None:
+    """What publishing the scene does with the pattern that it enrols."""
+    assert first.enrolled is not None
+    store.prepare()
+    assert store.panels.enrol(first.enrolled, small_key().panel, small_key().station, "first")
+
+
 def run(loaded: steps.LoadedScene, spec: PanelSpecification, store: Store) -> steps.Registration:
     """Three heads in different places of a small scene."""
     result = small_result()
@@ -60,6 +67,8 @@ def test_the_first_scan_of_a_station_enrols_it_and_the_next_is_recognised(
 ) -> None:
     first = run(loaded, load_panel_spec(), store)
     assert first.status == "enrolled"
+    assert not store.root.exists()
+    keep(first, store)
     assert store.panels.stations("LH-F12") == ["S3"]
     again = run(loaded, load_panel_spec(), store)
     assert again.status == "recognised"
@@ -72,6 +81,7 @@ def test_the_pattern_of_the_panels_specification_comes_first(
     loaded: steps.LoadedScene, store: Store, tmp_path: Path
 ) -> None:
     first = run(loaded, load_panel_spec(), store)
+    keep(first, store)
     assert first.enrolled is not None
     spec = load_panel_spec(given(tmp_path))
     named = tuple(replace(r, rivet_id=f"DWG-{k}") for k, r in enumerate(first.enrolled.rivets))

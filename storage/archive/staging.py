@@ -1,0 +1,117 @@
+"""Runs on their way into the archive.
+
+`.staging` has a folder RUN_ID for each, and beside it RUN_ID.json: the marker that says where the run will lie. A
+writer holds its marker locked as long as it lives; the marker stays after success until the run is in the index.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from storage.archive.bundle import PATTERN
+from storage.archive.files import hold, link_first, locked, make_folders, sync, write_durably
+from storage.archive.layout import Layout, new_run_id
+from storage.archive.panels import PatternTaken
+
+
+@dataclass(frozen=True)
+class StagedRun:
+    """A run being written.
+
+    Attributes
+    ----------
+    run_id : str
+    folder : Path
+        Where its files are written.
+    final : Path
+        Where the folder will lie.
+    """
+
+    run_id: str
+    folder: Path
+    final: Path
+
+
+@contextlib.contextmanager
+def staged_run(layout: Layout, scene: Path, pattern: Path) -> Iterator[StagedRun]:
+    """An empty folder for a run of a scene; what is not settled in the end leaves no trace.
+
+    Parameters
+    ----------
+    scene : Path
+        Folder of the scene's runs.
+    pattern : Path
+        Where the pattern of the scene's station is kept.
+    """
+    with locked(layout.lock):  # so that nobody sees the marker before it is locked
+        run_id = new_run_id(scene)
+        run = StagedRun(run_id, layout.staging / run_id, scene / run_id)
+        marker = _marker(run.folder)
+        document = {"run": layout.relative(run.final), "pattern": layout.relative(pattern)}
+        write_durably(marker, json.dumps(document).encode())
+        descriptor = hold(marker)
+        run.folder.mkdir()
+    try:
+        yield run
+    except BaseException:
+        if not run.final.exists():
+            _remove(run.folder, pattern)
+        raise
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def settle(layout: Layout, run: StagedRun, pattern: Path) -> None:
+    """Give a written run its place, and its station the pattern that the run enrols."""
+    make_folders(run.final.parent, layout.root)
+    if (run.folder / PATTERN).exists():
+        make_folders(pattern.parent, layout.root)
+        if not link_first(run.folder / PATTERN, pattern):
+            raise PatternTaken(f"{pattern}: found a pattern enrolled meanwhile, expected none")
+    run.folder.rename(run.final)
+    sync(run.final.parent)
+
+
+def pending(layout: Layout) -> dict[Path, Path]:
+    """Runs that have their place but are not in the index, by their markers; what dead writers left is removed.
+
+    The caller holds the store's lock.
+    """
+    complete = {}
+    for marker in sorted(layout.staging.glob("*.json")):
+        run, pattern = _places(layout, marker)
+        if run is not None and run.is_dir():
+            complete[marker] = run
+        elif (descriptor := hold(marker)) is not None:  # its writer is dead
+            _remove(marker.with_suffix(""), pattern)
+            os.close(descriptor)
+    return complete
+
+
+def _marker(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.json")
+
+
+def _places(layout: Layout, marker: Path) -> tuple[Path | None, Path | None]:
+    """Where a marker's run and pattern will lie; None for a marker that its writer did not finish."""
+    try:
+        document = json.loads(marker.read_text())
+        return layout.root / str(document["run"]), layout.root / str(document["pattern"])
+    except (OSError, ValueError, KeyError):
+        return None, None
+
+
+def _remove(folder: Path, pattern: Path | None) -> None:
+    """Remove a run that did not get its place, with the pattern that it had enrolled already."""
+    own = folder / PATTERN
+    if pattern and own.exists() and pattern.exists() and own.samefile(pattern):
+        pattern.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
+    _marker(folder).unlink(missing_ok=True)
