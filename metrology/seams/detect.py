@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection, SeamLine
+from metrology.seams.heads import head_mask
 from metrology.seams.lines import ImageLine, detect_lines
 from metrology.seams.relief import Relief, examine_relief
+from metrology.seams.rough import RoughLine
 from metrology.seams.sections import usable_points
 from metrology.seams.settings import SeamSettings
 
@@ -20,6 +22,10 @@ Array = NDArray[np.float64]
 _SHOWN_LENGTH_PX = 400.0
 _SHOWN_CONTRAST = 0.3
 _SHOWN_CONFIDENCE = 0.2
+# Relief that a first look sees over this share of the length may turn out to be a seam's.
+_PROMISING_SHARE = 0.3
+# A head's rim and countersink reach so far beyond its ellipse, px.
+_HEAD_MARGIN_PX = 6.0
 
 
 def detect_seams(
@@ -31,17 +37,23 @@ def detect_seams(
     ----------
     reconstruction : Reconstruction
     rivets : sequence of RivetDetection
-        A line may run on across them.
+        Their rims are no parts of lines and their heads no skin; a seam runs on across them.
     settings : SeamSettings, optional
     """
     settings = settings or SeamSettings()
-    usable = usable_points(reconstruction)
+    heads = head_mask(rivets, reconstruction.flags.shape, _HEAD_MARGIN_PX)
+    usable = usable_points(reconstruction) & ~heads
+
+    def worth(rough: RoughLine) -> bool:
+        relief = examine_relief(rough.points, rough.width_px, reconstruction, usable, settings)
+        return relief.between_skins and (relief.share >= _PROMISING_SHARE or _is_shown(rough))
+
     seams, others = [], []
-    for line in detect_lines(reconstruction.left.texture, settings.lines):
-        relief = examine_relief(line.centre_px, float(np.nanmedian(line.width_px)), reconstruction, usable, settings)
+    for line in detect_lines(reconstruction.left.texture, settings.lines, heads, worth):
+        relief = examine_relief(line.centre_px, float(np.median(line.width_px)), reconstruction, usable, settings)
         if relief.is_seam:
             seams.append((line, _confidence(line, relief)))
-        elif relief.between_skins and line.length_px > _SHOWN_LENGTH_PX and abs(line.contrast) > _SHOWN_CONTRAST:
+        elif relief.between_skins and _is_shown(line):
             others.append((line, _SHOWN_CONFIDENCE))
     seams.sort(key=lambda found: tuple(found[0].centre_px.mean(axis=0)))
     numbered = [(line, confidence, True) for line, confidence in seams]
@@ -52,6 +64,11 @@ def detect_seams(
     ]
 
 
+def _is_shown(line: RoughLine | ImageLine) -> bool:
+    """Whether a line is conspicuous."""
+    return line.length_px > _SHOWN_LENGTH_PX and abs(line.contrast) > _SHOWN_CONTRAST
+
+
 def _confidence(line: ImageLine, relief: Relief) -> float:
     """How sure it is a seam: relief along its length, and a line that is there all along."""
-    return float(np.clip(max(relief.groove_share, relief.step_share) * (0.5 + 0.5 * line.support), 0.0, 1.0))
+    return float(np.clip(relief.share * (0.5 + 0.5 * line.support), 0.0, 1.0))

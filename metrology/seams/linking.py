@@ -17,7 +17,7 @@ def link(ridges: RidgeMap, high: float, min_points: int) -> list[Array]:
     Parameters
     ----------
     ridges : RidgeMap
-        Points above the low threshold.
+        Points above the low threshold, of either polarity: a chain keeps to one.
     high : float
         Least strength of a chain's first point.
     min_points : int
@@ -25,10 +25,11 @@ def link(ridges: RidgeMap, high: float, min_points: int) -> list[Array]:
     Returns
     -------
     list of (n, 3) ndarray
-        u, v, strength of each point, in order along the line.
+        u, v, strength of each point, in order along the line; strength is negative for bright lines.
     """
-    seeds = np.flatnonzero(ridges.strength.ravel() > high)
-    seeds = seeds[np.argsort(-ridges.strength.ravel()[seeds], kind="stable")]
+    magnitude = np.abs(ridges.strength).ravel()
+    seeds = np.flatnonzero(magnitude > high)
+    seeds = seeds[np.argsort(-magnitude[seeds], kind="stable")]
     points, ends = _link(
         ridges.strength, ridges.u, ridges.v, ridges.normal_u, ridges.normal_v, seeds.astype(np.int64), min_points
     )
@@ -63,7 +64,7 @@ def _link(strength, u, v, nu, nv, seeds, min_points):  # type: ignore[no-untyped
                 best, next_row, next_column = 1e9, -1, -1
                 for r in range(max(0, row - 2), min(height, row + 3)):
                     for c in range(max(0, column - 2), min(width, column + 3)):
-                        if used[r, c] or strength[r, c] == 0.0:
+                        if used[r, c] or strength[r, c] * strength[row, column] <= 0.0:
                             continue
                         du, dv = u[r, c] - u[row, column], v[r, c] - v[row, column]
                         distance = np.sqrt(du * du + dv * dv) + 1e-9

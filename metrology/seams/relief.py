@@ -1,4 +1,10 @@
-"""What the 3-D data say about a line in the image: a groove, a step, both, or nothing (a scratch, paint, a shadow)."""
+"""What the 3-D data say about a line in the image: a groove, a step, both, or nothing (a scratch, paint, a shadow).
+
+The line's surroundings are cut into short pieces. In each, both sides of skin are fitted at once: over a plane 1/z is
+affine in the pixel, so ``1/z = (offset of the side) + b x + c y + d x²`` with slopes and curvature common to both sides;
+the offsets differ by the step along the ray, ``Δz = −z² Δ(1/z)``. What lies between the sides is deeper (a groove),
+nearer (a cable), or in the skin.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.seams.polyline import Array
 from metrology.seams.settings import SeamSettings
+from metrology.seams.strip import Float32, Strip
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_STATION_PX = 12.0
-_HALF_ALONG_PX = 12.0
+# Places are 1 px apart across and this much along; so many rows make a piece, which is about 5 mm long.
+_STEP_PX = 2.0
+_PIECE_ROWS = 12
+# No more pieces than this are looked at: shares to better than a tenth.
+_MOST_PIECES = 40
+# Skin beside the line: 6 mm on each side tell a step from curvature.
 _SKIN_PX = 30.0
-_MIN_SIDE_POINTS = 80
-_MIN_INSIDE_PIXELS = 8
-# Skins on both sides of a seam belong together: no farther apart, and no more inclined, than this.
+_MIN_SIDE_PLACES = 40
+# Skins on both sides of a seam belong together: no farther apart than this.
 _MAX_STEP_MM = 4.0
-_MAX_ANGLE = np.tan(np.deg2rad(25.0))
-# A place is a groove where most pixels between the skins are deeper, or are missing and dark.
+# A piece has a groove (or something raised) where at least this share of what lies between the skins is out of them.
 _GROOVE_SHARE = 0.4
+# A place without a point is in a gap's shadow if it is this dark compared with the skin.
 _SHADOW = 0.5
 # A seam shows relief over most of its length, and has skin on both sides over most of it.
 _RELIEF_SHARE = 0.6
 _SKIN_SHARE = 0.5
 _STEP_SIGMAS = 4.0
+_ROUNDS = 3
+_CLIP_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -37,19 +49,20 @@ class Relief:
     Attributes
     ----------
     skin_share : float
-        Share of places with skin on both sides.
-    groove_share : float
-        Share of those with a groove.
+        Share of pieces with skin on both sides.
+    groove_share, raised_share : float
+        Share of those with a groove; with something that stands out of the skin.
     step_mm : float
         Median of the step.
     step_share : float
         Share of those with a step of that sign beyond noise and the least step asked for.
     """
 
-    skin_share: float
-    groove_share: float
-    step_mm: float
-    step_share: float
+    skin_share: float = 0.0
+    groove_share: float = 0.0
+    raised_share: float = 0.0
+    step_mm: float = 0.0
+    step_share: float = 0.0
 
     @property
     def between_skins(self) -> bool:
@@ -57,130 +70,118 @@ class Relief:
         return self.skin_share >= _SKIN_SHARE
 
     @property
+    def share(self) -> float:
+        """Share of the length over which there is relief."""
+        return max(self.groove_share, self.step_share)
+
+    @property
     def is_seam(self) -> bool:
         """Whether the line is a groove or a step of the skin."""
-        return self.between_skins and max(self.groove_share, self.step_share) >= _RELIEF_SHARE
+        return self.between_skins and self.share >= _RELIEF_SHARE and self.raised_share < self.share
 
 
 def examine_relief(
-    centre_px: Array, width_px: float, reconstruction: Reconstruction, usable: Mask, settings: SeamSettings
+    points: Array, width_px: float, reconstruction: Reconstruction, usable: Mask, settings: SeamSettings
 ) -> Relief:
     """Look at the points on both sides of a line and between them.
 
     Parameters
     ----------
-    centre_px : (n, 2) ndarray
-        About one point per pixel.
+    points : (n, 2) ndarray
+        u, v along the line.
     width_px : float
         The line's.
     usable : (h, w) ndarray of bool
         Pixels with a point that is not mixed across an edge.
     """
-    stops = np.arange(0, len(centre_px), int(_STATION_PX))
-    found = [
-        place
-        for i in stops
-        if (place := _examine_place(centre_px, int(i), width_px, reconstruction, usable, settings)) is not None
-    ]
-    if not found:
-        return Relief(0.0, 0.0, 0.0, 0.0)
-    step, sigma, groove = np.array(found).T
-    median = float(np.median(step))
-    beyond = (np.sign(step) == np.sign(median)) & (np.abs(step) > _STEP_SIGMAS * sigma)
-    beyond &= np.abs(step) > settings.min_step_mm
-    return Relief(len(found) / len(stops), float(groove.mean()), median, float(beyond.mean()))
-
-
-def _examine_place(
-    centre_px: Array, i: int, width_px: float, reconstruction: Reconstruction, usable: Mask, settings: SeamSettings
-) -> tuple[float, float, float] | None:
-    """Step, its standard deviation, and whether there is a groove; None without skin on both sides.
-
-    Over a plane 1/z is affine in the pixel; both sides share its slopes and a curvature across the line, so that their
-    offset is the step along the ray, Δz = −z² Δ(1/z).
-    """
-    before, after = centre_px[max(0, i - 10)], centre_px[min(len(centre_px) - 1, i + 10)]
-    tangent = (after - before) / (np.linalg.norm(after - before) + 1e-12)
     inner = width_px / 2 + settings.guard_px
-    reach = int(inner + _SKIN_PX + _HALF_ALONG_PX)
-    u0, v0 = np.round(centre_px[i]).astype(int)
-    rows = slice(max(0, v0 - reach), max(0, v0 + reach + 1))
-    columns = slice(max(0, u0 - reach), max(0, u0 + reach + 1))
-    v, u = np.mgrid[rows, columns][:, : usable[rows, columns].shape[0], : usable[rows, columns].shape[1]]
-    du, dv = u - centre_px[i, 0], v - centre_px[i, 1]
-    x = -du * tangent[1] + dv * tangent[0]
-    y = du * tangent[0] + dv * tangent[1]
-    z = reconstruction.points[rows, columns, 2].astype(float)
-    near = np.abs(y) < _HALF_ALONG_PX
-    skin = near & usable[rows, columns] & (np.abs(x) > inner) & (np.abs(x) < inner + _SKIN_PX)
-    sides = skin & (x < 0), skin & (x > 0)
-    if min(int(side.sum()) for side in sides) < _MIN_SIDE_POINTS:
-        return None
-    medians = [float(np.median(z[side])) for side in sides]
-    if abs(medians[0] - medians[1]) > _MAX_STEP_MM + 2 * (inner + _SKIN_PX) * _MAX_ANGLE * _mm_per_px(
-        reconstruction, medians
-    ):
-        return None
-    fit = _both_sides(x[skin], y[skin], 1.0 / z[skin], reconstruction.sigma_z[rows, columns][skin] / z[skin] ** 2)
-    if fit is None:
-        return None
-    coefficients, covariance = fit
-    middle = 0.5 * (coefficients[0] + coefficients[1])
-    depth = 1.0 / middle
-    step = abs(depth**2 * (coefficients[1] - coefficients[0]))
-    sigma = depth**2 * float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]))
-    if step > _MAX_STEP_MM:
-        return None
-    signed = float(depth**2 * (coefficients[1] - coefficients[0]))
-    inside = near & (np.abs(x) < max(width_px / 2 - 0.5, 0.75)) & (np.abs(y) < _HALF_ALONG_PX)
-    return (
-        signed,
-        sigma,
-        float(_is_groove(inside, skin, z, x, y, coefficients, rows, columns, reconstruction, settings)),
+    strip = Strip.along(points, inner + _SKIN_PX, _STEP_PX)
+    pieces = len(strip.line) // _PIECE_ROWS
+    if pieces == 0:
+        return Relief()
+    chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(int))
+    rows = (chosen[:, None] * _PIECE_ROWS + np.arange(_PIECE_ROWS)).ravel()
+    strip = strip.rows(rows)
+
+    def piecewise(image: NDArray[np.generic]) -> Array:
+        return strip.nearest(np.asarray(image, np.float32)).reshape(len(chosen), -1).astype(float)
+
+    x = np.tile(strip.x, _PIECE_ROWS)
+    y = np.repeat(_STEP_PX * (np.arange(_PIECE_ROWS) - (_PIECE_ROWS - 1) / 2), len(strip.x))
+    z = piecewise(reconstruction.points[..., 2])
+    skin = (piecewise(usable) > 0.5) & (np.abs(x) > inner)
+    both = np.minimum((skin & (x < 0)).sum(axis=1), (skin & (x > 0)).sum(axis=1)) >= _MIN_SIDE_PLACES
+    if both.mean() < _SKIN_SHARE:
+        return Relief(float(both.mean()))
+    z, skin = z[both], skin[both]
+    sides = _fit_sides(x, y, z, skin)
+    joined = np.abs(sides.step_mm) < _MAX_STEP_MM
+    if joined.mean() * both.mean() < _SKIN_SHARE:
+        return Relief(float(joined.mean() * both.mean()))
+    texture = piecewise(reconstruction.left.texture)[both]
+    between = np.abs(x) <= max(width_px / 2 - 0.5, 0.75)
+    deeper, nearer = _out_of_skin(x, y, z, texture, skin, sides, between, settings.min_groove_mm)
+    step = sides.step_mm[joined]
+    median = float(np.median(step))
+    beyond = (np.sign(step) == np.sign(median)) & (np.abs(step) > _STEP_SIGMAS * sides.sigma_mm[joined])
+    beyond &= np.abs(step) > settings.min_step_mm
+    return Relief(
+        skin_share=float(joined.mean() * both.mean()),
+        groove_share=float((deeper[joined] > _GROOVE_SHARE).mean()),
+        raised_share=float((nearer[joined] > _GROOVE_SHARE).mean()),
+        step_mm=median,
+        step_share=float(beyond.mean()),
     )
 
 
-def _mm_per_px(reconstruction: Reconstruction, depths: list[float]) -> float:
-    return max(depths) / reconstruction.rig.left.K[0, 0]
+@dataclass(frozen=True)
+class _Sides:
+    """Both sides of each piece: (p, 5) coefficients of 1/z, the step and its standard deviation (p,)."""
+
+    coefficients: Array
+    step_mm: Array
+    sigma_mm: Array
 
 
-def _both_sides(x: Array, y: Array, inverse: Array, sigma: Array) -> tuple[Array, Array] | None:
-    """Least squares of 1/z = (offset of the side) + b x + c y + d x², with outliers clipped."""
-    design = np.stack([x < 0, x > 0, x, y, x * x], axis=-1).astype(float)
-    keep = np.ones(len(x), bool)
-    for _ in range(4):
-        weighted = design[keep] / sigma[keep, None]
-        normal = weighted.T @ weighted
-        try:
-            solution = np.linalg.solve(normal, weighted.T @ (inverse[keep] / sigma[keep]))
-        except np.linalg.LinAlgError:
-            return None
-        residual = (inverse - design @ solution) / sigma
-        spread = 1.4826 * float(np.median(np.abs(residual[keep]))) + 1e-12
-        keep = np.abs(residual) < 4 * spread
-        if min((keep & (x < 0)).sum(), (keep & (x > 0)).sum()) < _MIN_SIDE_POINTS // 2:
-            return None
-    return np.asarray(solution, float), np.asarray(np.linalg.inv(normal) * spread**2, float)
+def _design(x: Array, y: Array) -> Array:
+    """(n, 5) derivatives of 1/z by the offsets of both sides, b, c and d."""
+    return np.stack([x < 0, x > 0, x, y, x * x], axis=-1).astype(float)
 
 
-def _is_groove(
-    inside: Mask,
-    skin: Mask,
-    z: Array,
-    x: Array,
-    y: Array,
-    coefficients: Array,
-    rows: slice,
-    columns: slice,
-    reconstruction: Reconstruction,
-    settings: SeamSettings,
-) -> bool:
-    """Whether most pixels between the skins are deeper than both, or have no point because they lie in shadow."""
-    if inside.sum() < _MIN_INSIDE_PIXELS:
-        return False
-    lower = np.minimum(coefficients[0], coefficients[1])
-    inverse = lower + coefficients[2] * x + coefficients[3] * y + coefficients[4] * x * x
-    deeper = z - 1.0 / inverse > settings.min_groove_mm
-    texture = reconstruction.left.texture[rows, columns]
-    shadow = ~np.isfinite(z) & (texture < _SHADOW * float(np.median(texture[skin])))
-    return bool(((deeper | shadow) & inside).sum() > _GROOVE_SHARE * inside.sum())
+def _fit_sides(x: Array, y: Array, z: Array, skin: Mask) -> _Sides:
+    """Least squares in all pieces at once, outliers clipped."""
+    # In units of the strip's half-width the normal equations are well conditioned.
+    unit = np.array([1.0, 1.0, 1 / x.max(), 1 / x.max(), 1 / x.max() ** 2])
+    design = _design(x, y) * unit
+    products = (design[:, :, None] * design[:, None, :]).reshape(len(x), 25)
+    depth = np.array([np.median(row[keep]) for row, keep in zip(z, skin, strict=True)])
+    inverse = np.where(skin, 1.0 / np.where(skin, z, 1.0), 0.0)
+    keep = skin.astype(float)
+    for _ in range(_ROUNDS):
+        normal = (keep @ products).reshape(-1, 5, 5) + 1e-9 * np.eye(5)
+        solution = np.linalg.solve(normal, ((keep * inverse) @ design)[..., None])[..., 0]
+        residual = np.abs(inverse - solution @ design.T)
+        spread = np.array([1.4826 * np.median(row[on > 0]) for row, on in zip(residual, keep, strict=True)]) + 1e-12
+        clipped = skin & (residual < _CLIP_SIGMAS * spread[:, None])
+        # A side that the clipping would empty is kept: its step is too large for one common fit to begin with.
+        enough = np.minimum(clipped[:, x < 0].sum(axis=1), clipped[:, x > 0].sum(axis=1)) >= _MIN_SIDE_PLACES // 2
+        keep = np.where(enough[:, None], clipped, keep)
+    covariance = np.linalg.inv(normal)
+    variance = covariance[:, 0, 0] + covariance[:, 1, 1] - 2 * covariance[:, 0, 1]
+    step = depth**2 * (solution[:, 1] - solution[:, 0])
+    return _Sides(solution * unit, step, depth**2 * spread * np.sqrt(variance))
+
+
+def _out_of_skin(
+    x: Array, y: Array, z: Array, texture: Array, skin: Mask, sides: _Sides, between: Mask, least_mm: float
+) -> tuple[Array, Array]:
+    """Shares (p,) of the places between both sides that are deeper than both, or hidden in shadow, and that are nearer."""
+    x, y, z, between_texture = x[between], y[between], z[:, between], texture[:, between]
+    offsets, rest = sides.coefficients[:, :2], sides.coefficients[:, 2:] @ _design(x, y)[:, 2:].T
+    far, near = 1.0 / (offsets.min(axis=1)[:, None] + rest), 1.0 / (offsets.max(axis=1)[:, None] + rest)
+    brightness = np.array([np.median(row[on]) for row, on in zip(texture, skin, strict=True)])
+    shadow = ~np.isfinite(z) & (between_texture < _SHADOW * brightness[:, None])
+    with np.errstate(invalid="ignore"):
+        deeper = (z - far > least_mm) | shadow
+        nearer = near - z > least_mm
+    return deeper.mean(axis=1), nearer.mean(axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,24 +45,36 @@ def straight_pieces(chain: Array, tolerance: float, min_length: float, generator
 
 
 def _longest_run(points: Array, tolerance: float, generator: np.random.Generator) -> tuple[int, int]:
-    """First and end index of the longest run of neighbours within the tolerance of a line through two of the points."""
+    """First and end index of the longest run of neighbours within the tolerance of a line through two of the points.
+
+    The first sample is both ends, which settles the matter for what is straight already.
+    """
     n = len(points)
+    pairs = np.concatenate([[[0, n - 1]], generator.integers(0, n, (_TRIALS, 2))])
     best = (0, 0)
-    for trial in range(_TRIALS):
-        i, j = (0, n - 1) if trial == 0 else np.sort(generator.choice(n, 2, replace=False))
-        along = points[j] - points[i]
-        length = np.linalg.norm(along)
-        if length == 0:
-            continue
-        offset = np.abs((points - points[i]) @ np.array([-along[1], along[0]])) / length
-        borders = np.flatnonzero(np.concatenate([[True], offset > tolerance, [True]]))
-        runs = np.diff(borders) - 1
-        k = int(runs.argmax())
-        if runs[k] > best[1] - best[0]:
-            best = (int(borders[k]), int(borders[k] + runs[k]))
+    for sampled in (pairs[:1], pairs[1:]):
+        along = points[sampled[:, 1]] - points[sampled[:, 0]]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        away = points[None] - points[sampled[:, 0], None]
+        outside = np.abs(away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]) > tolerance
+        for row in outside:
+            borders = np.flatnonzero(np.concatenate([[True], row, [True]]))
+            runs = np.diff(borders) - 1
+            k = int(runs.argmax())
+            if runs[k] > best[1] - best[0]:
+                best = (int(borders[k]), int(borders[k] + runs[k]))
         if best == (0, n):
             break
     return best
+
+
+@dataclass(frozen=True)
+class _End:
+    """An end of a piece: where it is (smoothed), the direction in which the line leaves, and the piece's length."""
+
+    place: Array
+    outward: Array
+    length: float
 
 
 def join_pieces(pieces: Sequence[Array], max_gap: float, tolerance: float, max_bend: float) -> list[Array]:
@@ -72,35 +85,38 @@ def join_pieces(pieces: Sequence[Array], max_gap: float, tolerance: float, max_b
     pieces : sequence of (n, k) ndarray
         u, v first.
     max_gap : float
-        px.
+        px; half the shorter piece's length is bridged besides, over which its direction still holds.
     tolerance : float
         Lateral offset of one end from the other's line, px, for touching ends.
     max_bend : float
         Angle between the ends, radians.
     """
     lines = [np.asarray(piece) for piece in pieces]
+    ends = [(_end(line, 0), _end(line, 1)) for line in lines]
     while True:
-        match = _best_joint(lines, max_gap, tolerance, max_bend)
+        match = _best_joint(ends, max_gap, tolerance, max_bend)
         if match is None:
             return lines
         i, end_i, j, end_j = match
         head = lines[i] if end_i == 1 else lines[i][::-1]
         tail = lines[j] if end_j == 0 else lines[j][::-1]
         joined = _spliced(head, tail)
-        lines = [line for k, line in enumerate(lines) if k not in (i, j)] + [joined]
+        kept = [k for k in range(len(lines)) if k not in (i, j)]
+        lines = [lines[k] for k in kept] + [joined]
+        ends = [ends[k] for k in kept] + [(_end(joined, 0), _end(joined, 1))]
 
 
 def _best_joint(
-    lines: Sequence[Array], max_gap: float, tolerance: float, max_bend: float
+    ends: Sequence[tuple[_End, _End]], max_gap: float, tolerance: float, max_bend: float
 ) -> tuple[int, int, int, int] | None:
-    """(line, end, line, end) of the pair of ends that continue each other best; end 0 is the first point, 1
-    the last."""
-    if len(lines) < 2:
+    """(line, end, line, end) of the two ends that continue each other best; end 0 is the first point, 1 the last."""
+    if len(ends) < 2:
         return None
-    ends = [(i, end, *_end(line, end)) for i, line in enumerate(lines) for end in (0, 1)]
-    owner = np.array([end[0] for end in ends])
-    place = np.array([end[2] for end in ends])
-    outward = np.array([end[3] for end in ends])
+    flat = [end for pair in ends for end in pair]
+    owner = np.arange(len(flat)) // 2
+    place = np.array([end.place for end in flat])
+    outward = np.array([end.outward for end in flat])
+    length = np.array([end.length for end in flat])
     gap_vector = place[None] - place[:, None]
     gap = np.einsum("ijk,ik->ij", gap_vector, outward)
     offset_here = np.abs(gap_vector[..., 0] * outward[:, None, 1] - gap_vector[..., 1] * outward[:, None, 0])
@@ -110,7 +126,7 @@ def _best_joint(
     allowed = (
         (owner[:, None] != owner[None])
         & (gap > -_OVERLAP_PX)
-        & (gap < max_gap)
+        & (gap < max_gap + 0.5 * np.minimum(length[:, None], length[None]))
         & (facing > np.cos(max_bend))
         & (offset < tolerance + _OFFSET_PER_GAP * np.abs(gap))
     )
@@ -118,18 +134,18 @@ def _best_joint(
     k = int(price.argmin())
     if not np.isfinite(price.flat[k]):
         return None
-    a, b = divmod(k, len(ends))
-    return ends[a][0], ends[a][1], ends[b][0], ends[b][1]
+    a, b = divmod(k, len(flat))
+    return a // 2, a % 2, b // 2, b % 2
 
 
-def _end(line: Array, end: int) -> tuple[Array, Array]:
-    """An end point, smoothed, and the direction in which the line leaves there."""
+def _end(line: Array, end: int) -> _End:
     points = line[:, :2] if end == 1 else line[::-1, :2]
     near = points[np.linalg.norm(points - points[-1], axis=1) < _END_PX]
     middle = near.mean(axis=0)
     _, _, axes = np.linalg.svd(near - middle, full_matrices=False)
     direction = axes[0] if (near[-1] - near[0]) @ axes[0] >= 0 else -axes[0]
-    return middle + ((points[-1] - middle) @ direction) * direction, direction
+    place = middle + ((points[-1] - middle) @ direction) * direction
+    return _End(place, direction, float(np.linalg.norm(points[-1] - points[0])))
 
 
 def _spliced(head: Array, tail: Array) -> Array:

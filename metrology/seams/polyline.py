@@ -1,0 +1,94 @@
+"""Polylines in the image: length, equal steps, directions, and smoothing that keeps ends and gentle bends in place."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# An entry of no weight still holds the curve where nothing else does: between far nodes, beyond the last.
+_LEAST_WEIGHT = 1e-4
+
+
+def arc_length(points: Array) -> Array:
+    """(n,) length along a polyline (n, ≥2) up to each point; u, v are the first two columns."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1))])
+
+
+def polyline_length(points: Array) -> float:
+    """Length of a polyline (n, 2)."""
+    return float(arc_length(points)[-1])
+
+
+def resample(points: Array, step: float) -> Array:
+    """Points every `step` (about: both ends are kept) along a polyline (n, k) with straight pieces."""
+    arc = arc_length(points)
+    stops = np.linspace(0, arc[-1], max(2, round(arc[-1] / step) + 1))
+    return np.stack([np.interp(stops, arc, column) for column in points.T], axis=-1)
+
+
+def interpolated(points: Array, step: float) -> Array:
+    """Points every `step` (about) on the smooth curve (cubic spline) through a polyline's nodes (n ≥ 4, k)."""
+    arc = arc_length(points)
+    stops = np.linspace(0, arc[-1], max(2, round(arc[-1] / step) + 1))
+    return np.asarray(CubicSpline(arc, points)(stops))
+
+
+def tangents(points: Array) -> Array:
+    """(n, 2) unit vectors along a polyline."""
+    along = np.gradient(points[:, :2], axis=0)
+    return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
+
+
+def normals(points: Array) -> Array:
+    """(n, 2) unit vectors across a polyline: its tangents turned from u towards v."""
+    along = tangents(points)
+    return np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+
+def smoothed(points: Array, scale_px: float, weights: ArrayLike | None = None) -> Array:
+    """Each point replaced by a parabola fitted to its neighbours with Gaussian weights of their distance.
+
+    A parabola follows a gently curved seam without flattening it and does not shrink at the ends.
+
+    Parameters
+    ----------
+    points : (n, k) ndarray
+    scale_px : float
+        Standard deviation of the Gaussian along the line.
+    weights : (n,) array, optional
+        Further weights, such as 0 where a point could not be measured.
+    """
+    arc = arc_length(points)
+    d = (arc[None] - arc[:, None]) / scale_px
+    kernel = np.exp(-0.5 * d * d)
+    if weights is not None:
+        kernel *= np.maximum(np.asarray(weights, float), _LEAST_WEIGHT)
+    moments = [np.sum(kernel * d**k, axis=1) for k in range(5)]
+    normal = np.stack([np.stack(moments[k : k + 3], axis=-1) for k in range(3)], axis=1)
+    # A little stiffness where too few neighbours are left for a parabola.
+    normal += 1e-9 * moments[0][:, None, None] * np.eye(3)
+    first = np.linalg.solve(normal, np.broadcast_to([[1.0], [0.0], [0.0]], (len(points), 3, 1)))[..., 0]
+    influence = kernel * (first[:, :1] + first[:, 1:2] * d + first[:, 2:] * d * d)
+    return np.asarray(influence @ points)
+
+
+class Course:
+    """A line to measure distances from."""
+
+    def __init__(self, points: Array) -> None:
+        self._points = points
+        self._tangents = tangents(points)
+        self._tree = cKDTree(points)
+
+    def beside(self, points: Array, reach_px: float, least_cosine: float = 0.9) -> Mask:
+        """Which points (n, 2) of another line lie within the reach of this one and run along with it."""
+        distance, index = self._tree.query(points, distance_upper_bound=reach_px)
+        near = np.isfinite(distance)
+        index = np.where(near, index, 0)
+        along = np.abs(np.sum(self._tangents[index] * tangents(points), axis=1))
+        return np.asarray(near & (along > least_cosine))

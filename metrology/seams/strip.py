@@ -1,0 +1,71 @@
+"""The image straightened along a line: a grid of places, s along the line and x across it.
+
+Good for looking at (is there a band, a groove, a step?). Positions to a hundredth of a pixel are measured on the pixels
+themselves (`sampling`), never on resampled ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.seams.polyline import normals, resample
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Places beside a line.
+
+    Attributes
+    ----------
+    line : (n, 2) ndarray
+        u, v on the line, `step_px` apart.
+    normals : (n, 2) ndarray
+        Unit vectors across it, towards growing x.
+    x : (m,) ndarray
+        Distances across, px, one pixel apart and symmetric.
+    step_px : float
+        Along the line.
+    u, v : (n, m) float32
+        Where place [i, j] lies in the image.
+    """
+
+    line: Array
+    normals: Array
+    x: Array
+    step_px: float
+    u: Float32
+    v: Float32
+
+    @classmethod
+    def along(cls, points: Array, reach_px: float, step_px: float) -> Strip:
+        """The strip of ±reach_px along a polyline (n, 2)."""
+        line = resample(points, step_px)
+        across = normals(line)
+        x = np.arange(-np.ceil(reach_px), np.ceil(reach_px) + 1)
+        u, v = ((line[:, k, None] + across[:, k, None] * x).astype(np.float32) for k in (0, 1))
+        return cls(line, across, x, step_px, u, v)
+
+    def rows(self, index: NDArray[np.intp]) -> Strip:
+        """Some of its rows."""
+        return Strip(self.line[index], self.normals[index], self.x, self.step_px, self.u[index], self.v[index])
+
+    def smooth(self, image: Float32) -> Float32:
+        """(n, m) image at the places, bilinear; NaN outside it."""
+        return self._look_up(image, cv2.INTER_LINEAR)
+
+    def nearest(self, image: Float32) -> Float32:
+        """(n, m) image at the pixels nearest to the places; NaN outside it."""
+        return self._look_up(image, cv2.INTER_NEAREST)
+
+    def _look_up(self, image: Float32, interpolation: int) -> Float32:
+        values = cv2.remap(
+            image, self.u, self.v, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+        )
+        return np.asarray(values, np.float32)
