@@ -115,7 +115,7 @@ def say_how_to_begin(archive: Archive) -> None:
     st.markdown("Inspect a scan with its rig, and come back:")
     st.code(f"flushline inspect SCENE --rig rig.json --store {archive.root}", language="sh")
     st.markdown("Or look around first with a simulated panel:")
-    st.code(f"flushline demo --out demo\nflushline dashboard --store {archive.root}", language="sh")
+    st.code("flushline demo --out demo\nflushline dashboard --store demo/store", language="sh")
     if st.button("Look again", icon=":material/refresh:"):
         st.rerun()
 

@@ -2,7 +2,8 @@
 
 title = "Hall 7"
 numbers = "de"                       # us, de, iso; by default the browser's
-    inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
+inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
+prefect_api = "http://flows:4200/api"  # whose flow runs it shows; by default PREFECT_API_URL
 [roles]
 reviewers = ["m.weber@example.com"]  # may dispose and sign off
 viewers = ["*"]                      # may look; "*" is everyone who logged in
@@ -35,6 +36,7 @@ class SettingsModel(StrictModel):
     title: str = "Flushline"
     numbers: str | None = None
     inboxes: tuple[str, ...] = ()
+    prefect_api: str | None = None
     roles: RolesModel = RolesModel()
 
 

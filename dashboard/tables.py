@@ -74,7 +74,7 @@ _HELP = {
     "value_mm": "Height of a rivet head, + proud of the skin; step of a seam, side B above side A",
     "u95_mm": "Expanded uncertainty, 95 %",
     "waiting": "Findings without a disposition, on scenes that are not signed off",
-    "worst_mm": "Largest |height| among rivets that do not simply pass",
+    "worst_mm": "Largest |height| or |step| among what does not simply pass",
 }
 
 

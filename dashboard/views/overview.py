@@ -43,10 +43,10 @@ WITH s AS (
     SELECT scene_id, aircraft_serial, panel, captured_at, n_rivets, n_stations, status
     FROM latest_scenes WHERE {condition}
 ), bad AS (
-    SELECT scene_id, 'rivet' AS feature_kind, rivet_id AS feature_id, decision, abs(height_mean_mm) AS height
+    SELECT scene_id, 'rivet' AS feature_kind, rivet_id AS feature_id, decision, abs(height_mean_mm) AS off_mm
     FROM rivets WHERE decision NOT IN ('pass', 'no limit')
     UNION ALL
-    SELECT scene_id, 'seam station', {STATION_ID}, decision, NULL
+    SELECT scene_id, 'seam station', {STATION_ID}, decision, abs(step_mm)
     FROM seam_stations WHERE decision NOT IN ('pass', 'no limit')
 ), per_scene AS (
     SELECT scene_id,
@@ -54,7 +54,7 @@ WITH s AS (
         count(*) FILTER (decision = 'conditional fail') AS conditional_fail,
         count(*) FILTER (decision = 'not measured') AS not_measured,
         count(*) FILTER (decision = 'conditional pass') AS conditional_pass,
-        max(height) AS worst_mm,
+        max(off_mm) AS worst_mm,
         count(*) FILTER (d.disposition IS NULL AND g.signed_by IS NULL) AS waiting
     FROM bad LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id)
     GROUP BY scene_id

@@ -9,7 +9,8 @@ import streamlit as st
 from dashboard.figures.runs import rig_figure, seconds_figure
 from dashboard.filters import newest_scan
 from dashboard.findings import LAST_WEEK, PERIODS, Selection, start_of
-from dashboard.frame import Desk, go
+from dashboard.flow_runs import configured_api, flow_runs
+from dashboard.frame import Desk, go, plain
 from dashboard.quarantine import put_aside
 from dashboard.tables import show_table
 from storage.archive.schema import STEPS
@@ -100,6 +101,39 @@ def _rigs(desk: Desk, selection: Selection) -> None:
     )
 
 
+def _flows(desk: Desk, _selection: Selection) -> None:
+    api = configured_api(desk.settings.prefect_api)
+    if api is None:
+        st.info(
+            "No Prefect server is configured. Start the dashboard with PREFECT_API_URL set, or name the server in its "
+            "settings (`prefect_api`), to see scheduled and failed flow runs."
+        )
+        return
+    runs = flow_runs(api)
+    left, right = st.columns([5, 1], vertical_alignment="center")
+    left.markdown(f"**Flow runs** at {plain(api)}, the newest first · select one to open it in Prefect")
+    right.button("Look again", icon=":material/refresh:", key="look-again")
+    if runs.empty:
+        st.info("The server knows no run of Flushline's flows yet.")
+        return
+    shown = show_table(
+        runs,
+        {
+            "flow": "Flow",
+            "run": "Run",
+            "state": "State",
+            "started": "Started",
+            "seconds": "Seconds",
+            "message": "Message",
+        },
+        desk.habits,
+        key="flow-runs",
+    )
+    if shown:
+        run = runs.iloc[shown[0]]
+        st.link_button(f"Open {plain(run['run'])} in Prefect", run["page"], icon=":material/open_in_new:")
+
+
 def _failures(desk: Desk, selection: Selection) -> None:
     condition, parameters = selection.where()
     warned = desk.archive.rows(
@@ -150,4 +184,5 @@ _VIEWS: dict[str, Callable[[Desk, Selection], None]] = {
     "Runs and seconds per step": _runs,
     "Rig health": _rigs,
     "Warnings and failures": _failures,
+    "Flow runs": _flows,
 }
