@@ -3,7 +3,7 @@
 The line's surroundings are cut into short pieces. In each, both sides of skin are fitted at once: over a plane 1/z is
 affine in the pixel, so ``1/z = (offset of the side) + b x + c y + d x²`` with slopes and curvature common to both sides;
 the offsets differ by the step along the ray, ``Δz = −z² Δ(1/z)``. What lies between the sides is deeper (a groove),
-nearer (a cable), or in the skin.
+nearer (a cable, a decal), or in the skin.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
+from metrology.cloud import PixelFlag, Reconstruction
 from metrology.seams.polyline import Array
 from metrology.seams.settings import SeamSettings
 from metrology.seams.strip import Float32, Strip
@@ -30,14 +30,23 @@ _SKIN_PX = 30.0
 _MIN_SIDE_PLACES = 40
 # Skins on both sides of a seam belong together: no farther apart than this.
 _MAX_STEP_MM = 4.0
-# A piece has a groove (or something raised) where at least this share of what lies between the skins is out of them.
-_GROOVE_SHARE = 0.4
-# A place without a point is in a gap's shadow if it is this dark compared with the skin.
+# A place without a point is in a gap's shadow if it is this dark compared with the skin, and counts as this deep, mm.
 _SHADOW = 0.5
+_SHADOW_DEPTH_MM = 1.0
+# The middle of a band is looked at over at least this half-width, px, however narrow the band is.
+_LEAST_HALF_PX = 1.0
 # A seam shows relief over most of its length, and has skin on both sides over most of it.
 _RELIEF_SHARE = 0.6
 _SKIN_SHARE = 0.5
+_FEWEST_PIECES = 3
+# A piece's step and depth count from so many standard deviations on. Of many pieces most must agree, so that depth may
+# be content with less than step, which slow changes of the skin imitate.
 _STEP_SIGMAS = 4.0
+_DEPTH_SIGMAS = 2.0
+# Standard deviation of a median over that of a mean, and how much slower than independent ones neighbouring points,
+# which share pixels of the matched phase, average out.
+_MEDIAN = 1.25
+_CORRELATION = 1.4
 _ROUNDS = 3
 _CLIP_SIGMAS = 4.0
 
@@ -110,37 +119,49 @@ def examine_relief(
     y = np.repeat(_STEP_PX * (np.arange(_PIECE_ROWS) - (_PIECE_ROWS - 1) / 2), len(strip.x))
     z = piecewise(reconstruction.points[..., 2])
     skin = (piecewise(usable) > 0.5) & (np.abs(x) > inner)
-    both = np.minimum((skin & (x < 0)).sum(axis=1), (skin & (x > 0)).sum(axis=1)) >= _MIN_SIDE_PLACES
-    if both.mean() < _SKIN_SHARE:
-        return Relief(float(both.mean()))
+    saturated = piecewise((reconstruction.flags & np.uint16(PixelFlag.SATURATED)) != 0) > 0.5
+    both, evident = _evidence(x, skin, saturated & (np.abs(x) > inner))
+    if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
+        return Relief(float(both.sum() / max(evident.sum(), _FEWEST_PIECES)))
     z, skin = z[both], skin[both]
     sides = _fit_sides(x, y, z, skin)
     joined = np.abs(sides.step_mm) < _MAX_STEP_MM
-    if joined.mean() * both.mean() < _SKIN_SHARE:
-        return Relief(float(joined.mean() * both.mean()))
-    texture = piecewise(reconstruction.left.texture)[both]
-    between = np.abs(x) <= max(width_px / 2 - 0.5, 0.75)
-    deeper, nearer = _out_of_skin(x, y, z, texture, skin, sides, between, settings.min_groove_mm)
-    step = sides.step_mm[joined]
+    skin_share = float(joined.sum() / evident.sum())
+    if skin_share < _SKIN_SHARE:
+        return Relief(skin_share)
+    between = np.abs(x) <= max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
+    depth, sigma = _depth(x, y, z, piecewise(reconstruction.left.texture)[both], skin, sides, between)
+    depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * sigma)[joined]
+    step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
+    step, depth = sides.step_mm[joined], depth[joined]
     median = float(np.median(step))
-    beyond = (np.sign(step) == np.sign(median)) & (np.abs(step) > _STEP_SIGMAS * sides.sigma_mm[joined])
-    beyond &= np.abs(step) > settings.min_step_mm
     return Relief(
-        skin_share=float(joined.mean() * both.mean()),
-        groove_share=float((deeper[joined] > _GROOVE_SHARE).mean()),
-        raised_share=float((nearer[joined] > _GROOVE_SHARE).mean()),
+        skin_share=skin_share,
+        groove_share=float((depth > depth_limit).mean()),
+        raised_share=float((depth < -depth_limit).mean()),
         step_mm=median,
-        step_share=float(beyond.mean()),
+        step_share=float((step * np.sign(median) > step_limit).mean()),
     )
+
+
+def _evidence(x: Array, skin: Mask, saturated: Mask) -> tuple[Mask, Mask]:
+    """Pieces with skin on both sides, and pieces that tell whether there is: not those where a highlight hides it."""
+    enough, hidden = [], []
+    for side in (x < 0, x > 0):
+        enough.append(skin[:, side].sum(axis=1) >= _MIN_SIDE_PLACES)
+        hidden.append(saturated[:, side].sum(axis=1) >= _MIN_SIDE_PLACES)
+    both = enough[0] & enough[1]
+    return both, both | (enough[0] | ~hidden[0]) & (enough[1] | ~hidden[1])
 
 
 @dataclass(frozen=True)
 class _Sides:
-    """Both sides of each piece: (p, 5) coefficients of 1/z, the step and its standard deviation (p,)."""
+    """Both sides of each piece: (p, 5) coefficients of 1/z; step, its σ, and the points' scatter about the fit (p,)."""
 
     coefficients: Array
     step_mm: Array
     sigma_mm: Array
+    spread_mm: Array
 
 
 def _design(x: Array, y: Array) -> Array:
@@ -169,19 +190,22 @@ def _fit_sides(x: Array, y: Array, z: Array, skin: Mask) -> _Sides:
     covariance = np.linalg.inv(normal)
     variance = covariance[:, 0, 0] + covariance[:, 1, 1] - 2 * covariance[:, 0, 1]
     step = depth**2 * (solution[:, 1] - solution[:, 0])
-    return _Sides(solution * unit, step, depth**2 * spread * np.sqrt(variance))
+    spread_mm = depth**2 * spread
+    return _Sides(solution * unit, step, spread_mm * _CORRELATION * np.sqrt(variance), spread_mm)
 
 
-def _out_of_skin(
-    x: Array, y: Array, z: Array, texture: Array, skin: Mask, sides: _Sides, between: Mask, least_mm: float
+def _depth(
+    x: Array, y: Array, z: Array, texture: Array, skin: Mask, sides: _Sides, between: Mask
 ) -> tuple[Array, Array]:
-    """Shares (p,) of the places between both sides that are deeper than both, or hidden in shadow, and that are nearer."""
-    x, y, z, between_texture = x[between], y[between], z[:, between], texture[:, between]
+    """Median depth below both skins (p,) of the places between them, negative above both, 0 in between; and its σ."""
+    brightness = np.array([np.median(row[on]) for row, on in zip(texture, skin, strict=True)])
+    x, y, z, texture = x[between], y[between], z[:, between], texture[:, between]
     offsets, rest = sides.coefficients[:, :2], sides.coefficients[:, 2:] @ _design(x, y)[:, 2:].T
     far, near = 1.0 / (offsets.min(axis=1)[:, None] + rest), 1.0 / (offsets.max(axis=1)[:, None] + rest)
-    brightness = np.array([np.median(row[on]) for row, on in zip(texture, skin, strict=True)])
-    shadow = ~np.isfinite(z) & (between_texture < _SHADOW * brightness[:, None])
-    with np.errstate(invalid="ignore"):
-        deeper = (z - far > least_mm) | shadow
-        nearer = near - z > least_mm
-    return deeper.mean(axis=1), nearer.mean(axis=1)
+    depth = np.maximum(z - far, 0.0) + np.minimum(z - near, 0.0)
+    shadow = ~np.isfinite(z) & (texture < _SHADOW * brightness[:, None])
+    depth = np.where(shadow, _SHADOW_DEPTH_MM, depth)
+    known = np.isfinite(depth)
+    median = np.array([np.median(row[on]) if on.any() else 0.0 for row, on in zip(depth, known, strict=True)])
+    sigma = sides.spread_mm * _MEDIAN * _CORRELATION / np.sqrt(np.maximum(known.sum(axis=1), 1))
+    return median, sigma

@@ -68,7 +68,7 @@ class SeamSettings:
     min_step_mm : float
         Step between the two skins from which a line without a groove counts as a seam.
     min_groove_mm : float
-        How much deeper than the skins a groove must be.
+        How much deeper than both skins a groove must be in its middle: sealant sinks in by more as it cures.
     edges : "image" or "points"
         Where the gap's edges come from: the grey-level model in both images, or the paper's piecewise fit of points.
     station_step_mm : float
@@ -91,7 +91,7 @@ class SeamSettings:
 
     lines: LineSettings = field(default_factory=LineSettings)
     min_step_mm: float = 0.03
-    min_groove_mm: float = 0.15
+    min_groove_mm: float = 0.02
     edges: EdgeMethod = "image"
     station_step_mm: float = 2.0
     half_length_mm: float = 2.0
