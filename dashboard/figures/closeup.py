@@ -12,6 +12,7 @@ from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURP
 from metrology.tolerance import Limit
 
 _MOST_POINTS = 3000
+_LIMIT_BAR_REACH = 2.0  # a scale's half-width, in outermost limits
 
 
 def limits_of(limit: Limit | None) -> dict[str, float | None]:
@@ -253,32 +254,45 @@ def _range(values: list[float]) -> tuple[float, float]:
 
 
 def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit: str, habits: Habits) -> go.Figure:
-    """A value with its uncertainty on a scale with the zones of its limits."""
+    """A value with its uncertainty on a scale with the zones of its limits.
+
+    A value far outside is an arrow at the scale's end, so that the limits stay legible.
+    """
     fig = figure(habits, 62, showlegend=False)
     marks = {name: mark for name, mark in limits_of(limit).items() if mark is not None}
     spread = u95 if u95 is not None and np.isfinite(u95) else 0.0
     places = [0.0, *marks.values()]
-    if value is not None and np.isfinite(value):
-        places += [value - 1.3 * spread, value + 1.3 * spread]
+    reach = _LIMIT_BAR_REACH * max((abs(place) for place in places), default=0.0) or np.inf
+    known = value is not None and bool(np.isfinite(value))
+    shown = float(np.clip(value, -reach, reach)) if value is not None and known else 0.0
+    if known:
+        places += [np.clip(shown - 1.3 * spread, -reach, reach), np.clip(shown + 1.3 * spread, -reach, reach)]
     low, high = _range(places)
     _zone(fig, low, high, RED)
     if "serious_lower" in marks or "serious_upper" in marks:
         _zone(fig, marks.get("serious_lower", low), marks.get("serious_upper", high), BLUE)
     if "lower" in marks or "upper" in marks:
         _zone(fig, marks.get("lower", low), marks.get("upper", high), GREEN)
-    if value is not None and np.isfinite(value):
+    if known:
+        beyond = shown != value
         fig.add_scatter(
-            x=[value],
+            x=[shown],
             y=[0.5],
             mode="markers",
-            error_x={"type": "data", "array": [spread], "thickness": 2.5, "width": 7, "color": INK},
-            marker={"size": 13, "symbol": "diamond", "color": "#FFFFFF", "line": {"width": 2.5, "color": "#222222"}},
+            error_x={"type": "data", "array": [0.0 if beyond else spread], "thickness": 2.5, "width": 7, "color": INK},
+            marker={
+                "size": 13,
+                "symbol": ("triangle-right" if shown > 0 else "triangle-left") if beyond else "diamond",
+                "color": "#FFFFFF",
+                "line": {"width": 2.5, "color": "#222222"},
+            },
             hovertemplate=f"{habits.measured(value, u95, unit)}<extra></extra>",
         )
     fig.update_xaxes(
         range=[low, high],
         tickvals=sorted(value for name, value in marks.items() if not name.startswith("serious")),
         tickformat="+.2f",
+        tickangle=0,
     )
     fig.update_yaxes(visible=False, range=[0, 1], fixedrange=True)
     fig.update_layout(margin={"l": 4, "r": 4, "t": 0, "b": 24})

@@ -208,6 +208,17 @@ def test_limit_bar_takes_any_limit_and_value(limit: Limit | None, value: float |
     assert limit_bar(value, None, limit, "mm", Habits()).layout
 
 
+def test_limits_stay_legible_beside_a_value_far_outside() -> None:
+    bar = limit_bar(5.0, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Habits())
+    low, high = bar.layout.xaxis.range
+    assert high - low < 1.0
+    assert bar.data[0].marker.symbol == "triangle-right"
+    assert low < bar.data[0].x[0] < high
+    inside = limit_bar(-0.25, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Habits())
+    assert inside.data[0].marker.symbol == "diamond"
+    assert inside.data[0].x[0] == -0.25
+
+
 # -- findings and exports
 
 
