@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
+from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
-from metrology.seams.heads import head_mask
+from metrology.seams.places import head_mask, panel_mask
 from metrology.seams.lines import ImageLine, detect_lines
 from metrology.seams.relief import Relief, examine_relief
 from metrology.seams.rough import RoughLine
@@ -43,13 +43,16 @@ def detect_seams(
     settings = settings or SeamSettings()
     heads = head_mask(rivets, reconstruction.flags.shape, _HEAD_MARGIN_PX)
     usable = usable_points(reconstruction) & ~heads
+    # A highlight hides points, not the panel.
+    saturated = (reconstruction.flags & np.uint16(PixelFlag.SATURATED)) != 0
+    hidden = heads | ~panel_mask(reconstruction.valid | saturated)
 
     def worth(rough: RoughLine) -> bool:
         relief = examine_relief(rough.points, rough.width_px, reconstruction, usable, settings)
         return relief.between_skins and (relief.share >= _PROMISING_SHARE or _is_shown(rough))
 
     seams, others = [], []
-    for line in detect_lines(reconstruction.left.texture, settings.lines, heads, worth):
+    for line in detect_lines(reconstruction.left.texture, settings.lines, hidden, worth):
         relief = examine_relief(line.centre_px, float(np.median(line.width_px)), reconstruction, usable, settings)
         if relief.is_seam:
             seams.append((line, _confidence(line, relief)))

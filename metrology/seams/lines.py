@@ -83,10 +83,10 @@ def detect_lines(
         rough = look_at(relative, rest) if rest is not None else None
         if rough is None or abs(rough.contrast) < _ROUGH_CONTRAST * settings.min_contrast:
             continue
-        if worth is not None and not worth(rough):
+        if _shares_border(rough.points, rough.width_px, courses) or (worth is not None and not worth(rough)):
             continue
         line = _measured(relative, rough, settings)
-        if line is None or _shares_border(line, courses):
+        if line is None or _shares_border(line.centre_px[::8], float(np.median(line.width_px)), courses):
             continue
         lines.append(line)
         courses.append((Course(line.centre_px[::4]), float(np.median(line.width_px))))
@@ -109,11 +109,11 @@ def _uncovered(candidate: Candidate, courses: list[tuple[Course, float]], min_le
     return Candidate(part, candidate.width_px, candidate.response, candidate.dark)
 
 
-def _shares_border(line: ImageLine, courses: list[tuple[Course, float]]) -> bool:
+def _shares_border(points: Array, width_px: float, courses: list[tuple[Course, float]]) -> bool:
     """Whether a line is only the strip beside another one, which ends where that one begins."""
-    half = 0.5 * float(np.median(line.width_px))
-    points = line.centre_px[::8]
-    return any(course.beside(points, half + 0.5 * width + _TOUCH_PX).mean() > 0.5 for course, width in courses)
+    return any(
+        course.beside(points, 0.5 * (width_px + width) + _TOUCH_PX).mean() > 0.5 for course, width in courses
+    )
 
 
 def _measured(relative: Float32, rough: RoughLine, settings: LineSettings) -> ImageLine | None:
