@@ -14,6 +14,7 @@ from metrology.rivets.controls import control_places
 from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets
+from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial, fit_surface
 
@@ -202,10 +203,9 @@ def _row(
         return replace(
             empty, reason=f"head: points scatter {head.rms_mm:.3f} mm about their surface, {expected:.3f} mm expected"
         )
-    # The rim's image is that of the gap, half-way between head and skin.
-    middle = 0.5 * float(head.height(0.0, 0.0) + outcome.skin.height(0.0, 0.0))
-    x, y, radius = lay_on_plane(rig.left, ellipse_of(detection), p.frame, middle)
-    f: Flushness = flushness(head, outcome.skin, x, y, radius, inflation.height, inflation.slope)
+    circle = _circle(detection, outcome, head, reconstruction)
+    x, y = circle.x, circle.y
+    f: Flushness = flushness(head, outcome.skin, x, y, circle.radius, inflation.height, inflation.slope)
     centre = p.frame.rig([x, y, float(head.height(x, y))])
     left, right = rig.left.project(centre), rig.right.project(centre)
     return replace(
@@ -217,7 +217,7 @@ def _row(
         x_mm=float(centre[0]),
         y_mm=float(centre[1]),
         z_mm=float(centre[2]),
-        diameter_mm=2 * radius,
+        diameter_mm=2 * circle.radius,
         height_mean_mm=f.mean,
         height_min_mm=f.low,
         height_max_mm=f.high,
@@ -231,6 +231,19 @@ def _row(
         rms_outer_mm=outcome.skin.rms_mm,
         decision="no limit",
     )
+
+
+def _circle(detection: RivetDetection, fits: Fits, head: Polynomial, reconstruction: Reconstruction) -> Circle:
+    """The head's circle: from its rim in both images where that can be followed, else from the ring in the left one.
+
+    The ring's image is that of the gap, half-way between head and skin.
+    """
+    frame = fits.patch.frame
+    top, skin = float(head.height(0.0, 0.0)), float(fits.skin.height(0.0, 0.0))
+    ring = Circle(*lay_on_plane(reconstruction.rig.left, ellipse_of(detection), frame, 0.5 * (top + skin)))
+    if detection.rim_sigma_px is None:
+        return ring
+    return head_circle(reconstruction, frame, ring, top, skin, detection.rim_sigma_px) or ring
 
 
 def _dome(

@@ -1,0 +1,240 @@
+"""Compiled fit of a head's rim in both cameras' images (see `rim`, where the model stands)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from metrology.jit import kernel
+
+# Unknowns: shift of the centre and of the radius, gap, edge break (mm), brightness of the gap's floor and of what no
+# light reaches (shares of the skin's), half-width of the blur (mm). Brightness of head and skin is each direction's own.
+SHIFT, RADIUS, GAP, BREAK, FLOOR, BLACK, BLUR = 0, 2, 3, 4, 5, 6, 7
+UNKNOWNS = 8
+STEPS = 5  # in brightness, from head to skin
+_ALL = UNKNOWNS + 2
+_SLANTED = math.sqrt(0.5)  # an edge is broken at 45°
+_WALL = 0.7  # of the skin's brightness that a wall has which faces the light as squarely
+_TUKEY = 5.0
+_CONVERGED_MM = 2e-4
+
+
+@kernel
+def rim_steps(height, towards_camera, towards_light, gap, edge, floor, black, at, by_gap, by_edge, level):  # type: ignore[no-untyped-def]
+    """Where the brightness steps along the rim's normal, and the levels between.
+
+    Parameters
+    ----------
+    height : float
+        Of the head over the skin, mm.
+    towards_camera, towards_light : float
+        Slopes of the directions to camera and projector along the normal: lateral over vertical.
+    gap, edge, floor, black : float
+        See `UNKNOWNS`.
+    at, by_gap, by_edge : (STEPS,) float64, output
+        Distances from the head's edge, mm, in the head's plane as the camera sees it; their derivatives.
+    level : (STEPS + 1,) float64, output
+        Shares of the skin's brightness; the first and the last, head and skin, stay as they are.
+    """
+    seen = height * towards_camera
+    by_gap[:] = 0.0
+    by_edge[:] = 0.0
+    level[1] = _SLANTED * (1.0 + towards_light)
+    if height > 0.0:
+        # Edge break, side wall, shadow on the skin, the gap's floor; the far side hides what lies behind it.
+        wall = max(seen, 0.0)
+        shade = max(0.0, seen + max(0.0, -height * towards_light))
+        at[0], at[1], at[2], at[3], at[4] = -edge, 0.0, wall, shade, max(shade, gap + seen)
+        by_edge[0] = -1.0
+        by_gap[4] = 1.0 if gap + seen > shade else 0.0
+        level[2] = black + _WALL * max(towards_light, 0.0)
+        level[3] = black
+        level[4] = floor
+    else:
+        # Edge break, the gap's floor, the skin's shadow in it or on the head, the skin's wall.
+        end = gap + seen
+        shade = min(end, gap + min(0.0, height * towards_light))
+        rim = min(0.0, shade)
+        at[0], at[1], at[2], at[3], at[4] = min(-edge, rim), rim, shade, max(shade, min(gap, end)), end
+        by_gap[2:] = 1.0
+        by_gap[1] = 1.0 if shade < 0.0 else 0.0
+        if -edge < rim:
+            by_edge[0] = -1.0
+        else:
+            by_gap[0] = by_gap[1]
+        level[2] = floor
+        level[3] = black
+        level[4] = black + _WALL * max(-towards_light, 0.0)
+
+
+@kernel
+def _solve(matrix, right, size):  # type: ignore[no-untyped-def]
+    """Gaussian elimination without pivoting of a positive definite system, in place; False where it is singular."""
+    for k in range(size):
+        if matrix[k, k] <= 1e-14:
+            return False
+        for i in range(k + 1, size):
+            f = matrix[i, k] / matrix[k, k]
+            for j in range(k, size):
+                matrix[i, j] -= f * matrix[k, j]
+            right[i] -= f * right[k]
+    for k in range(size - 1, -1, -1):
+        for j in range(k + 1, size):
+            right[k] -= matrix[k, j] * right[j]
+        right[k] /= matrix[k, k]
+    return True
+
+
+@kernel
+def _rows(distance, at, by_gap, by_edge, level, blur, inside, outside, cosine, sine, black_levels, row):  # type: ignore[no-untyped-def]
+    """Model at a distance from the head's edge and its derivatives by all unknowns, then by inside and outside."""
+    row[:] = 0.0
+    value = inside
+    row[UNKNOWNS] = 1.0
+    for j in range(STEPS):
+        z = (distance - at[j]) / blur
+        bell = math.exp(-0.5 * z * z)
+        # Φ(−|z|) from the same exponential (Abramowitz and Stegun 7.1.26).
+        t = 1.0 / (1.0 + 0.23164191 * abs(z))
+        tail = (
+            0.5
+            * bell
+            * t
+            * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+        )
+        passed = 1.0 - tail if z > 0.0 else tail
+        before = inside if j == 0 else level[j]
+        after = outside if j == STEPS - 1 else level[j + 1]
+        value += (after - before) * passed
+        by_place = -(after - before) * bell * 0.3989422804014327 / blur
+        row[SHIFT] += by_place * cosine
+        row[SHIFT + 1] += by_place * sine
+        row[RADIUS] += by_place
+        row[GAP] += by_place * by_gap[j]
+        row[BREAK] += by_place * by_edge[j]
+        row[BLUR] += by_place * z
+        if j == 0:
+            row[UNKNOWNS] -= passed
+        else:
+            row[BLACK if black_levels[j] else FLOOR] -= passed if j > 1 else 0.0
+        if j == STEPS - 1:
+            row[UNKNOWNS + 1] += passed
+        elif j > 0:
+            row[BLACK if black_levels[j + 1] else FLOOR] += passed
+    return value
+
+
+@kernel
+def fit_rim_kernel(profiles, ends, first, spacing, directions, height, slopes, light, start, spread, iterations, out):  # type: ignore[no-untyped-def]
+    """Robust Gauss-Newton fit of the rim model to profiles across it.
+
+    Parameters
+    ----------
+    profiles : (cameras, k, m) float64
+        Image along k normals of the circle, shares of the skin's brightness; NaN where there is none.
+    ends : (cameras, k, 2) float64
+        Brightness of head and skin to start from, by direction; overwritten by what is found.
+    first, spacing : float
+        Distance of the first sample from the circle, and between samples, mm.
+    directions : (k, 2) float64
+        Unit normals of the circle.
+    height : float
+    slopes : (cameras, 2) float64
+        Lateral over vertical part of the direction to each camera.
+    light : (2,) float64
+        The same to the projector.
+    start, spread : (UNKNOWNS,) float64
+        What to start from and is expected, and by how much the truth may differ.
+    iterations : int
+    out : (UNKNOWNS + 1,) float64, output
+        The unknowns, then the standard deviation of the residuals.
+
+    Returns
+    -------
+    bool
+        Whether the fit converged.
+    """
+    cameras, count, samples = profiles.shape
+    at, by_gap, by_edge = np.empty(STEPS), np.empty(STEPS), np.empty(STEPS)
+    level = np.zeros(STEPS + 1)
+    row = np.empty(_ALL)
+    local = np.empty((_ALL, _ALL))
+    right = np.empty(_ALL)
+    residual = np.zeros(cameras * count * samples)
+    black_levels = np.zeros(STEPS + 1, np.bool_)
+    black_levels[2 if height > 0.0 else 3] = True
+    black_levels[3 if height > 0.0 else 4] = True
+    unknowns = start.copy()
+    noise = 0.0
+    for _ in range(iterations):
+        normal = np.zeros((UNKNOWNS, UNKNOWNS))
+        step = np.zeros(UNKNOWNS)
+        for c in range(cameras):
+            for k in range(count):
+                ex, ey = directions[k]
+                rim_steps(
+                    height, slopes[c, 0] * ex + slopes[c, 1] * ey, light[0] * ex + light[1] * ey,
+                    unknowns[GAP], unknowns[BREAK], unknowns[FLOOR], unknowns[BLACK], at, by_gap, by_edge, level,
+                )  # fmt: skip
+                edge = unknowns[RADIUS] + unknowns[SHIFT] * ex + unknowns[SHIFT + 1] * ey
+                local[:] = 0.0
+                right[:] = 0.0
+                for m in range(samples):
+                    if np.isnan(profiles[c, k, m]):
+                        continue
+                    distance = first + m * spacing - edge
+                    value = _rows(
+                        distance, at, by_gap, by_edge, level, unknowns[BLUR], ends[c, k, 0], ends[c, k, 1],
+                        ex, ey, black_levels, row,
+                    )  # fmt: skip
+                    r = profiles[c, k, m] - value
+                    residual[(c * count + k) * samples + m] = abs(r)
+                    weight = 1.0
+                    if noise > 0.0:
+                        t = r / (_TUKEY * noise)
+                        weight = (1.0 - t * t) ** 2 if abs(t) < 1.0 else 0.0
+                    for i in range(_ALL):
+                        right[i] += weight * row[i] * r
+                        for j in range(i + 1):
+                            local[i, j] += weight * row[i] * row[j]
+                # The direction's own brightness inside and outside is solved for and eliminated.
+                a = local[UNKNOWNS, UNKNOWNS] + 1e-9
+                b = local[UNKNOWNS + 1, UNKNOWNS]
+                d = local[UNKNOWNS + 1, UNKNOWNS + 1] + 1e-9
+                det = a * d - b * b
+                if det < 1e-6:
+                    continue
+                ends[c, k, 0] += (d * right[UNKNOWNS] - b * right[UNKNOWNS + 1]) / det
+                ends[c, k, 1] += (a * right[UNKNOWNS + 1] - b * right[UNKNOWNS]) / det
+                for i in range(UNKNOWNS):
+                    p = (d * local[UNKNOWNS, i] - b * local[UNKNOWNS + 1, i]) / det
+                    q = (a * local[UNKNOWNS + 1, i] - b * local[UNKNOWNS, i]) / det
+                    step[i] += right[i] - p * right[UNKNOWNS] - q * right[UNKNOWNS + 1]
+                    for j in range(i + 1):
+                        normal[i, j] += local[i, j] - p * local[UNKNOWNS, j] - q * local[UNKNOWNS + 1, j]
+        noise = 1.4826 * np.median(residual) + 1e-4
+        for i in range(UNKNOWNS):
+            # Neighbouring samples share pixels, and grain is broad: a sample is worth a quarter of an independent one.
+            prior = 4.0 * (noise / spread[i]) ** 2
+            normal[i, i] += prior
+            step[i] += prior * (start[i] - unknowns[i])
+            for j in range(i):
+                normal[j, i] = normal[i, j]
+        if not _solve(normal, step, UNKNOWNS):
+            return False
+        move = 0.0
+        for i in range(UNKNOWNS):
+            change = min(max(step[i], -0.1), 0.1)
+            unknowns[i] += change
+            if i < RADIUS:
+                move = max(move, abs(change))
+        unknowns[GAP] = max(unknowns[GAP], 0.0)
+        unknowns[BREAK] = max(unknowns[BREAK], 0.0)
+        unknowns[FLOOR] = min(max(unknowns[FLOOR], 0.0), 1.5)
+        unknowns[BLUR] = max(unknowns[BLUR], 0.5 * start[BLUR])
+        if move < _CONVERGED_MM:
+            break
+    out[:UNKNOWNS] = unknowns
+    out[UNKNOWNS] = noise
+    return move < 20.0 * _CONVERGED_MM
