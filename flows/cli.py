@@ -19,6 +19,7 @@ COMMANDS = (
     "calibrate",
     "rig",
     "simulate",
+    "study",
     "patterns",
     "overlay",
     "report",

@@ -1,0 +1,102 @@
+"""What a study says: sections of text, tables and figures, the same for HTML, Markdown and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column; `digits` after the point for numbers, None for text, `sign` to show + as well."""
+
+    name: str
+    digits: int | None = None
+    sign: bool = False
+
+    def text(self, value: Cell) -> str:
+        """A cell as people read it."""
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            return "–"
+        if self.digits is None or isinstance(value, str):
+            return str(value)
+        return f"{value:{'+' if self.sign else ''}.{self.digits}f}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; `name` becomes its CSV file's, and `shown` tells whether reports show it."""
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: Sequence[Sequence[Cell]]
+    shown: bool = True
+
+    def csv(self) -> str:
+        """Header and rows, numbers unrounded, empty where there is no value."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([column.name for column in self.columns])
+        for row in self.rows:
+            writer.writerow(["" if isinstance(v, float) and math.isnan(v) else v for v in row])
+        return text.getvalue()
+
+    def markdown(self) -> str:
+        """As a Markdown table."""
+        heads = [column.name for column in self.columns]
+        rule = ["---" if column.digits is None else "---:" for column in self.columns]
+        body = [[c.text(v) for c, v in zip(self.columns, row, strict=True)] for row in self.rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in [heads, rule, *body])
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What a study must show: a figure, its limit (at most) and what the paper reached, in one unit."""
+
+    name: str
+    found: float
+    limit: float
+    unit: str
+    paper: float | None = None
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure is within the limit."""
+        return self.found <= self.limit
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a study's report.
+
+    Attributes
+    ----------
+    title : str
+    text : tuple of str
+        Paragraphs, first of all the conditions.
+    tables : tuple of Table
+    figures : tuple of plotly.graph_objects.Figure
+    bars : tuple of Bar
+    """
+
+    title: str
+    text: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    figures: tuple[Any, ...] = ()
+    bars: tuple[Bar, ...] = ()
+
+
+def bars_table(bars: Sequence[Bar]) -> Table:
+    """All bars in one table."""
+    columns = (
+        Column("figure"), Column("found", 4), Column("limit", 4), Column("paper", 4), Column("unit"), Column("met"),
+    )  # fmt: skip
+    rows = [(b.name, b.found, b.limit, b.paper, b.unit, "yes" if b.met else "no") for b in bars]
+    return Table("bars", "What the study must show", columns, rows)

@@ -1,0 +1,49 @@
+"""A study as a Prefect flow. Importing this takes seconds: only where a Prefect server is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+from prefect.artifacts import create_markdown_artifact, create_progress_artifact, update_progress_artifact
+
+from flows.study.run import Finished, run_study
+from flows.study.spec import Kind, read_study, shipped_study
+from tasks.prefect_tasks import call
+from tasks.settings import load_settings
+
+
+@flow(
+    name="study",
+    flow_run_name="study-{kind}",
+    description="Render, calibrate, inspect and compare with the truth.",
+    validate_parameters=False,
+    persist_result=False,
+)
+def study_flow(
+    kind: Kind, out: str, spec: str | None = None, quick: bool = False, settings: str | None = None
+) -> Finished:
+    """Run a study.
+
+    Parameters
+    ----------
+    kind : "accuracy" or "repeatability"
+    out, spec, settings : str
+        Paths; without `spec` the study that ships with Flushline.
+    quick : bool
+        The short one that ships with Flushline.
+    """
+    study = read_study(Path(spec), kind) if spec else shipped_study(kind, quick)
+    progress: Any = create_progress_artifact(0.0, key="study-progress", description=f"{kind} in {out}")
+    shown = 0
+
+    def show(done: int, total: int, _what: str) -> None:
+        nonlocal shown
+        if done > shown:
+            shown = done
+            update_progress_artifact(progress, 100.0 * done / total)
+
+    finished = run_study(study, Path(out), load_settings(Path(settings) if settings else None), call, show)
+    create_markdown_artifact(finished.report.with_suffix(".md").read_text(encoding="utf-8"), key="study-report")
+    return finished

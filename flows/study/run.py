@@ -1,0 +1,138 @@
+"""A study from its specification to its report: run in process or as a Prefect flow, taken up where it was killed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Protocol
+
+from flows.inbox import only_run
+from flows.inspect_scene import Call, directly
+from flows.study.budget import Budget
+from flows.study.detection import Detection
+from flows.study.document import Bar, Section
+from flows.study.gage import Gage
+from flows.study.report import SIMULATED, write_report
+from flows.study.series import Series
+from flows.study.skin import Skin
+from flows.study.spec import Study
+from flows.study.standard_part import StandardPart
+from flows.study.workshop import Workshop, run_series
+from metrology.errors import UsageError
+from storage.archive import Store
+from storage.archive.bundle import document_hash
+from storage.documents import read_json
+from tasks.settings import InspectionSettings
+
+MANIFEST = "study.json"
+
+
+class Block(Protocol):
+    """A part of a study: scans to inspect, and what they tell."""
+
+    series: tuple[Series, ...]
+
+    def sections(self, store: Store) -> list[Section]:
+        """What the store tells once the series are in it."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a study left.
+
+    Attributes
+    ----------
+    report : Path
+        HTML.
+    bars : tuple of Bar
+    problems : tuple of str
+        Why scans could not be inspected.
+    """
+
+    report: Path
+    bars: tuple[Bar, ...]
+    problems: tuple[str, ...]
+
+
+def run_study(
+    study: Study,
+    out: Path,
+    settings: InspectionSettings,
+    call: Call = directly,
+    on_progress: Callable[[int, int, str], None] = lambda _done, _all, _what: None,
+) -> Finished:
+    """Do what a study asks for and write its report; scans that its store holds already are not repeated.
+
+    Parameters
+    ----------
+    study : Study
+    out : Path
+        Gets the store, the rigs, the report and its tables.
+    settings : InspectionSettings
+    call : callable
+        Runs a step of an inspection or a calibration.
+    on_progress : callable
+        Told how many scans are done, of how many, and what comes next.
+    """
+    _claim(out, study)
+    blocks = blocks_of(study)
+    total = sum(len(series) for block in blocks for series in block.series)
+    workshop = Workshop(out, settings, study.spec.calibration, study.spec.tolerance_mm, call)
+    done = 0
+    problems: list[str] = []
+
+    def say(what: str) -> None:
+        on_progress(done, total, what)
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+
+    with only_run(out):
+        for block in blocks:
+            for series in block.series:
+                problems += run_series(workshop, series, count, say)
+        say("report")
+        sections = [section for block in blocks for section in block.sections(workshop.store)]
+        title = f"Study of {study.spec.study}"
+        made = f"Flushline {version('flushline')}, {datetime.now(UTC):%Y-%m-%d}, {done} scans inspected."
+        missed = [f"Not inspected: {problem}" for problem in problems]
+        report = write_report(out, title, (SIMULATED, made, *missed), sections)
+    return Finished(report, tuple(bar for section in sections for bar in section.bars), tuple(problems))
+
+
+def blocks_of(study: Study) -> list[Block]:
+    """The blocks that a study asks for, in the order of the report."""
+    spec = study.spec
+    blocks: list[Block] = []
+    if spec.standard_part:
+        blocks.append(StandardPart(spec.standard_part, study.simulations[spec.standard_part.simulation]))
+    if spec.skin:
+        blocks.append(Skin(spec.skin, study.simulations[spec.skin.simulation]))
+    if spec.gage:
+        blocks.append(Gage(spec.gage, study.simulations[spec.gage.simulation], spec.tolerance_mm))
+    if spec.budget:
+        blocks.append(Budget(spec.budget, study.simulations[spec.budget.simulation]))
+    if spec.detection:
+        blocks.append(Detection(spec.detection, study.simulations[spec.detection.simulation]))
+    return blocks
+
+
+def _claim(out: Path, study: Study) -> None:
+    """Write down whose folder this is; refuse one that holds another study or something else."""
+    mark = {"format": study.spec.format, "study": study.spec.study, "specification": document_hash(study.document)}
+    path = out / MANIFEST
+    if path.exists():
+        if read_json(path, UsageError) != mark:
+            raise UsageError(
+                f"{path}: found a study of another specification, expected the same one or an empty folder"
+            )
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out}: found something else than a study, expected a new or an empty folder")
+    out.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(mark, indent=1), encoding="utf-8")
