@@ -7,34 +7,18 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
-import subprocess
-import time
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import browser, new_page, served, settle, wait
 from week import ROOT
 
-from dashboard.launch import command
 from storage.review import ReviewLog
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.browser
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 MOST_BYTES = 300_000
 
 
@@ -48,52 +32,19 @@ MIDDLE_STATION = """() => {
 }"""
 
 
-def wait(condition: Any, seconds: float = 60) -> None:
-    """Wait until a condition holds."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited too long"
-        time.sleep(0.1)
-
-
 @pytest.fixture(scope="module")
-def server(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """A dashboard on a copy of the week's store; gives its address and the store."""
-    if not CHROMIUM:
-        pytest.skip("no chromium on this machine: Debian has it as the package chromium")
-    root = shutil.copytree(filled, tmp_path_factory.mktemp("browser") / "store", symlinks=True)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    environment = {**os.environ, "FLUSHLINE_STORE": str(root), "PYTHONPATH": str(ROOT)}
-    log = (root.parent / "server.log").open("wb")
-    process = subprocess.Popen(command(port, "127.0.0.1"), env=environment, stdout=log, stderr=log, cwd=root.parent)
-    try:
-        wait(lambda: process.poll() is not None or _answers(port))
-        yield f"http://127.0.0.1:{port}", root
-    finally:
-        process.terminate()
-        process.wait(20)
-        log.close()
-    said = (root.parent / "server.log").read_text()
-    assert "Traceback" not in said, said
-
-
-def _answers(port: int) -> bool:
-    try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/_stcore/health", timeout=2) as answer:
-            return bool(answer.status == 200)
-    except OSError:
-        return False
-
-
-@pytest.fixture(scope="module")
-def chromium(server: tuple[str, Path]) -> Iterator[Any]:
+def chromium() -> Iterator[Any]:
     """The browser."""
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser
-        browser.close()
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def server(chromium: Any, filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """A dashboard on a copy of the week's store; gives its address and the store."""
+    root = Path(shutil.copytree(filled, tmp_path_factory.mktemp("browser") / "store", symlinks=True))
+    with served(root) as address:
+        yield address, root
 
 
 @pytest.fixture(scope="module")
@@ -104,28 +55,6 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     folder.mkdir(parents=True, exist_ok=True)
     return folder
-
-
-def new_page(browser: Any, scheme: str = "light", locale: str = "en-US") -> Any:
-    """A page of the size of a small laptop."""
-    context = browser.new_context(
-        viewport={"width": 1366, "height": 768}, color_scheme=scheme, locale=locale, timezone_id="Europe/Berlin",
-        accept_downloads=True,
-    )  # fmt: skip
-    page = context.new_page()
-    page.set_default_timeout(60_000)
-    return page
-
-
-def settle(page: Any) -> None:
-    """Wait until the page is drawn, and see that it holds no traceback."""
-    page.wait_for_selector('[data-testid="stApp"][data-test-script-state="notRunning"]')
-    page.wait_for_function(
-        "!document.querySelector('[data-testid=\"stSkeleton\"]') && !document.querySelector('[data-stale=\"true\"]')"
-    )
-    assert page.locator('[data-testid="stException"]').count() == 0
-    assert page.locator("text=Traceback").count() == 0
-    page.wait_for_timeout(400)
 
 
 def shoot(page: Any, folder: Path, name: str) -> None:
