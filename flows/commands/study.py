@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flows.study.run import Finished
+    from flows.study.folder import Finished
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
@@ -34,11 +34,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         which = simulated.add_mutually_exclusive_group()
         which.add_argument("--quick", action="store_true", help="the paper's tables alone, from few scans")
         which.add_argument("--spec", type=Path, metavar="FILE", help="another study (TOML)")
-        simulated.add_argument("--settings", type=Path, metavar="FILE", help="settings of the steps (TOML)")
-        simulated.add_argument(
-            "--server", action="store_true", help="run as a Prefect flow, starting a server where none is set up"
-        )
+        _add_common(simulated)
         simulated.set_defaults(run=run, kind=kind)
+    real = kinds.add_parser(
+        "real",
+        parents=[common],
+        help="what captured scenes tell without truth",
+        description="Repeatability of stations that were scanned more than once, and flatness of declared planes.",
+    )
+    real.add_argument("scenes", type=Path, metavar="DIR", help="folder of scene folders")
+    real.add_argument("--out", type=Path, required=True, metavar="DIR", help="store, report and tables")
+    real.add_argument("--rig", type=Path, metavar="FILE", help="rig file; by default rig.json beside the scenes")
+    real.add_argument("--planes", type=Path, metavar="FILE", help="parts of the image that show a plane (TOML)")
+    _add_common(real)
+    real.set_defaults(run=run_captured)
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="settings of the steps (TOML)")
+    parser.add_argument(
+        "--server", action="store_true", help="run as a Prefect flow, starting a server where none is set up"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,6 +78,30 @@ def run(options: argparse.Namespace) -> int:
         finished = run_study(
             study,
             options.out,
+            settings,
+            on_progress=lambda done, total, what: progress.update(bar, completed=done, total=total, description=what),
+        )
+    return _tell(finished)
+
+
+def run_captured(options: argparse.Namespace) -> int:
+    """Look at captured scenes."""
+    from flows.prefect_server import runs_on_server
+    from flows.progress import progress_bar
+    from flows.study.real import Captured, run_real
+    from tasks.settings import load_settings
+
+    captured = Captured(options.scenes, options.out, options.rig or options.scenes / "rig.json", options.planes)
+    settings = load_settings(options.settings)
+    if runs_on_server(options.server):
+        from flows.study.prefect_study import real_study_flow
+
+        planes, chosen = (str(path) if path else None for path in (captured.planes, options.settings))
+        return _tell(real_study_flow(str(captured.folder), str(captured.out), str(captured.rig), planes, chosen))
+    with progress_bar() as progress:
+        bar = progress.add_task("starting", total=None)
+        finished = run_real(
+            captured,
             settings,
             on_progress=lambda done, total, what: progress.update(bar, completed=done, total=total, description=what),
         )

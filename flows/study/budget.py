@@ -141,7 +141,7 @@ class Budget:
             rows.append(row)
         columns = [Column("switched on"), Column("meaning")]
         for quantity in _QUANTITIES:
-            columns += [Column(f"{quantity}: mean |error|", 2), Column("max", 2), Column("sd", 2)]
+            columns += [Column(name, 2, group=quantity) for name in ("mean |error|", "max |error|", "sd")]
         table = Table("budget", "Errors, µm", tuple(columns), rows)
         everything = self.series[-1]
         text = (

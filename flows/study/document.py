@@ -14,11 +14,17 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Column:
-    """A column; `digits` after the point for numbers, None for text, `sign` to show + as well."""
+    """A column: `digits` after the point for numbers (None: text), `sign` to show + as well, `group` a common head."""
 
     name: str
     digits: int | None = None
     sign: bool = False
+    group: str = ""
+
+    @property
+    def full_name(self) -> str:
+        """Group and name."""
+        return f"{self.group}: {self.name}" if self.group else self.name
 
     def text(self, value: Cell) -> str:
         """A cell as people read it."""
@@ -43,17 +49,18 @@ class Table:
         """Header and rows, numbers unrounded, empty where there is no value."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([column.name for column in self.columns])
+        writer.writerow([column.full_name for column in self.columns])
         for row in self.rows:
             writer.writerow(["" if isinstance(v, float) and math.isnan(v) else v for v in row])
         return text.getvalue()
 
     def markdown(self) -> str:
         """As a Markdown table."""
-        heads = [column.name for column in self.columns]
+        heads = [column.full_name for column in self.columns]
         rule = ["---" if column.digits is None else "---:" for column in self.columns]
         body = [[c.text(v) for c, v in zip(self.columns, row, strict=True)] for row in self.rows]
-        return "\n".join(f"| {' | '.join(line)} |" for line in [heads, rule, *body])
+        lines = [[cell.replace("|", "\\|") for cell in line] for line in [heads, rule, *body]]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 @dataclass(frozen=True)

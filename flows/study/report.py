@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -62,11 +63,20 @@ def _paragraphs(text: Sequence[str]) -> list[str]:
 
 
 def _table(table: Table) -> str:
-    heads = [escape(column.name) for column in table.columns]
     rows = [[escape(c.text(v)) for c, v in zip(table.columns, row, strict=True)] for row in table.rows]
     numeric = [k for k, column in enumerate(table.columns) if column.digits is not None]
+    body = markup.table([escape(column.name) for column in table.columns], rows, numeric)
+    if any(column.group for column in table.columns):
+        body = body.replace("<thead>", f"<thead>{_group_heads(table)}", 1)
     caption = f'{escape(table.title)} (<a href="tables/{table.name}.csv">CSV</a>)'
-    return f"<h3>{caption}</h3>{markup.table(heads, rows, numeric)}"
+    return f'<h3>{caption}</h3><div style="overflow-x: auto">{body}</div>'
+
+
+def _group_heads(table: Table) -> str:
+    """The row of heads that several columns share."""
+    groups = [(name, len(list(columns))) for name, columns in groupby(table.columns, key=lambda column: column.group)]
+    heads = [f'<th colspan="{n}">{escape(name)}</th>' for name, n in groups]
+    return f"<tr>{''.join(heads)}</tr>"
 
 
 def _figure(figure: Any) -> str:

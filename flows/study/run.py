@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +12,8 @@ from flows.inbox import only_run
 from flows.inspect_scene import Call, directly
 from flows.study.budget import Budget
 from flows.study.detection import Detection
-from flows.study.document import Bar, Section
+from flows.study.document import Section
+from flows.study.folder import Finished, claim
 from flows.study.gage import Gage
 from flows.study.report import SIMULATED, write_report
 from flows.study.series import Series
@@ -22,13 +21,9 @@ from flows.study.skin import Skin
 from flows.study.spec import Study
 from flows.study.standard_part import StandardPart
 from flows.study.workshop import Workshop, run_series
-from metrology.errors import UsageError
 from storage.archive import Store
 from storage.archive.bundle import document_hash
-from storage.documents import read_json
 from tasks.settings import InspectionSettings
-
-MANIFEST = "study.json"
 
 
 class Block(Protocol):
@@ -38,24 +33,6 @@ class Block(Protocol):
 
     def sections(self, store: Store) -> list[Section]:
         """What the store tells once the series are in it."""
-
-
-@dataclass(frozen=True)
-class Finished:
-    """What a study left.
-
-    Attributes
-    ----------
-    report : Path
-        HTML.
-    bars : tuple of Bar
-    problems : tuple of str
-        Why scans could not be inspected.
-    """
-
-    report: Path
-    bars: tuple[Bar, ...]
-    problems: tuple[str, ...]
 
 
 def run_study(
@@ -78,7 +55,7 @@ def run_study(
     on_progress : callable
         Told how many scans are done, of how many, and what comes next.
     """
-    _claim(out, study)
+    claim(out, study.spec.study, document_hash(study.document))
     blocks = blocks_of(study)
     total = sum(len(series) for block in blocks for series in block.series)
     workshop = Workshop(out, settings, study.spec.calibration, study.spec.tolerance_mm, call)
@@ -120,19 +97,3 @@ def blocks_of(study: Study) -> list[Block]:
     if spec.detection:
         blocks.append(Detection(spec.detection, study.simulations[spec.detection.simulation]))
     return blocks
-
-
-def _claim(out: Path, study: Study) -> None:
-    """Write down whose folder this is; refuse one that holds another study or something else."""
-    mark = {"format": study.spec.format, "study": study.spec.study, "specification": document_hash(study.document)}
-    path = out / MANIFEST
-    if path.exists():
-        if read_json(path, UsageError) != mark:
-            raise UsageError(
-                f"{path}: found a study of another specification, expected the same one or an empty folder"
-            )
-        return
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out}: found something else than a study, expected a new or an empty folder")
-    out.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(mark, indent=1), encoding="utf-8")

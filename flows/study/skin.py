@@ -95,11 +95,9 @@ def _bar(name: str, rows: Sequence[Row], limit: float, theirs: float) -> Bar:
     return Bar(name, max((row.sd for row in rows), default=np.nan), limit, "mm", theirs)
 
 
-def _columns(prefix: str = "") -> list[Column]:
-    return [
-        Column(f"{prefix}truth", 4), Column(f"{prefix}average", 4), Column(f"{prefix}sd", 4),
-        Column(f"{prefix}max deviation", 4),
-    ]  # fmt: skip
+def _columns(what: str) -> list[Column]:
+    ours = [Column(name, 4, group=what) for name in ("truth", "average", "sd", "max deviation")]
+    return ours + [Column(name, 3, group=f"{what}, paper") for name in ("sd", "max deviation")]
 
 
 def _figures(row: Row | None) -> list[Cell]:
@@ -115,7 +113,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _table_2(rows: Sequence[Row]) -> Table:
-    columns = [Column("rivet"), *_columns(), Column("paper: sd", 3), Column("paper: max deviation", 3)]
+    columns = [Column("rivet"), *_columns("height")]
     theirs = [*paper.TABLE_2, *[None] * len(rows)]
     body = [
         [row.feature, *_figures(row), *((p.sd, p.deviation) if p else (None, None))]
@@ -127,9 +125,7 @@ def _table_2(rows: Sequence[Row]) -> Table:
 
 
 def _table_3(steps: Sequence[Row], widths: Sequence[Row]) -> Table:
-    columns = [Column("position")]
-    for what in ("step", "width"):
-        columns += [*_columns(f"{what}: "), Column(f"paper {what}: sd", 3), Column(f"paper {what}: max deviation", 3)]
+    columns = [Column("position"), *_columns("step"), *_columns("width")]
     names = list(dict.fromkeys(row.feature for row in (*steps, *widths)))
     by_name = [{row.feature: row for row in rows} for rows in (steps, widths)]
     body: list[list[Cell]] = []

@@ -23,6 +23,12 @@ from storage.archive import Store
 
 _RIGS: tuple[RigKind, ...] = ("true", "calibrated")
 _MEAN_ERROR_MM, _MAX_ERROR_MM, _SD_MM = 0.002, 0.006, 0.001
+_SAME_TRUTH_MM = 5e-4  # the paper states heights to a micrometre
+_MARKS = {
+    "true": {"size": 5, "color": "#0072b2", "opacity": 0.7},
+    "calibrated": {"size": 5, "color": "#d55e00", "opacity": 0.7},
+}
+_BESIDE = {"true": -0.12, "calibrated": 0.12}  # where the two rigs' points stand beside a rivet's mark
 
 
 @dataclass(frozen=True)
@@ -86,40 +92,46 @@ def _averages(rows: Sequence[Row]) -> tuple[float, float, float]:
 
 def _table(rows: dict[RigKind, list[Row]]) -> Table:
     """The paper's columns for the true rig, the calibrated rig, and the paper itself, side by side."""
-    columns = [Column("rivet"), Column("truth, mm", 3)]
-    for who in ("true rig", "calibrated rig"):
-        columns += [
-            Column(f"{who}: measured", 4), Column(f"{who}: mean error", 4, True), Column(f"{who}: sd", 4),
-            Column(f"{who}: max error", 4),
-        ]  # fmt: skip
-    columns += [
-        Column("paper: measured", 3), Column("paper: mean error", 3, True), Column("paper: sd", 3),
-        Column("paper: max error", 3),
-    ]  # fmt: skip
+    columns = (
+        Column("rivet"),
+        Column("truth", 3),
+        *_columns("true rig", 4),
+        *_columns("calibrated rig", 4),
+        *_columns("paper", 3),
+    )
     by_name = {rig: {row.feature: row for row in rows[rig]} for rig in _RIGS}
     names = list(dict.fromkeys(row.feature for rig in _RIGS for row in rows[rig]))
     body: list[list[Cell]] = []
-    for name in names:
+    for number, name in enumerate(names):
         found = [by_name[rig].get(name) for rig in _RIGS]
         true = next(row.true for row in found if row)
-        ours = [
-            v for row in found for v in ((row.measured, row.mean_error, row.sd, row.max_error) if row else (None,) * 4)
-        ]
-        theirs = next((p for p in paper.TABLE_1 if abs(p.true - true) < 5e-4), None)
-        body.append(
-            [
-                name,
-                true,
-                *ours,
-                *((theirs.measured, theirs.mean_error, theirs.sd, theirs.max_error) if theirs else (None,) * 4),
-            ]
-        )
+        ours = [figure for row in found for figure in _figures(row)]
+        body.append([name, true, *ours, *_figures(_published(number, true))])
     last: list[Cell] = ["average", None]
     for rig in _RIGS:
-        mean_error, sd, max_error = _averages(rows[rig])
-        last += [None, mean_error, sd, max_error]
+        last += [None, *_averages(rows[rig])]
     body.append([*last, None, paper.TABLE_1_MEAN_ERROR, paper.TABLE_1_SD, paper.TABLE_1_MAX_ERROR])
-    return Table("table-1", "Heights, mm", tuple(columns), body)
+    return Table("table-1", "Heights, mm", columns, body)
+
+
+def _columns(group: str, digits: int) -> list[Column]:
+    return [
+        Column("measured", digits, group=group),
+        Column("mean error", digits, True, group),
+        Column("sd", 4, group=group),
+        Column("max error", digits, group=group),
+    ]
+
+
+def _figures(row: Row | paper.Accuracy | None) -> list[Cell]:
+    return [row.measured, row.mean_error, row.sd, row.max_error] if row else [None] * 4
+
+
+def _published(number: int, true: float) -> paper.Accuracy | None:
+    """The paper's row of a rivet, if it is the paper's rivet."""
+    if number < len(paper.TABLE_1) and abs(paper.TABLE_1[number].true - true) < _SAME_TRUTH_MM:
+        return paper.TABLE_1[number]
+    return None
 
 
 def _bars(rows: Sequence[Row]) -> tuple[Bar, ...]:
@@ -164,29 +176,21 @@ def _heights(values: Sequence[Value]) -> go.Figure:
 
 def _errors(values: dict[RigKind, list[Value]]) -> go.Figure:
     """The same as differences from the truth, with the paper's mean errors."""
-    colours = {"true": "#0072b2", "calibrated": "#d55e00"}
     figure = go.Figure()
     for rig, asked in values.items():
         features, true, measured = grid(asked, "height")
         error: NDArray[np.float64] = 1000 * (measured - true[:, None])
-        figure.add_trace(
-            go.Scatter(
-                x=np.repeat(features, measured.shape[1]),
-                y=error.ravel(),
-                mode="markers",
-                name=f"{rig} rig",
-                marker={"size": 5, "color": colours[rig], "opacity": 0.6},
-            )
-        )
-    names = {round(value.true_mm, 3): value.feature for value in values["true"]}
-    theirs = [(names[p.true], 1000 * p.mean_error) for p in paper.TABLE_1 if p.true in names]
+        x = np.repeat(np.arange(len(features)) + _BESIDE[rig], measured.shape[1])
+        figure.add_trace(go.Scatter(x=x, y=error.ravel(), mode="markers", name=f"{rig} rig", marker=_MARKS[rig]))
+    theirs = [(k, p) for k, t in enumerate(true) if (p := _published(k, float(t)))]
     figure.add_trace(
         go.Scatter(
-            x=[name for name, _ in theirs],
-            y=[error for _, error in theirs],
+            x=[k for k, _ in theirs],
+            y=[1000 * p.mean_error for _, p in theirs],
             mode="markers",
             name="paper, mean of ten",
             marker={"symbol": "x", "size": 8, "color": "#6b7280"},
         )
     )
+    figure.update_xaxes(tickvals=list(range(len(features))), ticktext=features)
     return figure.update_layout(title="Errors of every scan", yaxis_title="measured less true, µm", height=380)

@@ -115,7 +115,7 @@ def position_values(store: Store, series: Series, rig: RigKind, positions: int) 
             stations = course.on_it(rows)
             for number, at in enumerate(course.positions(positions), start=1):
                 for quantity, true in course.truth(at).items():
-                    measured, u95 = _between(stations, at, quantity)
+                    measured, u95 = between(stations, at, quantity)
                     values.append(_value(scan, f"{seam.id} position {number}", quantity, true, measured, u95))
     return values
 
@@ -161,10 +161,18 @@ class _Course:
         return float(self._arc[k] + share[k] * (self._arc[k + 1] - self._arc[k])), float(distance[k])
 
 
-def _between(
+def between(
     stations: list[tuple[dict[str, Any], float]], at: float, quantity: Quantity
 ) -> tuple[float | None, float | None]:
-    """Linear between the measured stations beside a place; the larger U95 of the two."""
+    """Step or width at a place, linear between the measured stations beside it, with the larger U95 of the two.
+
+    Parameters
+    ----------
+    stations : list of (row, arc length in mm)
+        In their order along the seam.
+    at : float
+        Arc length, mm.
+    """
     there = [(s, row) for row, s in stations if row[f"{quantity}_mm"] is not None and abs(s - at) <= _REACH_MM]
     before = [(s, row) for s, row in there if s <= at]
     after = [(s, row) for s, row in there if s > at]
