@@ -25,24 +25,35 @@ _STEP_PX = 8.0
 _HALF_PX = 7.0
 # The window across reaches this far beyond the band, in line widths and px.
 _REACH_WIDTHS = 0.5
+_MOST_REACH_PX = 6.0
 _REACH_PX = 7.0
+# Borders at least twice this far apart (three times the blur of lens and pixel) are fitted one by one, each with this
+# much of the band at most.
+_APART_PX = 2.2
+_INNER_PX = 4.0
 # A typical lens; the borders' middle does not depend on it.
 _BLUR = PixelBlur(lens_px=0.6, spill=0.0)
 # Pixels are binned across the line; fewer of them tell nothing.
 _BIN_PX = 0.25
 _MIN_PIXELS = 60
-# Nodes are compared with so many neighbours on each side, and may depart so far from their median.
+# Nodes are compared with so many neighbours on each side, and may depart so far from their median, px.
 _NEIGHBOURS = 6
 _DEPARTURE_PX = 1.5
+# Of those, nodes off the smooth line by so many standard deviations are disturbed, if by so many px.
+_DISTURBED_SIGMAS = 3.5
+_DISTURBED_PX = 0.1
 # A node sees the same line where its contrast is at least this share of the usual, and its width at most so many times.
 _LEAST_CONTRAST = 0.3
 _MOST_WIDTH = 2.0
-# The line is a parabola over about ± this length; at a bend of 1 px in 200 px that is true to 0.01 px.
-_SMOOTH_PX = 20.0
+# The line is taken for a parabola over about ± this length: true to 0.005 px where it swings by 5 px in 800 px.
+_SMOOTH_PX = 30.0
 # The line is sought beyond its ends, so many nodes at a time; so many bad ones in a run end it.
 _AHEAD = 6
 _FEWEST_NODES = 4
 _LEAST_SHARE = 0.3
+_NOTHING = (np.nan, np.nan, np.nan, np.nan)
+# What the fit does not know of (a border's own roughness) spares no node, px.
+_LEAST_SIGMA_PX = 0.01
 
 
 @dataclass(frozen=True)
@@ -69,11 +80,17 @@ class Nodes:
 
 @dataclass(frozen=True)
 class _Fits:
-    """Offset of the band's middle along the normal, width and contrast at each node (n,); NaN where there is no band."""
+    """Offset of the band's middle along the normal, its σ, width and contrast at each node (n,); NaN without a band."""
 
     offset: Array
+    sigma: Array
     width: Array
     contrast: Array
+
+    def weights(self, good: Mask) -> Array:
+        """(n,) of good nodes: inverse variances, relative to the usual one; 0 of others."""
+        usual = float(np.median(self.sigma[good]))
+        return np.where(good, (usual / np.where(good, self.sigma, 1.0)) ** 2, 0.0)
 
     def consistent(self) -> Mask:
         """Nodes whose borders agree with their neighbours'."""
@@ -86,8 +103,7 @@ class _Fits:
         kept = good.copy()
         for i in np.flatnonzero(good):
             near = slice(max(0, i - _NEIGHBOURS), i + _NEIGHBOURS + 1)
-            median = np.median(self.offset[near][good[near]])
-            kept[i] = abs(self.offset[i] - median) < _DEPARTURE_PX
+            kept[i] = abs(self.offset[i] - np.median(self.offset[near][good[near]])) < _DEPARTURE_PX
         return kept
 
 
@@ -99,7 +115,7 @@ def fit_nodes(relative: Float32, points: Array, width_px: float) -> Nodes | None
     if good.sum() < max(_FEWEST_NODES, _LEAST_SHARE * len(nodes)):
         return None
     width_px = float(np.median(fits.width[good]))
-    nodes = smoothed(_moved(nodes, fits, good), _FIRST_STEP_PX, good)
+    nodes = smoothed(_moved(nodes, fits, good), _FIRST_STEP_PX, fits.weights(good))
     nodes = resample(nodes, _STEP_PX)
     for _ in range(2):
         nodes = _grown(relative, nodes, width_px)[::-1]
@@ -107,11 +123,21 @@ def fit_nodes(relative: Float32, points: Array, width_px: float) -> Nodes | None
     good = fits.consistent()
     if good.sum() < max(_FEWEST_NODES, _LEAST_SHARE * len(nodes)):
         return None
-    centre = smoothed(_moved(nodes, fits, good), _SMOOTH_PX, good)
+    centre = _smooth_line(_moved(nodes, fits, good), fits.weights(good))
     first, last = np.flatnonzero(good)[[0, -1]]
     part = slice(first, last + 1)
     width = np.where(good, fits.width, np.nan)[part]
     return Nodes(centre[part], width, float(np.median(fits.contrast[good])), good[part])
+
+
+def _smooth_line(points: Array, weights: Array) -> Array:
+    """The smooth line through good nodes, without those that something beside the line pulls away from it."""
+    line, good = smoothed(points, _SMOOTH_PX, weights), weights > 0
+    away = np.linalg.norm(points - line, axis=1)
+    limit = max(_DISTURBED_SIGMAS * 1.4826 * float(np.median(away[good])), _DISTURBED_PX)
+    # What disturbs a node reaches into the next one's window.
+    disturbed = np.convolve(good & (away > limit), [1, 1, 1], "same") > 0
+    return smoothed(points, _SMOOTH_PX, np.where(disturbed, 0.0, weights))
 
 
 def _grown(relative: Float32, nodes: Array, width_px: float) -> Array:
@@ -150,18 +176,38 @@ def _fit(relative: Float32, nodes: Array, width_px: float) -> _Fits:
     return _Fits(*fits.T)
 
 
-def _borders(relative: Float32, node: Array, normal: Array, width: float) -> tuple[float, float, float]:
-    """Offset of the band's middle along the normal, its width and contrast; NaN where it is not there."""
-    nothing = np.nan, np.nan, np.nan
-    reach = (0.5 + _REACH_WIDTHS) * width + _REACH_PX
+def _borders(relative: Float32, node: Array, normal: Array, width: float) -> tuple[float, float, float, float]:
+    """Offset of the band's middle along the normal, its σ, width and contrast; NaN where it is not there."""
+    half = width / 2
+    reach = half + min(_REACH_WIDTHS * width, _MOST_REACH_PX) + _REACH_PX
     local = LocalMap.in_image(node, normal)
     x, _, grey = sample(relative, local, -reach, reach, _HALF_PX)
     if len(x) < _MIN_PIXELS:
-        return nothing
+        return _NOTHING
     x, grey, counts = binned(x, grey, _BIN_PX)
-    fit = fit_bands(x, grey, [-width / 2, width / 2], EdgeResponse.along(local.gradient, _BLUR), counts=counts)
-    if fit is None:
-        return nothing
-    outside = 0.5 * (fit.levels[0] + fit.levels[2])
-    contrast = fit.levels[1] / outside - 1.0 if outside > 0 else np.nan
-    return float(fit.edges.mean()), float(fit.edges[1] - fit.edges[0]), float(contrast)
+    response = EdgeResponse.along(local.gradient, _BLUR)
+    if half < _APART_PX:
+        fit = fit_bands(x, grey, [-half, half], response, counts=counts)
+        if fit is None:
+            return _NOTHING
+        variance = float(fit.covariance.sum())
+        return _band(fit.edges, fit.levels[[0, 2]], float(fit.levels[1]), variance)
+    # The floor of a gap is lit on one side and shadowed on the other: each border sees what is next to it.
+    edges, outside, inside = np.empty(2), np.empty(2), np.empty(2)
+    inner, variance = half - min(half, _INNER_PX), 0.0
+    for k, (side, slopes) in enumerate(((x < -inner, (True, False)), (x > inner, (False, True)))):
+        fit = fit_bands(x[side], grey[side], [(-half, half)[k]], response, slopes=slopes, counts=counts[side])
+        if fit is None:
+            return _NOTHING
+        edges[k], outside[k], inside[k] = fit.edges[0], fit.levels[k], fit.levels[1 - k]
+        variance += float(fit.covariance[0, 0])
+    return _band(edges, outside, float(inside.mean()), variance)
+
+
+def _band(edges: Array, outside: Array, inside: float, variance: float) -> tuple[float, float, float, float]:
+    """Middle, its σ, width and contrast from borders (`variance` is that of their sum) and levels."""
+    skin = float(outside.mean())
+    if not (skin > 0 and edges[1] > edges[0] and np.ptp(outside) < abs(inside - skin) * 2):
+        return _NOTHING
+    sigma = max(0.5 * float(np.sqrt(variance)), _LEAST_SIGMA_PX)
+    return float(edges.mean()), sigma, float(edges[1] - edges[0]), inside / skin - 1.0
