@@ -24,7 +24,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 from metrology.errors import StoreError
-from storage.archive import Store, maintenance
+from storage.archive import Store, maintenance, recycle
 from tests.storage.results import small_key, small_result
 
 SCENES = 12
@@ -63,6 +63,8 @@ def write_forever(root: str, seed: int, full: multiprocessing.sharedctypes.Synch
     """Publish random runs of random scenes until killed."""
     rng = random.Random(seed)
     store = Store(Path(root))
+    if seed % 2:  # half of the writers publish as into a large archive
+        recycle.WORTHWHILE_BYTES = 0
     while True:
         millis = rng.randrange(1, 1000)
         key = small_key(f"S{rng.randrange(SCENES):02d}", f"MSN-{rng.randrange(3)}")

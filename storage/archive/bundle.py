@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, fields
@@ -30,6 +31,8 @@ from storage.panel_spec import pattern_toml
 
 FORMAT = "flushline-bundle/1"
 MANIFEST = "manifest.json"
+# 10 nm, 0.1 mdeg and 0.1 mpx, far below any uncertainty: tables of such numbers take a third of the room.
+_DIGITS = {"mm": 5, "deg": 4, "px": 4}
 CLOUD, OVERLAY, OVERLAY_SVG, PREVIEW, RIG = "cloud.parquet", "overlay.png", "overlay.svg", "preview.png", "rig.json"
 PATTERN = "pattern.toml"  # where the scene enrols its station's pattern
 
@@ -160,7 +163,8 @@ def result_tables(result: InspectionResult, run_id: str, bundle_path: str) -> di
     }
     return {
         table.name: pa.Table.from_pylist(
-            [{name: _plain(value) for name, value in row.items()} for row in rows[table.name]], table.arrow_schema
+            [{name: _plain(name, value) for name, value in row.items()} for row in rows[table.name]],
+            table.arrow_schema,
         )
         for table in TABLES
     }
@@ -204,11 +208,13 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[
     }
 
 
-def _plain(value: object) -> object:
-    """NumPy numbers as Python's; what is not finite is not a measurement."""
+def _plain(name: str, value: object) -> object:
+    """NumPy numbers as Python's, rounded by their unit; what is not finite is not a measurement."""
     if isinstance(value, np.generic):
         value = value.item()
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    if not isinstance(value, float):
+        return value
+    return round(value, _DIGITS.get(name.rpartition("_")[2], 6)) if math.isfinite(value) else None
 
 
 def _key_document(key: SceneKey) -> dict[str, str]:

@@ -16,7 +16,6 @@ from metrology.errors import StoreError
 
 # Linux: lets two files share their blocks until one of them changes (XFS, Btrfs).
 _FICLONE = 0x40049409
-_BLOCK = 1 << 20
 
 
 @contextlib.contextmanager
@@ -115,8 +114,7 @@ def copy_durably(source: Path, target: Path) -> None:
             try:
                 fcntl.ioctl(writer.fileno(), _FICLONE, reader.fileno())
             except OSError:
-                shutil.copyfileobj(reader, writer, _BLOCK)
-            writer.flush()
+                shutil.copyfile(source, partial)
             os.fsync(writer.fileno())
         partial.replace(target)
     finally:

@@ -32,7 +32,7 @@ def writing(layout: Layout) -> Iterator[duckdb.DuckDBPyConnection]:
     """The working index, to be changed under the store's lock; where it is missing it is made from the bundles."""
     if not layout.work.exists():
         rebuild(layout)
-    with _connected(layout.work) as connection:
+    with connected(layout.work) as connection:
         yield connection
 
 
@@ -96,7 +96,7 @@ def rebuild(layout: Layout) -> list[str]:
     partial = layout.work.with_suffix(".partial")
     discard(partial)
     try:
-        with _connected(partial) as connection:
+        with connected(partial) as connection:
             for made in (*TABLES, *VIEWS):
                 connection.execute(made.create_sql)
             for start in range(0, len(runs), _RUNS_PER_INSERT):
@@ -106,6 +106,13 @@ def rebuild(layout: Layout) -> list[str]:
     finally:
         discard(partial)
     return problems
+
+
+def fingerprint(connection: duckdb.DuckDBPyConnection) -> tuple[int, ...]:
+    """Equal for two indexes that show the same runs with as many rows."""
+    counts = [f"(SELECT count(*) FROM {table.name})" for table in TABLES]
+    row = connection.execute(f"SELECT coalesce(sum(hash(scene_id, run_id)), 0), {', '.join(counts)} FROM scenes")
+    return tuple(int(value) for value in row.fetchall()[0])
 
 
 # The folders of a bundle are named by aircraft and panel, but not in Hive's way; every column is in the file.
@@ -119,7 +126,8 @@ def _insert(connection: duckdb.DuckDBPyConnection, runs: Sequence[Path]) -> None
 
 
 @contextlib.contextmanager
-def _connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
+def connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
+    """An index to be changed; what was changed is in the file itself in the end, not in a log beside it."""
     try:
         connection = duckdb.connect(str(path), config={"storage_compatibility_version": STORAGE_FORMAT})
     except duckdb.Error as problem:

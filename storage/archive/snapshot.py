@@ -17,6 +17,7 @@ import duckdb
 from metrology.errors import StoreError
 from storage.archive.files import copy_durably, locked, make_folders, point_to
 from storage.archive.layout import Layout
+from storage.archive.recycle import News, discard, note, recycle
 
 KEPT_GENERATIONS = 3
 _ATTEMPTS = 5
@@ -29,16 +30,26 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
 _closing = threading.Lock()
 
 
-def publish(layout: Layout) -> None:
-    """Publish the working index as it is; the caller holds the store's lock."""
+def publish(layout: Layout, news: News | None = None) -> None:
+    """Publish the working index as it is; the caller holds the store's lock.
+
+    Parameters
+    ----------
+    news : News, optional
+        What the newest generation lacks, where that is known.
+    """
     make_folders(layout.generations, layout.root)
     target = layout.generations / f"archive-{time.time_ns():020d}.duckdb"
-    copy_durably(layout.work, target)
+    generations = sorted(layout.generations.glob("archive-*.duckdb"))
+    if not (news and len(generations) >= KEPT_GENERATIONS and recycle(layout, generations, news, target)):
+        copy_durably(layout.work, target)
+    if news:
+        note(layout, target, news)
     # Whoever opens it for writing by mistake is refused instead of changing what others read.
     target.chmod(0o444)
     point_to(layout.archive, target)
     for old in sorted(layout.generations.glob("archive-*.duckdb"))[:-KEPT_GENERATIONS]:
-        old.unlink()
+        discard(old)
 
 
 def connect(layout: Layout) -> duckdb.DuckDBPyConnection:

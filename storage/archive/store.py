@@ -132,6 +132,7 @@ class Store:
     def _take_up(self) -> int:
         from storage.archive import index, snapshot
         from storage.archive.bundle import check_bundle
+        from storage.archive.recycle import News
         from storage.archive.signed import signed_runs
         from storage.archive.staging import pending
         from storage.review import ReviewLog
@@ -145,7 +146,8 @@ class Store:
                 for run in runs.values():
                     with contextlib.suppress(StoreError):  # damaged on disk: `archive check` names it
                         index.replace_run(connection, run, check_bundle(run, only_tables=True), signed)
-            snapshot.publish(self.layout)
+                news = News(tuple(runs.values()), index.fingerprint(connection))
+            snapshot.publish(self.layout, news)
             for marker in runs:
                 marker.unlink(missing_ok=True)
             return len(runs)

@@ -1,0 +1,78 @@
+"""A large index is published by bringing an old generation up to date; whoever still reads one keeps it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import duckdb
+import pytest
+
+from storage.archive import Store, maintenance, recycle, snapshot
+from tests.storage.results import small_key, small_result
+
+ROWS = "SELECT scene_id, run_id FROM scenes ORDER BY ALL"
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    """A store whose index counts as large, with as many generations as are kept."""
+    monkeypatch.setattr(recycle, "WORTHWHILE_BYTES", 0)
+    store = Store(tmp_path / "store")
+    for number in range(snapshot.KEPT_GENERATIONS):
+        publish(store, number)
+    return store
+
+
+def publish(store: Store, number: int) -> None:
+    store.publish(small_result(small_key(f"S{number % 4}"), height_mm=number / 1000, rivets=number % 5 + 1))
+
+
+def inodes(store: Store) -> set[int]:
+    return {path.stat().st_ino for path in store.layout.generations.glob("*.duckdb")}
+
+
+def test_files_go_round_and_every_generation_is_whole(store: Store) -> None:
+    before = inodes(store)
+    for number in range(3, 12):
+        publish(store, number)
+        with duckdb.connect(str(store.layout.work), read_only=True) as work:
+            assert store.connect().execute(ROWS).fetchall() == work.execute(ROWS).fetchall()
+    assert inodes(store) == before
+    assert maintenance.check(store.layout) == maintenance.Check(12, ())
+    assert len(list(store.layout.generations.iterdir())) == 2 * snapshot.KEPT_GENERATIONS
+
+
+def test_what_somebody_reads_is_not_touched(store: Store) -> None:
+    oldest = min(store.layout.generations.glob("*.duckdb"))
+    content = oldest.read_bytes()
+    with oldest.open("rb") as reader:
+        for number in range(3, 8):
+            publish(store, number)
+        assert reader.read() == content
+    assert maintenance.check(store.layout).problems == ()
+
+
+def test_a_generation_without_its_list_is_copied(store: Store) -> None:
+    for note in store.layout.generations.glob("*.json"):
+        note.write_text("[")
+    before = inodes(store)
+    publish(store, 3)
+    assert inodes(store) != before
+    assert maintenance.check(store.layout).problems == ()
+
+
+def test_what_turns_out_otherwise_is_copied(store: Store) -> None:
+    # A run in the list that is not there any more: the old generation cannot be brought up to date.
+    newest = max(store.layout.generations.glob("*.json"))
+    newest.write_text('["bundles/MSN-1/LH-F12/gone/run"]')
+    publish(store, 3)
+    publish(store, 4)
+    assert maintenance.check(store.layout).problems == ()
+
+
+def test_what_a_killed_writer_left_is_no_harm(store: Store) -> None:
+    (store.layout.generations / ".spare.duckdb").write_bytes(b"half")
+    (store.layout.generations / ".spare.duckdb.wal").write_bytes(b"half")
+    publish(store, 3)
+    assert not list(store.layout.generations.glob(".spare*"))
+    assert maintenance.check(store.layout).problems == ()
