@@ -11,7 +11,7 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.findings import Selection
-from metrology.statistics import Capability, capability, capability_from_moments
+from metrology.statistics import Capability, capability, capability_from_moments, pooled_sigma
 from metrology.tolerance import Limit
 
 _BINS = 60
@@ -89,15 +89,15 @@ class Subject:
 def series(archive: Archive, subject: Subject, quantity: Quantity, selection: Selection) -> pd.DataFrame:
     """One row per scan (rivet, seam) or aircraft (panel, type), in the order of time.
 
-    Columns: captured_at, value (mean), n (values in it), aircraft_serial, scene_id (the newest), rig_id,
-    software_version.
+    Columns: captured_at, value (mean), n (values in it), variance (of them), aircraft_serial, scene_id (the newest),
+    rig_id, software_version.
     """
     condition, parameters = subject.where()
     limited, more = selection.where()
     by = "scene_id" if subject.kind in ("rivet", "seam") else "aircraft_serial"
     return archive.rows(
         "SELECT max(q.captured_at) AS captured_at, avg(q.v) AS value, count(q.v) AS n, "
-        "any_value(q.aircraft_serial) AS aircraft_serial, max(q.scene_id) AS scene_id, "
+        "var_samp(q.v) AS variance, any_value(q.aircraft_serial) AS aircraft_serial, max(q.scene_id) AS scene_id, "
         "arg_max(s.rig_id, s.captured_at) AS rig_id, arg_max(s.software_version, s.captured_at) AS software_version "
         f"FROM (SELECT *, {quantity.measured} AS v FROM {quantity.table} WHERE {condition}) q "
         f"JOIN (SELECT scene_id, captured_at, rig_id, software_version FROM scenes WHERE {limited}) s USING (scene_id) "
@@ -160,11 +160,20 @@ def spread(archive: Archive, subject: Subject, quantity: Quantity, selection: Se
 
 
 def capability_of(subject: Subject, rows: pd.DataFrame, values: Spread, limit: Limit | None) -> Capability | None:
-    """Capability against a limit. Short-term σ is known only where each point is one value."""
+    """Capability against a limit. Short-term σ: of moving ranges, or within the subgroups that a point averages."""
     if limit is None:
         return None
     if subject.averaged:
-        return capability_from_moments(values.n, values.mean, values.sd, limit.lower, limit.upper)
+        sigma, freedom = pooled_sigma(rows["variance"].to_numpy(float), rows["n"].to_numpy(float))
+        return capability_from_moments(
+            values.n,
+            values.mean,
+            values.sd,
+            limit.lower,
+            limit.upper,
+            sigma_within=sigma,
+            freedom_within=freedom,
+        )
     return capability(rows["value"].to_numpy(float), limit.lower, limit.upper)
 
 

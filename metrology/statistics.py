@@ -189,7 +189,7 @@ class Capability:
     n : int
     mean, sigma_overall : float
     sigma_within : float
-        From moving ranges in the order of time; NaN where the order is not known.
+        Short-term: from moving ranges in the order of time, or pooled within subgroups; NaN where neither is known.
     cp, cpk : Index or None
         With the short-term σ (within).
     pp, ppk : Index or None
@@ -239,13 +239,21 @@ def capability_from_moments(
     upper: float | None,
     confidence: float = 0.95,
     sigma_within: float = np.nan,
+    freedom_within: float | None = None,
 ) -> Capability:
-    """The same from a sample's size, mean and standard deviations."""
+    """The same from a sample's size, mean and standard deviations.
+
+    Parameters
+    ----------
+    freedom_within : float, optional
+        Degrees of freedom of `sigma_within`; by default those of moving ranges of n values.
+    """
     if lower is None and upper is None:
         raise UsageError("capability: found neither a lower nor an upper limit, expected at least one")
     if n < 2:
         raise UsageError(f"capability: found {n} values, expected at least two")
-    within_freedom = _MOVING_RANGE_EFFICIENCY * (n - 1)
+    if freedom_within is None:
+        freedom_within = _MOVING_RANGE_EFFICIENCY * (n - 1)
 
     def both(sigma: float, freedom: float) -> tuple[Index | None, Index | None]:
         if not (np.isfinite(sigma) and sigma > 0):
@@ -255,7 +263,7 @@ def capability_from_moments(
             _actual(mean, lower, upper, sigma, n, freedom, confidence),
         )
 
-    cp, cpk = both(sigma_within, within_freedom)
+    cp, cpk = both(sigma_within, freedom_within)
     pp, ppk = both(sigma_overall, n - 1)
     if sigma_overall > 0:
         below = stats.norm.cdf(lower, mean, sigma_overall) if lower is not None else 0.0
@@ -264,6 +272,23 @@ def capability_from_moments(
         below = float(lower is not None and mean < lower)
         above = float(upper is not None and mean > upper)
     return Capability(n, mean, sigma_overall, sigma_within, cp, cpk, pp, ppk, float(below + above))
+
+
+def pooled_sigma(variances: ArrayLike, sizes: ArrayLike) -> tuple[float, float]:
+    """Standard deviation within subgroups, and its degrees of freedom Σ(nᵢ − 1); NaN, 0 where no subgroup has two.
+
+    Parameters
+    ----------
+    variances : (k,) array
+        Sample variance of each subgroup; ignored where it has fewer than two values.
+    sizes : (k,) array
+    """
+    variance, freedom = np.asarray(variances, float), np.asarray(sizes, float) - 1
+    used = (freedom > 0) & np.isfinite(variance)
+    total = float(freedom[used].sum())
+    if total == 0:
+        return float("nan"), 0.0
+    return float(np.sqrt((variance[used] * freedom[used]).sum() / total)), total
 
 
 def _potential(

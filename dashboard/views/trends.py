@@ -162,7 +162,7 @@ def _capability(found: Capability | None, subject: Subject, limit: Limit | None,
         box.metric(name, habits.number(index.value, 2) if index else "–")
         box.caption(_interval(index, habits))
     if subject.averaged:
-        st.caption("Cp and Cpk need single values in the order of time; they are given for a single rivet.")
+        st.caption("Cp and Cpk use the spread within a point of the chart, Pp and Ppk that of all values.")
     elif found.cp is None and limit is not None and (limit.lower is None or limit.upper is None):
         st.caption("Cp and Pp need both limits.")
     st.caption(

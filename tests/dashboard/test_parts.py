@@ -292,6 +292,11 @@ def test_trend_of_a_panel_counts_every_value(archive: Archive) -> None:
     assert values is not None
     assert values.n == values.counts.sum() == total
     assert spread(archive, Subject("panel", "nowhere"), QUANTITIES["step"], Selection()) is None
+    rows = series(archive, subject, QUANTITIES["step"], Selection())
+    found = capability_of(subject, rows, values, Limit(-0.2, 0.2))
+    assert found is not None
+    assert found.cp is not None
+    assert found.sigma_within == pytest.approx(found.sigma_overall, rel=0.05)  # aircraft hardly differ
 
 
 # -- files
@@ -321,4 +326,6 @@ def test_saved_queries(tmp_path: Path) -> None:
 def test_recipe_is_what_is_stored(archive: Archive) -> None:
     made = synthetic_result(recipe(5, "S2"))
     stored = load_features(archive, load_scene_row(archive, LAST)).rivets
-    assert stored["height_mean_mm"].tolist() == pytest.approx([r.height_mean_mm for r in made.rivets])
+    assert stored["height_mean_mm"].tolist() == pytest.approx(
+        [r.height_mean_mm for r in made.rivets], abs=5e-6
+    )  # tables are rounded to 10 nm

@@ -15,6 +15,7 @@ from metrology.statistics import (
     capability_from_moments,
     individuals_chart,
     pareto,
+    pooled_sigma,
     rule_violations,
 )
 
@@ -137,6 +138,20 @@ def test_drift_shows_in_overall_and_not_in_within_sigma() -> None:
     assert found is not None
     assert found.sigma_within == pytest.approx(0.3, rel=0.15)
     assert found.cpk.value > 3 * found.ppk.value
+
+
+def test_sigma_within_subgroups_does_not_see_what_lies_between_them() -> None:
+    rng = np.random.default_rng(4)
+    groups = [rng.normal(centre, 0.5, n) for centre, n in ((0.0, 40), (3.0, 60), (-2.0, 1), (1.0, 80))]
+    sigma, freedom = pooled_sigma([g.var(ddof=1) if len(g) > 1 else np.nan for g in groups], [len(g) for g in groups])
+    assert freedom == 39 + 59 + 79
+    assert abs(sigma / 0.5 - 1) < 3 / np.sqrt(2 * freedom)
+    assert np.concatenate(groups).std() > 2 * sigma
+    found = capability_from_moments(181, 1.0, 1.3, -3.0, 5.0, sigma_within=sigma, freedom_within=freedom)
+    assert found.cp is not None
+    assert found.pp is not None
+    assert found.cp.value > 2 * found.pp.value
+    assert np.isnan(pooled_sigma([np.nan], [1])[0])
 
 
 def test_capability_with_one_limit_or_without_spread() -> None:
