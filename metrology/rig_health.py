@@ -103,8 +103,8 @@ class RigHealth:
 _LEAST_PATCHES = 12
 _LEAST_BLOCKS = 12
 _LEAST_BLOCK_PART = 0.1
-# A block's median is known well enough from every fourth row and column, at a sixteenth of the projections.
-_STRIDE = 4
+# A block's median is known well enough from every eighth row and column, at a sixty-fourth of the projections.
+_STRIDE = 8
 _OUTLIER_MADS = 4.0
 _MAD_TO_SIGMA = 1.4826
 
