@@ -222,10 +222,10 @@ def read_spec(path: Path) -> SimulationSpec:
 
 
 def shipped_spec(name: str) -> SimulationSpec:
-    """One of the specifications that come with the simulator: demo, skin or standard_part."""
+    """One of the specifications that come with the simulator: demo, gage, skin or standard_part."""
     file = resources.files("simulator") / "specs" / f"{name}.toml"
     if not file.is_file():
-        raise SpecError(f"simulation specification: found {name!r}, expected demo, skin or standard_part")
+        raise SpecError(f"simulation specification: found {name!r}, expected demo, gage, skin or standard_part")
     return parse_spec(file.read_text(encoding="utf-8"), f"{name}.toml")
 
 

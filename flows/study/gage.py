@@ -72,7 +72,8 @@ class Gage:
         values = [
             *rivet_values(store, series, _RIG), *position_values(store, series, _RIG, self._asked.positions)
         ]  # fmt: skip
-        tables = [crossed(values, quantity, self._asked.trials) for quantity in _QUANTITIES]
+        quantities = [quantity for quantity in _QUANTITIES if any(v.quantity == quantity for v in values)]
+        tables = [crossed(values, quantity, self._asked.trials) for quantity in quantities]
         left_out = sorted({name for table in tables for name in table.left_out})
         text = [
             conditions(series),

@@ -90,7 +90,7 @@ def planes_section(store: Store, planes: Sequence[Plane]) -> Section:
     )  # fmt: skip
     text = (
         "Points of a declared part of the left image, clear of edges, against the plane through them. Bow: largest "
-        "less smallest departure of a quadric from the plane; it holds the part's own bow as well as the rig's. The last "
-        "column compares the points' scatter about the quadric with the noise that the reconstruction states.",
+        "less smallest departure of a quadric from the plane; it holds the part's own bow as well as the rig's. The "
+        "last column compares the points' scatter about the quadric with the noise that the reconstruction states.",
     )
     return Section("Flatness of declared planes", text, (Table("planes", "Planes", columns, rows),))

@@ -22,6 +22,7 @@ from storage.archive import Store
 
 _RIG: RigKind = "calibrated"
 _STEP_SD_MM, _WIDTH_SD_MM = 0.003, 0.008
+_QUANTITIES: tuple[Quantity, ...] = ("step", "width")
 
 
 @dataclass(frozen=True)
@@ -58,31 +59,38 @@ class Skin:
         rivets = rivet_values(store, series, _RIG)
         positions = position_values(store, series, _RIG, self._positions)
         heights = repeatability_rows(rivets, "height")
-        steps, widths = (repeatability_rows(positions, quantity) for quantity in ("step", "width"))
-        return [
+        sections = [
             Section(
                 "Table 2: repeatability of rivet heights",
                 (conditions(series), _MEANING),
                 (_table_2(heights), values_table("table-2-values", rivets)),
                 (_deviations(rivets, "height"),),
-            ),
-            Section(
-                "Table 3: repeatability of a seam's step and width",
-                (
-                    conditions(series),
-                    f"{self._positions} places evenly along the seam, each between the two nearest stations "
-                    f"(linear). {_MEANING}",
-                ),
-                (_table_3(steps, widths), values_table("table-3-values", positions)),
-                (_deviations(positions, "step"), _deviations(positions, "width")),
-                (
-                    _bar("Table 3: largest sd of the step", steps, _STEP_SD_MM, max(s.sd for s, _ in paper.TABLE_3)),
-                    _bar("Table 3: largest sd of the width", widths, _WIDTH_SD_MM, max(w.sd for _, w in paper.TABLE_3)),
-                ),
-            ),
+            )
+        ]
+        if positions:
+            sections.append(self._table_3(series, positions))
+        return [
+            *sections,
             coverage_section(rivets + station_values(store, series, _RIG), "Tables 2 and 3"),
             times_section(store, series),
         ]
+
+    def _table_3(self, series: Series, positions: list[Value]) -> Section:
+        steps, widths = (repeatability_rows(positions, quantity) for quantity in _QUANTITIES)
+        return Section(
+            "Table 3: repeatability of a seam's step and width",
+            (
+                conditions(series),
+                f"{self._positions} places evenly along the seam, each between the two nearest stations (linear). "
+                f"{_MEANING}",
+            ),
+            (_table_3(steps, widths), values_table("table-3-values", positions)),
+            tuple(_deviations(positions, quantity) for quantity in _QUANTITIES),
+            (
+                _bar("Table 3: largest sd of the step", steps, _STEP_SD_MM, max(s.sd for s, _ in paper.TABLE_3)),
+                _bar("Table 3: largest sd of the width", widths, _WIDTH_SD_MM, max(w.sd for _, w in paper.TABLE_3)),
+            ),
+        )
 
 
 _MEANING = (
@@ -144,7 +152,7 @@ def _table_3(steps: Sequence[Row], widths: Sequence[Row]) -> Table:
 
 def _deviations(values: Sequence[Value], quantity: Quantity) -> go.Figure:
     """Every scan's difference from the mean of its feature."""
-    features, _, measured = grid(values, quantity)
+    features, _, measured = grid([value for value in values if value.measured_mm is not None], quantity)
     off = 1000 * (measured - np.nanmean(measured, axis=1, keepdims=True))
     figure = go.Figure(
         go.Scatter(

@@ -29,7 +29,9 @@ captured_at = "2026-11-20T08:00:00Z"
 """
 
 
-@pytest.mark.parametrize(("name", "rivets", "seams"), [("demo", 8, 1), ("standard_part", 16, 0), ("skin", 7, 1)])
+@pytest.mark.parametrize(
+    ("name", "rivets", "seams"), [("demo", 8, 1), ("gage", 10, 1), ("standard_part", 16, 0), ("skin", 7, 1)]
+)
 def test_shipped_specifications_are_valid(name, rivets, seams):
     spec = shipped_spec(name)
     assert (len(spec.panel.rivets), len(spec.panel.seams)) == (rivets, seams)
