@@ -18,6 +18,8 @@ from metrology.errors import StoreError
 
 UM_PER_MM = 1000.0
 NM_PER_MM = 1e6
+_LARGEST_SIGMA_MM = np.float32(1000.0)  # far beyond any rig, and still an int32 in nanometres
+_EVERYWHERE = ("v_px", "u_px", "flags")
 _COMMENTS = {
     "v_px": "row of the pixel in the raw left image",
     "u_px": "column of the pixel in the raw left image",
@@ -55,29 +57,32 @@ def write_cloud(path: Path, reconstruction: Reconstruction) -> None:
     missing = ~reconstruction.valid.ravel()
 
     def whole(values: NDArray[np.float32], scale: float) -> pa.Array:
-        rounded = np.rint(np.where(missing, np.float32(0), values.ravel()) * np.float32(scale))
-        limit = np.float32(2**31 - 256)  # the largest float32 that an int32 holds
-        return pa.array(np.clip(rounded, -limit, limit).astype(np.int32), mask=missing)
+        with np.errstate(invalid="ignore"):  # what is not finite is missing
+            rounded = np.rint(values * np.float32(scale)).astype(np.int32)
+        return pa.array(rounded.ravel(), mask=missing)
 
     columns = {
         "v_px": pa.array(np.repeat(np.arange(height, dtype=np.uint16), width)),
         "u_px": pa.array(np.tile(np.arange(width, dtype=np.uint16), height)),
         **{name: whole(reconstruction.points[..., i], UM_PER_MM) for i, name in enumerate(("x_um", "y_um", "z_um"))},
-        "sigma_z_nm": whole(np.nan_to_num(reconstruction.sigma_z, posinf=0.0), NM_PER_MM),
+        "sigma_z_nm": whole(np.minimum(reconstruction.sigma_z, _LARGEST_SIGMA_MM), NM_PER_MM),
         "flags": pa.array(reconstruction.flags.ravel()),
     }
     schema = pa.schema(
-        [pa.field(name, column.type, metadata={"comment": _COMMENTS[name]}) for name, column in columns.items()],
+        [
+            pa.field(name, column.type, nullable=name not in _EVERYWHERE, metadata={"comment": _COMMENTS[name]})
+            for name, column in columns.items()
+        ],
         metadata={"width_px": str(width), "height_px": str(height), "rounding": "1 µm"},
     )
-    delta = dict.fromkeys(("u_px", "x_um", "y_um", "z_um"), "DELTA_BINARY_PACKED")
+    # Differences from pixel to pixel, packed into as many bits as they need, leave nothing for zstd to find.
+    packed = ("u_px", "x_um", "y_um", "z_um", "sigma_z_nm")
     pq.write_table(
         pa.table(columns, schema),
         path,
-        compression="zstd",
-        compression_level=3,
+        compression={name: "NONE" if name in packed else "ZSTD" for name in columns},
         use_dictionary=["v_px", "flags"],
-        column_encoding=delta,
+        column_encoding=dict.fromkeys(packed, "DELTA_BINARY_PACKED"),
     )
 
 

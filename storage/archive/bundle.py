@@ -83,8 +83,10 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
     tables = result_tables(result, run_id, final_path)
     with ThreadPoolExecutor(2) as threads:
         cloud = threads.submit(write_cloud, folder / CLOUD, result.reconstruction)
-        (folder / PREVIEW).write_bytes(_png(result.preview))
-        (folder / OVERLAY).write_bytes(_png(cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)))
+        # A camera's noise repeats nothing, a drawing repeats its background.
+        (folder / PREVIEW).write_bytes(_png(result.preview, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY))
+        drawing = cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)
+        (folder / OVERLAY).write_bytes(_png(drawing, cv2.IMWRITE_PNG_STRATEGY_RLE))
         (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
         (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
         if result.pattern:
@@ -190,6 +192,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[
         "valid_fraction": float(valid.mean()),
         "sigma_z_median_mm": float(np.median(sigma)) if sigma.size else None,
         "epipolar_rms_px": result.epipolar_rms_px,
+        "projector_rms_px": result.projector_rms_px,
         "n_rivets": len(result.rivets) - len(missing),
         "n_seams": len({station.seam_id for station in result.stations}),
         "n_stations": len(result.stations),
@@ -227,8 +230,8 @@ def _key_document(key: SceneKey) -> dict[str, str]:
     }
 
 
-def _png(image: NDArray[Any]) -> bytes:
-    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+def _png(image: NDArray[Any], strategy: int) -> bytes:
+    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, strategy])
     if not ok:
         raise StoreError(f"found an image of shape {image.shape} that does not encode as PNG, expected a picture")
     return data.tobytes()

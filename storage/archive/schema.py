@@ -102,6 +102,7 @@ n_points BIGINT points of the cloud
 valid_fraction DOUBLE share of the left camera's pixels with a point
 sigma_z_median_mm DOUBLE median standard deviation of a point's depth, mm
 epipolar_rms_px DOUBLE how far features seen by both cameras lie from their epipolar lines, RMS px; NULL where unknown
+projector_rms_px DOUBLE how far decoded projector coordinates lie from where the rig projects their points, RMS px
 n_rivets INTEGER rivets found
 n_seams INTEGER seams found
 n_stations INTEGER positions measured along seams
