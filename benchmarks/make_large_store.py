@@ -103,6 +103,7 @@ SELECT m.* REPLACE (
     CASE WHEN k.a < 120 THEN '0.1.0' ELSE '0.2.0' END AS software_version,
     CASE WHEN random() < 0.02 THEN 'warnings' ELSE 'ok' END AS status,
     round(0.035 + 0.0004 * (k.a % 60) + 0.002 * random(), 4) AS epipolar_rms_px,
+    0.002 + 0.0001 * (k.a % 60) + 0.001 * random() AS projector_rms_px,
     round(0.0040 + 0.0003 * random(), 5) AS sigma_z_median_mm, 0.96 + 0.03 * random() AS valid_fraction,
     0.9 + 0.2 * random() AS seconds_total
 )

@@ -115,6 +115,7 @@ def synthetic_result(recipe: Recipe) -> InspectionResult:
         versions={"flushline": recipe.version, "numpy": np.__version__},
         operator="M. Weber",
         epipolar_rms_px=float(rng.uniform(0.03, 0.05)),
+        projector_rms_px=float(rng.uniform(0.001, 0.003)),
     )
 
 

@@ -47,8 +47,9 @@ class InspectionResult:
         Who scanned.
     registration : mapping
         How the scan was recognised in its panel's pattern, as plain values.
-    epipolar_rms_px : float or None
-        How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines.
+    epipolar_rms_px, projector_rms_px : float or None
+        How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines, and of
+        the decoded projector coordinates from where the rig projects the points.
     pattern : PanelLayout or None
         The pattern that this scan, the first of its station, enrols.
     """
@@ -69,4 +70,5 @@ class InspectionResult:
     operator: str | None = None
     registration: Mapping[str, Any] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
+    projector_rms_px: float | None = None
     pattern: PanelLayout | None = None

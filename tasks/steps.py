@@ -228,6 +228,7 @@ def assemble(
         operator=loaded.scene.operator,
         registration=_registration_document(registered),
         epipolar_rms_px=health.epipolar_rms_px,
+        projector_rms_px=health.projector_rms_px,
         pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
     )
 

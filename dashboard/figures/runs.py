@@ -34,13 +34,13 @@ def seconds_figure(nights: pd.DataFrame, habits: Habits, height: int = 400) -> g
     return fig
 
 
-def rig_figure(days: pd.DataFrame, habits: Habits, height: int = 360) -> go.Figure:
-    """Rig fit above, depth noise below, one colour and shape per rig calibration."""
-    fig = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.07)
+def rig_figure(days: pd.DataFrame, habits: Habits, height: int = 420) -> go.Figure:
+    """Fit of cameras and projector above, depth noise below, one colour and shape per rig calibration."""
+    fig = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.07)
     fig.update_layout(figure(habits, height).layout)
     for i, (rig, part) in enumerate(days.groupby("rig_id", sort=False)):
         colour, symbol = _STEP_COLOURS[i % len(_STEP_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)]
-        for row, column, digits in ((1, "epipolar", 3), (2, "sigma", 4)):
+        for row, column, digits in ((1, "epipolar", 3), (2, "projector", 4), (3, "sigma", 4)):
             fig.add_scatter(
                 x=part["day"],
                 y=part[column],
@@ -55,6 +55,6 @@ def rig_figure(days: pd.DataFrame, habits: Habits, height: int = 360) -> go.Figu
                 col=1,
             )
     fig.update_xaxes(tickformat=habits.axis_dates)
-    fig.update_yaxes(title="rig fit, px", rangemode="tozero", row=1, col=1)
-    fig.update_yaxes(title="noise, mm", rangemode="tozero", row=2, col=1)
+    for row, title in enumerate(("cameras, px", "projector, px", "noise, mm"), start=1):
+        fig.update_yaxes(title=title, rangemode="tozero", row=row, col=1)
     return fig

@@ -70,8 +70,8 @@ def _rigs(desk: Desk, selection: Selection) -> None:
     condition, parameters = selection.where()
     days = desk.archive.rows(
         "SELECT rig_id, date_trunc('day', captured_at) AS day, count(*) AS scenes, "
-        "median(epipolar_rms_px) AS epipolar, "
-        "max(epipolar_rms_px) AS epipolar_worst, median(sigma_z_median_mm) AS sigma, median(valid_fraction) AS valid "
+        "median(epipolar_rms_px) AS epipolar, median(projector_rms_px) AS projector, "
+        "median(sigma_z_median_mm) AS sigma, median(valid_fraction) AS valid "
         f"FROM scenes WHERE {condition} GROUP BY ALL ORDER BY 2, 1",
         parameters,
     )
@@ -80,17 +80,26 @@ def _rigs(desk: Desk, selection: Selection) -> None:
         return
     st.plotly_chart(rig_figure(days, desk.habits), key="rigs", config={"displaylogo": False})
     st.caption(
-        "Rig fit: how far features seen by both cameras lie from their epipolar lines (median of a day). A slow rise "
-        "is drift, a jump is a knock: calibrate again. Noise: standard deviation of a point's depth."
+        "Cameras: how far features seen by both lie from their epipolar lines. Projector: how far what it showed lies "
+        "from where the rig says (medians of a day). A slow rise is drift, a jump is a knock: calibrate again. Noise: "
+        "standard deviation of a point's depth."
     )
     latest = days.groupby("rig_id", as_index=False).last()
     show_table(
-        latest.rename(columns={"epipolar": "epipolar_px", "sigma": "sigma_mm", "valid": "valid_fraction"}),
+        latest.rename(
+            columns={
+                "epipolar": "epipolar_px",
+                "projector": "projector_px",
+                "sigma": "sigma_mm",
+                "valid": "valid_fraction",
+            }
+        ),
         {
             "rig_id": "Rig calibration",
             "day": "Last used",
             "scenes": "Scenes that day",
-            "epipolar_px": "Rig fit, px",
+            "epipolar_px": "Cameras, px",
+            "projector_px": "Projector, px",
             "sigma_mm": "Noise, mm",
             "valid_fraction": "Share of pixels with a point",
         },
