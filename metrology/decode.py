@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from metrology.cloud import DecodedView
 from metrology.errors import SceneError
@@ -140,7 +140,7 @@ def _limits(code: FringeCode, settings: ReconstructionSettings, saturation: floa
     """Limits of `decode_rows`: signal-to-noise, modulation, chi-square, distances in turns²."""
     least2 = (settings.min_modulation * saturation / 254) ** 2
     dimensions = len(code.counts) - 1
-    chi2_limit = float(chi2.isf(_NOISE_EXPLAINS, dimensions)) if dimensions else np.inf
+    chi2_limit = float(chdtri(dimensions, _NOISE_EXPLAINS)) if dimensions else np.inf
     # Gray code leaves half a fringe of margin to every phase.
     shortest = 1.0 if code.gray else order_lattice(code.counts).shortest
     snr2 = largest_sigma(shortest, settings.max_slip_probability) ** -2
