@@ -23,6 +23,8 @@ _TUKEY_COVARIANCE = 0.956
 _TUKEY_VARIANCE = 1.217
 _MAD = 1.4826
 _JUDGES = 1000  # points on which RANSAC compares samples
+_ENOUGH = 1500  # points for all but the last steps
+_CONVERGED = 0.01  # change of the surface, standard deviations of a point
 
 
 @dataclass(frozen=True)
@@ -163,21 +165,15 @@ def fit_surface(
     start = _consensus(design, target, unknowns, generator, trials)
     if start is None:
         return None
-    solution, spread, weights = start, 1.0, np.ones(len(x))
-    for iteration in range(8):
-        residual = target - design @ solution
-        spread = _MAD * float(np.median(np.abs(residual))) + 1e-12
-        t = residual / (_TUKEY * spread)
-        weights = np.where(np.abs(t) < 1, (1 - t**2) ** 2, 0.0)
-        normal = design.T @ (weights[:, None] * design)
-        try:
-            updated = np.linalg.solve(normal, design.T @ (weights * target))
-        except np.linalg.LinAlgError:
-            return None
-        change = np.abs(design @ (updated - solution)).max()
-        solution = updated
-        if iteration > 0 and change < 0.01:
-            break
+    # Most of the way on a part of the points, the last steps on all.
+    part = slice(None, None, max(1, len(x) // _ENOUGH))
+    near = _reweighted(design[part], target[part], start, 8)
+    if near is None:
+        return None
+    last = _reweighted(design, target, near[0], 3)
+    if last is None:
+        return None
+    solution, weights, normal = last
     residual = target - design @ solution
     chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * _TUKEY_VARIANCE
     back = np.concatenate([np.full(d + 1, scale**-d) for d in range(order + 1)])
@@ -191,6 +187,26 @@ def fit_surface(
         chi=float(np.sqrt(chi2)),
         weights=weights,
     )
+
+
+def _reweighted(design: Array, target: Array, start: Array, iterations: int) -> tuple[Array, Array, Array] | None:
+    """Solution, Tukey's weights and normal matrix of iteratively reweighted least squares; None where it is singular."""
+    solution = start
+    for iteration in range(iterations):
+        residual = target - design @ solution
+        t = residual / (_TUKEY * (_MAD * float(np.median(np.abs(residual))) + 1e-12))
+        weights = np.where(np.abs(t) < 1, (1 - t**2) ** 2, 0.0)
+        weighted = weights[:, None] * design
+        normal = design.T @ weighted
+        try:
+            updated = np.linalg.solve(normal, weighted.T @ target)
+        except np.linalg.LinAlgError:
+            return None
+        change = np.abs(design @ (updated - solution)).max()
+        solution = updated
+        if iteration > 0 and change < _CONVERGED:
+            break
+    return solution, weights, normal
 
 
 def _consensus(

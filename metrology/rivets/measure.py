@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from metrology.cloud import Reconstruction
 from metrology.results import Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
+from metrology.rivets.fits import Fits
 from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
+from metrology.rivets.inflation import Inflation, noise_inflation
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
@@ -21,29 +23,8 @@ from metrology.surfaces import Polynomial, fit_surface
 Array = NDArray[np.float64]
 
 _DIRECTIONS = 12
-_PRIOR_CONTROLS = 4  # weight of the residuals' own correlation against that many controls
-_CLIPPED_MEAN = 0.83  # of a squared normal deviate, the largest tenth clipped
 _MOST_CHI = 3.0  # of the head's points over the skin's: beyond, it is no plane and no dome that is seen
 _NINETY_FIVE = 1.96
-
-
-@dataclass(frozen=True)
-class Fits:
-    """The head's and the skin's surfaces in the frame of their patch."""
-
-    patch: Patch
-    inner: NDArray[np.bool_]
-    outer: NDArray[np.bool_]
-    head: Polynomial
-    skin: Polynomial
-
-
-@dataclass(frozen=True)
-class Inflation:
-    """Variances of heights and slopes against what independent noise would give."""
-
-    height: float
-    slope: float
 
 
 def measure_rivets(
@@ -82,7 +63,7 @@ def measure_rivets(
     places = control_places(detections, blocked, settings.controls, generator)
     controls = [c for c in (fit(p, detections, bare=True) for p in places) if isinstance(c, Fits)]
     fits = [f for f in outcomes if isinstance(f, Fits)]
-    inflation = _inflation(fits, controls)
+    inflation = noise_inflation(fits, controls)
     return [
         _row(f"R{k + 1:02d}", detection, outcome, reconstruction, inflation, settings, generator)
         for k, (detection, outcome) in enumerate(zip(detections, outcomes, strict=True))
@@ -118,54 +99,6 @@ def _directions(patch: Patch, members: NDArray[np.bool_]) -> int:
     """Directions, of twelve, in which there are points."""
     turn = (np.arctan2(patch.y[members], patch.x[members]) + np.pi) / (2 * np.pi)
     return int((np.bincount((turn * _DIRECTIONS).astype(int) % _DIRECTIONS, minlength=_DIRECTIONS) > 5).sum())
-
-
-def _inflation(fits: Sequence[Fits], controls: Sequence[Fits]) -> Inflation:
-    """How much more than independent noise makes them heights and slopes really scatter.
-
-    Two witnesses. The residuals: matching averages neighbouring pixels, so means over blocks scatter more than σ/√n.
-    And the controls: the same measurement on bare skin, where height and tilt are zero but for noise of every range and
-    the skin's own waviness; with few controls the residuals count more.
-    """
-    blocks = _block_correlation([*fits, *controls])
-    if not controls:
-        return Inflation(blocks, blocks)
-    heights: list[float] = []
-    slopes: list[float] = []
-    for c in controls:
-        (h1, a1, b1), head = c.head.tangent(0.0, 0.0)
-        (h0, a0, b0), skin = c.skin.tangent(0.0, 0.0)
-        covariance = head + skin
-        heights.append(float((h1 - h0) ** 2 / covariance[0, 0]))
-        slope = np.array([a1 - a0, b1 - b0])
-        slopes.append(float(0.5 * slope @ np.linalg.solve(covariance[1:, 1:], slope)))
-
-    def pooled(squares: list[float]) -> float:
-        # A control on a dent or a scratch is not noise: the largest tenth counts as the next one down.
-        values = np.sort(squares)
-        values = np.minimum(values, values[int(0.9 * (len(values) - 1))]) / _CLIPPED_MEAN
-        total = len(values) * float(values.mean()) + _PRIOR_CONTROLS * blocks
-        return max(1.0, total / (len(values) + _PRIOR_CONTROLS))
-
-    return Inflation(pooled(heights), pooled(slopes))
-
-
-def _block_correlation(fits: Sequence[Fits], block: int = 8) -> float:
-    """Variance of means over blocks of pixels against that of independent residuals, pooled over all heads."""
-    observed = expected = 0.0
-    for fit in fits:
-        p = fit.patch
-        for members, surface in ((fit.inner, fit.head), (fit.outer, fit.skin)):
-            keep = surface.weights > 0
-            x, y, h, sigma = (a[members][keep] for a in (p.x, p.y, p.h, p.sigma))
-            residual = (h - surface.height(x, y)) / sigma
-            cell = (p.v[members][keep] // block) * 10000 + p.u[members][keep] // block
-            _, where, count = np.unique(cell, return_inverse=True, return_counts=True)
-            sums = np.bincount(where, residual)
-            full = count > 0.6 * block**2
-            observed += float((sums[full] ** 2).sum())
-            expected += float((count[full]).sum()) * float(np.mean(residual**2))
-    return max(1.0, observed / expected) if expected > 0 else 1.0
 
 
 def _row(

@@ -32,13 +32,14 @@ Array = NDArray[np.float64]
 _DIRECTIONS = 40
 _SPACING_PX = 0.5
 _REACH_PX = 3.5  # of the profiles beyond the outermost step that is expected
-_ITERATIONS = 12
+_ITERATIONS = 14
 # Of gaps and edge breaks of countersunk fasteners, mm, and of the brightness of gaps and shadows: mean and spread.
 _GAP_MM, _GAP_SPREAD_MM = 0.15, 0.1
 _BREAK_MM, _BREAK_SPREAD_MM = 0.08, 0.08
 _FLOOR, _FLOOR_SPREAD = 0.3, 0.3
 _BLACK, _BLACK_SPREAD = 0.15, 0.07
 _BLUR_SPREAD = 0.1  # relative
+_BREAK_SHARE = 0.15  # of the edge break's width that it takes of the light: cos 45° leaves 0.71, half of it either way
 _FAR_MM = 1.0  # spread of centre and radius: free
 _MOST_SHIFT = 0.15  # of the radius, from where the ring alone puts the rim
 
@@ -77,41 +78,48 @@ def head_circle(
     origin = np.array([start.x, start.y, head_height])
     slopes = np.array([_slope(device, frame, origin) for device in (rig.left, rig.right, rig.projector)])
     height = head_height - skin_height
-    pixel = 1 / _pixels_per_mm(rig.left, frame, origin)
     hidden = abs(height) * float(np.linalg.norm(slopes[:2], axis=1).max())
-    inside = min(_REACH_PX * pixel + (hidden if height < 0 else 0.0), 0.8 * start.radius)
-    distances = np.arange(-inside, _GAP_MM + hidden + _REACH_PX * pixel, _SPACING_PX * pixel)
+    pixel = _pixel_mm(rig.left, frame, origin)
+    spacing, reach = _SPACING_PX * pixel, _REACH_PX * pixel
+    inside = min(reach + (hidden if height < 0 else 0.0), 0.8 * start.radius)
+    distances = np.arange(-inside, _GAP_MM + hidden + reach, spacing)
     turn = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
-    directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    radii = start.radius + distances
-    places = np.empty((_DIRECTIONS, len(radii), 3))
-    places[..., :2] = origin[:2] + directions[:, None] * radii[:, None]
-    places[..., 2] = head_height
-    points = frame.rig(places)
-    views = ((rig.left, reconstruction.left.texture), (rig.right, reconstruction.right.texture))
-    profiles = np.stack([sample_image(texture, camera.project(points)) for camera, texture in views])
-    ends = np.stack([profiles[..., :2].mean(axis=-1), profiles[..., -2:].mean(axis=-1)], axis=-1)
-    level = np.array([np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in ends])[:, None, None]
-    if not (level > 0).all():
+    normals = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    profiles, ends = _profiles(reconstruction, frame, origin, start.radius + distances, normals)
+    if not np.isfinite(ends).all():
         return None
-    expected = np.array(
-        [0.0, 0.0, -0.5 * _GAP_MM, _GAP_MM, _BREAK_MM, _FLOOR, _BLACK, sigma_px * pixel]
-    )
+    blur = sigma_px * pixel
+    expected = np.array([0.0, 0.0, -0.5 * _GAP_MM, _GAP_MM, _BREAK_MM, _FLOOR, _BLACK, blur])
     spread = np.array(
-        [_FAR_MM, _FAR_MM, _FAR_MM, _GAP_SPREAD_MM, _BREAK_SPREAD_MM, _FLOOR_SPREAD, _BLACK_SPREAD,
-         _BLUR_SPREAD * sigma_px * pixel]
-    )  # fmt: skip
+        [_FAR_MM, _FAR_MM, _FAR_MM, _GAP_SPREAD_MM, _BREAK_SPREAD_MM, _FLOOR_SPREAD, _BLACK_SPREAD, _BLUR_SPREAD * blur]
+    )
     found = np.empty(UNKNOWNS + 1)
     good = fit_rim_kernel(
-        profiles / level, np.where(np.isfinite(ends), ends / level, 1.0), distances[0], _SPACING_PX * pixel, directions, height, slopes[:2], slopes[2], expected,
-        spread, _ITERATIONS, found,
-    )  # fmt: skip
+        profiles, ends, -inside, spacing, normals, height, slopes[:2], slopes[2], expected, spread, _ITERATIONS, found
+    )
     if not good or not np.isfinite(found).all():
         return None
-    x, y, outwards = found[SHIFT], found[SHIFT + 1], found[RADIUS] + 0.5 * found[GAP] - 0.15 * found[BREAK]
+    x, y, outwards = found[SHIFT], found[SHIFT + 1], found[RADIUS] + 0.5 * found[GAP] - _BREAK_SHARE * found[BREAK]
     if max(abs(x), abs(y), abs(outwards)) > _MOST_SHIFT * start.radius:
         return None
     return Circle(start.x + float(x), start.y + float(y), start.radius + float(outwards))
+
+
+def _profiles(
+    reconstruction: Reconstruction, frame: Frame, origin: Array, radii: Array, normals: Array
+) -> tuple[Array, Array]:
+    """(2, k, m) both textures along normals of a circle, shares of the usual brightness, and (2, k, 2) their ends'."""
+    places = np.empty((len(normals), len(radii), 3))
+    places[..., :2] = origin[:2] + normals[:, None] * radii[:, None]
+    places[..., 2] = origin[2]
+    points = frame.rig(places)
+    rig, left, right = reconstruction.rig, reconstruction.left.texture, reconstruction.right.texture
+    profiles = np.stack([sample_image(left, rig.left.project(points)), sample_image(right, rig.right.project(points))])
+    ends = np.stack([profiles[..., :2].mean(axis=-1), profiles[..., -2:].mean(axis=-1)], axis=-1)
+    known = [e[np.isfinite(e)] for e in ends]
+    level = np.array([np.median(k) if len(k) else np.nan for k in known])[:, None, None]
+    shares = ends / level
+    return profiles / level, np.where(np.isnan(shares) & np.isfinite(level), 1.0, shares)
 
 
 def _slope(device: Device, frame: Frame, origin: Array) -> Array:
@@ -120,6 +128,7 @@ def _slope(device: Device, frame: Frame, origin: Array) -> Array:
     return np.array([x / h, y / h])
 
 
-def _pixels_per_mm(camera: Device, frame: Frame, origin: Array) -> float:
+def _pixel_mm(camera: Device, frame: Frame, origin: Array) -> float:
+    """Size of a pixel on the head, mm."""
     ends = camera.project(frame.rig(origin + np.array([[0, 0, 0], [1e-2, 0, 0], [0, 1e-2, 0]])))
-    return float(np.sqrt(abs(np.linalg.det((ends[1:] - ends[0]) / 1e-2))))
+    return float(1e-2 / np.sqrt(abs(np.linalg.det(ends[1:] - ends[0]))))

@@ -9,7 +9,7 @@ import numpy as np
 from metrology.jit import kernel
 
 # Unknowns: shift of the centre and of the radius, gap, edge break (mm), brightness of the gap's floor and of what no
-# light reaches (shares of the skin's), half-width of the blur (mm). Brightness of head and skin is each direction's own.
+# light reaches (shares of the skin's), half-width of the blur (mm). Head and skin have each direction's own brightness.
 SHIFT, RADIUS, GAP, BREAK, FLOOR, BLACK, BLUR = 0, 2, 3, 4, 5, 6, 7
 UNKNOWNS = 8
 STEPS = 5  # in brightness, from head to skin
@@ -18,6 +18,7 @@ _SLANTED = math.sqrt(0.5)  # an edge is broken at 45°
 _WALL = 0.7  # of the skin's brightness that a wall has which faces the light as squarely
 _TUKEY = 5.0
 _CONVERGED_MM = 2e-4
+_LONGEST_STEP = 0.1  # mm, or share of the skin's brightness
 
 
 @kernel
@@ -225,14 +226,12 @@ def fit_rim_kernel(profiles, ends, first, spacing, directions, height, slopes, l
             return False
         move = 0.0
         for i in range(UNKNOWNS):
-            change = min(max(step[i], -0.1), 0.1)
+            change = min(max(step[i], -_LONGEST_STEP), _LONGEST_STEP)
+            if i in (GAP, BREAK, BLUR) and unknowns[i] + change < 0.0:
+                change = -0.5 * unknowns[i]
             unknowns[i] += change
             if i < RADIUS:
                 move = max(move, abs(change))
-        unknowns[GAP] = max(unknowns[GAP], 0.0)
-        unknowns[BREAK] = max(unknowns[BREAK], 0.0)
-        unknowns[FLOOR] = min(max(unknowns[FLOOR], 0.0), 1.5)
-        unknowns[BLUR] = max(unknowns[BLUR], 0.5 * start[BLUR])
         if move < _CONVERGED_MM:
             break
     out[:UNKNOWNS] = unknowns
