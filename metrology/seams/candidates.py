@@ -112,7 +112,10 @@ def _at_level(relative: Float32, level: int, settings: LineSettings, hidden: Mas
     for sign in (1, -1):
         same = [piece for piece in pieces if np.sign(piece[0, 2]) == sign]
         joined = join_pieces(
-            same, settings.max_gap_px / factor, 2.0 + settings.straightness_px / factor, np.deg2rad(settings.max_bend_deg)
+            same,
+            settings.max_gap_px / factor,
+            2.0 + settings.straightness_px / factor,
+            np.deg2rad(settings.max_bend_deg),
         )
         for line in joined:
             points = (line[:, :2] + 0.5) * factor - 0.5

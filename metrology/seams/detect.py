@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
+from metrology.seams.image_line import ImageLine
+from metrology.seams.lines import detect_lines
 from metrology.seams.places import head_mask, panel_mask
-from metrology.seams.lines import ImageLine, detect_lines
 from metrology.seams.relief import Relief, examine_relief
 from metrology.seams.rough import RoughLine
 from metrology.seams.sections import usable_points

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from metrology.seams.candidates import Candidate, find_candidates, relative_brightness
 from metrology.seams.ends import end_of_band
+from metrology.seams.image_line import ImageLine
+from metrology.seams.joints import ended_at_joints
 from metrology.seams.polyline import Array, Course, arc_length, interpolated, polyline_length, resample
 from metrology.seams.refine import Nodes, fit_nodes
 from metrology.seams.rough import RoughLine, look_at
@@ -27,33 +28,6 @@ _ROUGH_CONTRAST = 0.5
 _STEP_PX = 1.0
 # Nodes this near to an end tell the direction in which the line leaves.
 _END_NODES = 5
-
-
-@dataclass(frozen=True)
-class ImageLine:
-    """A dark or bright line in an image.
-
-    Attributes
-    ----------
-    centre_px : (n, 2) ndarray
-        u, v of the middle between both borders, about every pixel.
-    width_px : (n,) ndarray
-        Between the borders, interpolated where they could not be told.
-    contrast : float
-        Brightness of the band relative to its surroundings, less one: negative for a dark line.
-    support : float
-        Share of the line's length over which it is there, 0 … 1.
-    """
-
-    centre_px: Array
-    width_px: Array
-    contrast: float
-    support: float
-
-    @property
-    def length_px(self) -> float:
-        """Along the line."""
-        return polyline_length(self.centre_px)
 
 
 def detect_lines(
@@ -90,7 +64,7 @@ def detect_lines(
             continue
         lines.append(line)
         courses.append((Course(line.centre_px[::4]), float(np.median(line.width_px))))
-    return sorted(lines, key=lambda line: -line.length_px)
+    return sorted(ended_at_joints(lines), key=lambda line: -line.length_px)
 
 
 def _uncovered(candidate: Candidate, courses: list[tuple[Course, float]], min_length: float) -> Candidate | None:
@@ -111,9 +85,7 @@ def _uncovered(candidate: Candidate, courses: list[tuple[Course, float]], min_le
 
 def _shares_border(points: Array, width_px: float, courses: list[tuple[Course, float]]) -> bool:
     """Whether a line is only the strip beside another one, which ends where that one begins."""
-    return any(
-        course.beside(points, 0.5 * (width_px + width) + _TOUCH_PX).mean() > 0.5 for course, width in courses
-    )
+    return any(course.beside(points, 0.5 * (width_px + width) + _TOUCH_PX).mean() > 0.5 for course, width in courses)
 
 
 def _measured(relative: Float32, rough: RoughLine, settings: LineSettings) -> ImageLine | None:

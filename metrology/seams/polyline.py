@@ -92,3 +92,12 @@ class Course:
         index = np.where(near, index, 0)
         along = np.abs(np.sum(self._tangents[index] * tangents(points), axis=1))
         return np.asarray(near & (along > least_cosine))
+
+    def nearest(self, place: Array) -> int:
+        """Index of the point of the line nearest to a place (2,)."""
+        return int(self._tree.query(place)[1])
+
+    def normal(self, index: int) -> Array:
+        """(2,) unit vector across the line at one of its points."""
+        along = self._tangents[index]
+        return np.array([-along[1], along[0]])

@@ -1,4 +1,4 @@
-"""A line's centre to hundredths of a pixel: both borders of the band fitted at nodes, and the smooth middle between them.
+"""A line's centre to hundredths of a pixel: the band's borders fitted at nodes, and the smooth middle between them.
 
 The middle is free of the bias that unequal brightness on both sides gives Steger's points. Nodes whose borders
 disagree with their neighbours' (a rivet, a highlight, another seam) do not count; the line runs on across them.
@@ -7,6 +7,7 @@ disagree with their neighbours' (a rivet, a highlight, another seam) do not coun
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,8 @@ Mask = NDArray[np.bool_]
 
 # Nodes px apart, first to centre the windows, then for good; each looks so far along the line both ways.
 _FIRST_STEP_PX = 24.0
-_STEP_PX = 8.0
-_HALF_PX = 7.0
+_STEP_PX = 12.0
+_HALF_PX = 9.0
 # The window across reaches this far beyond the band, in line widths and px.
 _REACH_WIDTHS = 0.5
 _MOST_REACH_PX = 6.0
@@ -49,6 +50,7 @@ _MOST_WIDTH = 2.0
 _SMOOTH_PX = 30.0
 # The line is sought beyond its ends, so many nodes at a time; so many bad ones in a run end it.
 _AHEAD = 6
+_END_RUN = 2
 _FEWEST_NODES = 4
 _LEAST_SHARE = 0.3
 _NOTHING = (np.nan, np.nan, np.nan, np.nan)
@@ -154,9 +156,11 @@ def _grown(relative: Float32, nodes: Array, width_px: float) -> Array:
         known = nodes[-_AHEAD:]
         fits = _fit(relative, np.concatenate([known, further]), width_px)
         good = fits.consistent()[len(known) :]
-        if not good.any():
+        missing = np.convolve(~good, np.ones(_END_RUN), "full")[: len(good)] >= _END_RUN
+        until = int(missing.argmax()) if missing.any() else len(good)
+        if not good[:until].any():
             return nodes
-        count = int(np.flatnonzero(good)[-1]) + 1
+        count = int(np.flatnonzero(good[:until])[-1]) + 1
         nodes = np.concatenate([nodes, further[:count]])
         if count < len(further):
             return nodes
@@ -185,7 +189,7 @@ def _borders(relative: Float32, node: Array, normal: Array, width: float) -> tup
     if len(x) < _MIN_PIXELS:
         return _NOTHING
     x, grey, counts = binned(x, grey, _BIN_PX)
-    response = EdgeResponse.along(local.gradient, _BLUR)
+    response = _response(*np.round(normal, 2))
     if half < _APART_PX:
         fit = fit_bands(x, grey, [-half, half], response, counts=counts)
         if fit is None:
@@ -204,10 +208,16 @@ def _borders(relative: Float32, node: Array, normal: Array, width: float) -> tup
     return _band(edges, outside, float(inside.mean()), variance)
 
 
+@lru_cache(maxsize=512)
+def _response(across_u: float, across_v: float) -> EdgeResponse:
+    """The blurred step across a line of this direction."""
+    return EdgeResponse.along((across_u, across_v), _BLUR)
+
+
 def _band(edges: Array, outside: Array, inside: float, variance: float) -> tuple[float, float, float, float]:
     """Middle, its σ, width and contrast from borders (`variance` is that of their sum) and levels."""
     skin = float(outside.mean())
     if not (skin > 0 and edges[1] > edges[0] and np.ptp(outside) < abs(inside - skin) * 2):
         return _NOTHING
-    sigma = max(0.5 * float(np.sqrt(variance)), _LEAST_SIGMA_PX)
+    sigma = max(0.5 * float(np.sqrt(max(variance, 0.0))), _LEAST_SIGMA_PX)
     return float(edges.mean()), sigma, float(edges[1] - edges[0]), inside / skin - 1.0

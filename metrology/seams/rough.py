@@ -1,4 +1,4 @@
-"""A first look at a candidate: what the median of its cross-sections says about the band's place, width and contrast."""
+"""A first look at a candidate: place, width and contrast of the band in the median of its cross-sections."""
 
 from __future__ import annotations
 
