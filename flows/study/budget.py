@@ -42,17 +42,18 @@ class Condition:
     rig: RigKind = "true"
 
 
-def faultless(simulation: SimulationSpec, blur_px: float) -> SimulationSpec:
-    """The same panel flat and evenly grey, seen sharply and without noise, under a linear projector."""
+def faultless(simulation: SimulationSpec, asked: BudgetSpec) -> SimulationSpec:
+    """The same panel flat and evenly grey, seen sharply and almost without noise, under a linear projector."""
     grey = Surface(simulation.panel.surface.reflectance, brushing=0.0, blotches=0.0)
-    quiet = replace(simulation.camera.sensor, gain=0.0, read_noise=0.0, bits=16)
+    sensor = simulation.camera.sensor
+    quiet = replace(sensor, gain=asked.quiet**2 * sensor.gain, read_noise=asked.quiet * sensor.read_noise, bits=16)
     return replace(
         simulation,
         panel=replace(simulation.panel, skin=Skin(), surface=grey),
-        camera=replace(simulation.camera, blur_px=blur_px, sensor=quiet),
+        camera=replace(simulation.camera, blur_px=asked.sharp_blur_px, sensor=quiet),
         projector=replace(simulation.projector, gamma=1.0),
         disturbances=Disturbances(),
-    )  # fmt: skip
+    )
 
 
 def conditions_of(asked: BudgetSpec, simulation: SimulationSpec) -> tuple[Condition, ...]:
@@ -116,7 +117,8 @@ class Budget:
     """The block `budget`."""
 
     def __init__(self, asked: BudgetSpec, simulation: SimulationSpec) -> None:
-        base = faultless(simulation, asked.sharp_blur_px)
+        base = faultless(simulation, asked)
+        self._quiet = asked.quiet
         self._conditions = conditions_of(asked, simulation)
         self.series = tuple(
             Series(
@@ -130,28 +132,29 @@ class Budget:
     def sections(self, store: Store) -> list[Section]:
         """Errors of heights, steps and widths under each condition."""
         rows: list[list[Cell]] = []
-        largest: dict[Quantity, list[float]] = {quantity: [] for quantity in _QUANTITIES}
+        means: dict[Quantity, list[float]] = {quantity: [] for quantity in _QUANTITIES}
         for condition, series in zip(self._conditions, self.series, strict=True):
             values = [*rivet_values(store, series, condition.rig), *station_values(store, series, condition.rig)]
             row: list[Cell] = [condition.name, condition.meaning]
             for quantity in _QUANTITIES:
-                figures = error_figures(values, quantity)
-                row += [1000 * figure for figure in figures]
-                largest[quantity].append(1000 * figures[0])
+                mean, largest, sd = (1000 * figure for figure in error_figures(values, quantity))
+                row += [mean, largest, sd] if quantity == "height" else [mean, largest]
+                means[quantity].append(mean)
             rows.append(row)
         columns = [Column("switched on"), Column("meaning")]
         for quantity in _QUANTITIES:
-            columns += [Column(name, 2, group=quantity) for name in ("mean |error|", "max |error|", "sd")]
+            columns += [Column(name, 2, group=quantity) for name in ("mean |error|", "max |error|")]
+            columns += [Column("sd", 2, group=quantity)] if quantity == "height" else []
         table = Table("budget", "Errors, µm", tuple(columns), rows)
         everything = self.series[-1]
         text = (
-            f"{conditions(everything)} That is the last line; above it each disturbance acts alone on the same panel "
-            "made flat and evenly grey, seen sharply and without noise, under a linear projector. Heights of all "
-            "rivets, steps and widths at all stations of the seam. sd: scatter between scans of a placement, rivets "
-            "only, where scans differ at all.",
+            f"{conditions(everything)} That is the last line. Above it each disturbance acts alone on the same panel "
+            "made flat and evenly grey, seen sharply, under a linear projector, in 16 bit and with "
+            f"{100 * self._quiet:.0f} % of the noise. Heights of all rivets, steps and widths at all stations of the "
+            "seam, against the truth; sd between scans, where they differ.",
         )
         names = [condition.name for condition in self._conditions]
-        figure = go.Figure([go.Bar(name=quantity, x=names, y=largest[quantity]) for quantity in _QUANTITIES])
+        figure = go.Figure([go.Bar(name=quantity, x=names, y=means[quantity]) for quantity in _QUANTITIES])
         figure.update_layout(title="Mean |error| with one disturbance", yaxis_title="µm", height=360, barmode="group")
         return [Section("Error budget", text, (table,), (figure,))]
 

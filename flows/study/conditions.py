@@ -1,4 +1,4 @@
-"""Under which conditions a series was simulated, in a sentence."""
+"""Under which conditions a series was simulated, in words."""
 
 from __future__ import annotations
 
@@ -9,16 +9,23 @@ from simulator.spec import SimulationSpec
 
 
 def conditions(series: Series) -> str:
-    """Panel, rig, light and noise of a series."""
+    """Scans, panel, rig and noise of a series."""
     s = series.simulation
-    rigs = " and ".join(f"the {rig} rig" for rig in series.rigs)
     return (
-        f"Simulated scans: {s.repeats} of each of {_count(len(s.placements), 'placement')}, inspected with {rigs}. "
-        f"{_skin(s)}, {_count(len(s.panel.rivets), 'rivet')} and {_count(len(s.panel.seams), 'seam')}; "
-        f"cameras {s.rig.design.camera_width} × {s.rig.design.camera_height} px, {s.camera.sensor.bits} bit, shot "
-        f"noise of {s.camera.sensor.gain:g} grey levels per electron, read-out noise {s.camera.sensor.read_noise:g}, "
-        f"blur {s.camera.blur_px:g} px; projector gamma {s.projector.gamma:g}; fringe counts "
-        f"{'/'.join(str(n) for n in s.fringe.counts)} of {s.fringe.steps} steps."
+        f"Simulated: {_count(s.repeats, 'scan')} from {_count(len(s.placements), 'placement')}, inspected with "
+        f"{' and with '.join(f'the {rig} rig' for rig in series.rigs)}. {_skin(s)}, "
+        f"{_count(len(s.panel.rivets), 'rivet')}, {_count(len(s.panel.seams), 'seam')}. {equipment(s)}"
+    )
+
+
+def equipment(simulation: SimulationSpec) -> str:
+    """Cameras, projector and fringes."""
+    design, camera, sensor = simulation.rig.design, simulation.camera, simulation.camera.sensor
+    return (
+        f"Cameras of {design.camera_width} × {design.camera_height} px and {sensor.bits} bit, shot noise of "
+        f"{sensor.gain:g} grey levels per electron, read-out noise of {sensor.read_noise:g}, blur of "
+        f"{camera.blur_px:g} px; projector gamma {simulation.projector.gamma:g}; fringe counts "
+        f"{'/'.join(str(count) for count in simulation.fringe.counts)} in {simulation.fringe.steps} steps."
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from flows.study.conditions import conditions
+from flows.study.conditions import equipment
 from flows.study.coverage import coverage_section
 from flows.study.document import Cell, Column, Section, Table
 from flows.study.series import RigKind, Series
@@ -100,9 +100,10 @@ class Detection:
         figure.update_xaxes(type="log")
         values = [value for series in self.series for value in rivet_values(store, series, _RIG)]
         text = (
-            f"{conditions(self.series[0])} {panels} random panels of each contrast: heads of 4 to 12 mm with partly "
-            "filled rings, slots, scratches, stickers and smudges, on skins of 0.9 m radius and more, tilted up to "
-            "10°. Contrast: how much darker a ring's middle is in the image than a skin of "
+            f"Simulated: {panels} random panels of each contrast, one scan of each, inspected with the calibrated rig: "
+            "heads of 4 to 12 mm with partly filled rings, slots, scratches, stickers and smudges, on skins of 0.9 m "
+            f"radius and more, tilted up to 10°. {equipment(self.series[0].simulation)}",
+            "Contrast: how much darker a ring's middle is in the image than a skin of "
             f"{_SKIN_LEVEL:.0f} grey levels. A ring of the first contrast is hardly above the skin's own grain.",
         )
         return [

@@ -72,6 +72,8 @@ class BudgetSpec:
         As in a simulation specification.
     sharp_blur_px : float
         Blur of the cameras while the edges' influence is switched off.
+    quiet : float
+        Share of the noise that stays while it is switched off: thresholds that follow the noise make no sense without.
     """
 
     simulation: str = "skin"
@@ -81,9 +83,12 @@ class BudgetSpec:
     ambient_drift: float = 0.2
     warming_k: float = 5.0
     sharp_blur_px: float = 0.3
+    quiet: float = 0.1
 
     def __post_init__(self) -> None:
         _at_least(2, "scans", self.scans)
+        if not 0 < self.quiet < 1:
+            raise SpecError(f"quiet: found {self.quiet:g}, expected above 0, below 1")
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,7 @@ class DetectionSpec:
     """
 
     simulation: str = "skin"
-    ring_levels: tuple[float, ...] = (4.0, 6.0, 8.0, 12.0, 20.0, 40.0)
+    ring_levels: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
     panels: int = 3
     seed: int = 1
 

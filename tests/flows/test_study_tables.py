@@ -107,7 +107,7 @@ def test_contrast_changes_the_rings_alone() -> None:
 
 
 def test_each_condition_switches_one_thing() -> None:
-    base = faultless(shipped_spec("skin"), 0.3)
+    base = faultless(shipped_spec("skin"), BudgetSpec())
     changed = {}
     for condition in conditions_of(BudgetSpec(), shipped_spec("skin")):
         mine, plain = asdict(condition.switch_on(base)), asdict(base)
