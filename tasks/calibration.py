@@ -13,6 +13,7 @@ from metrology.calibration.calibrate import Calibration, calibrate
 from metrology.calibration.detect import Detection, detect
 from metrology.calibration.frames import BoardFrames, CameraName
 from metrology.decode import decode_phase
+from metrology.errors import CalibrationError
 from metrology.rig import Rig
 from storage.calibration import CalibrationCapture, PoseImages, load_capture
 from storage.documents import utc_text
@@ -33,7 +34,10 @@ def detect_pose(capture: CalibrationCapture, pose: int, camera: CameraName) -> D
 
 def solve_rig(capture: CalibrationCapture, detections: Sequence[Detection]) -> Calibration:
     """Cameras and projector from all detections."""
-    return calibrate(detections, capture.board, capture.dots, capture.projector_size)
+    try:
+        return calibrate(detections, capture.board, capture.dots, capture.projector_size)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{capture.folder}: {problem}") from None
 
 
 def name_rig(capture: CalibrationCapture, calibration: Calibration, rig_id: str | None) -> Rig:

@@ -63,6 +63,7 @@ def test_a_bad_capture_is_one_line_and_leaves_nothing(
     assert main(["calibrate", str(tmp_path / "capture"), "--out", str(out)]) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("error:") == 1
+    assert f"{tmp_path / 'capture'}: " in complaint
     assert "in 0 of 2 poses" in complaint
     assert "wrong board size" in complaint
     assert not out.exists()
