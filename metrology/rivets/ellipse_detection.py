@@ -19,6 +19,7 @@ from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
+_SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -104,7 +105,7 @@ def _verified_rings(
     """The rings that suspects lead to; some more than once."""
     rings: list[Ring] = []
     for start in starts:
-        if not any(_same(start, r.ellipse) for r in rings):
+        if not any(_same(start, r.ellipse) or (r.confident and _shadowed(start, r.ellipse)) for r in rings):
             ring = _verified(image, start, shapes, radii, settings)
             if ring is not None:
                 rings.append(ring)
@@ -116,6 +117,17 @@ def _same(ellipse: Ellipse, other: Ellipse) -> bool:
     return (
         math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
         and abs(ellipse.radius - other.radius) < 0.15 * other.radius
+    )
+
+
+def _shadowed(ellipse: Ellipse, other: Ellipse) -> bool:
+    """Whether a suspect lies about the centre of another ring and is smaller or little larger.
+
+    The flanks of a clear ring, its highlights and its recess make such; a head round a recess is larger than this.
+    """
+    return (
+        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.3 * other.b
+        and ellipse.radius < _SHADOW * other.radius
     )
 
 

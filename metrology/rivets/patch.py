@@ -112,22 +112,25 @@ def cut_patch(
     guard_px = settings.guard_px + settings.guard_sigmas * sigma_px
     reach = outer_radius(ellipse.radius / scale, settings) * scale * ellipse.a / ellipse.radius + 4
     window = _window(ellipse, reach, blocked.shape)
-    valid = np.isfinite(reconstruction.points[window][..., 2])
-    v, u = (a[valid] for a in np.mgrid[window])
-    cloud = reconstruction.points[window][valid].astype(float)
-    usable = ~blocked[window][valid]
+    v, u = np.nonzero(np.isfinite(reconstruction.points[window][..., 2]))
+    u, v = u + window[1].start, v + window[0].start
+    level = ellipse.level(u, v)
+    near = level * ellipse.a < reach
+    u, v, level = u[near], v[near], level[near]
+    cloud = reconstruction.points[v, u].astype(float)
+    usable = ~blocked[v, u]
     for other in map(ellipse_of, others):
         if np.hypot(other.u - ellipse.u, other.v - ellipse.v) < reach + other.a:
             usable &= (other.level(u, v) - 1) * other.b > guard_px
-    edge = (reconstruction.flags[window][valid] & np.uint16(PixelFlag.EDGE)) != 0
-    skin = usable & ((ellipse.level(u, v) - 1) * ellipse.b > guard_px)
+    edge = (reconstruction.flags[v, u] & np.uint16(PixelFlag.EDGE)) != 0
+    skin = usable & ((level - 1) * ellipse.b > guard_px)
     if skin.sum() < _LEAST_POINTS:
         return f"skin: {int(skin.sum())} usable points, at least {_LEAST_POINTS} needed"
     frame = _skin_frame(cloud[skin])
     x, y, radius = lay_on_plane(reconstruction.rig.left, ellipse, frame)
     frame = Frame(frame.rig([x, y, 0.0]), frame.axes)
     local = frame.local(cloud)
-    sigma = frame.height_sigma(cloud, reconstruction.sigma_z[window][valid])
+    sigma = frame.height_sigma(cloud, reconstruction.sigma_z[v, u])
     usable &= np.isfinite(sigma) & (sigma > 0)
     return Patch(frame, radius, guard_px / scale, local[:, 0], local[:, 1], local[:, 2], sigma, u, v, usable, edge)
 

@@ -92,7 +92,7 @@ class RivetSettings:
     guard_sigmas: float = 3.0
     min_clear_share: float = 0.35
     seam_margin_px: float = 3.0
-    controls: int = 24
+    controls: int = 12
     min_crown_mm: float = 0.015
     min_inner: int = 30
     min_outer: int = 120
