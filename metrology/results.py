@@ -90,19 +90,27 @@ class Rivet:
 
 @dataclass(frozen=True)
 class SeamLine:
-    """The centre line of a seam in the left image.
+    """The centre line of a seam in the left image: what detection hands to measurement.
+
+    One seam is one line, across rivet heads, highlights and other seams. It ends where its band of brightness does: with
+    the gap, at the border of the seam that it runs into (a T joint), with the lit skin, or with the image. Its course
+    is smooth; its points are in order, from either end.
 
     Attributes
     ----------
     seam_id : str
+        S01, S02 …: seams from left to right and top to bottom, lines without relief after them.
     centre_px : (n, 2) ndarray
-        u, v about every pixel along the line.
+        u, v of the middle between the band's borders, n ≥ 2, about every pixel along the line (raw left image). It is
+        the middle of what is dark or bright there, chamfers and the walls that this camera sees included: not of the
+        ideal edges D′ and G′.
     width_px : (n,) ndarray
-        Width of the dark line across its direction; NaN where it could not be told.
+        Distance of the band's borders across its direction; NaN where it could not be told.
     confidence : float
-        0 … 1; low where the 3-D data show neither a groove nor a step.
+        0 … 1; at most 0.2 where the 3-D data show neither a groove nor a step.
     relief : bool
-        Whether the 3-D data show a groove or a step.
+        Whether the 3-D data show a groove or a step. A line without is no seam (paint, a long scratch) or a flush
+        sealed one; it is shown and not measured.
     """
 
     seam_id: str

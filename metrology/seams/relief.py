@@ -1,7 +1,7 @@
 """What the 3-D data say about a line in the image: a groove, a step, both, or nothing (a scratch, paint, a shadow).
 
 The line's surroundings are cut into short pieces. In each, both sides of skin are fitted at once: over a plane 1/z is
-affine in the pixel, so ``1/z = (offset of the side) + b x + c y + d x²`` with slopes and curvature common to both sides.
+affine in the pixel, so ``1/z = (offset of the side) + b x + c y + d x²`` with slopes and curvature common to both.
 The offsets differ by the step along the ray, ``Δz = −z² Δ(1/z)``. What lies between the sides is deeper (a groove),
 nearer (a cable, a decal), or in the skin.
 """

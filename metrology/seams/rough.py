@@ -52,7 +52,7 @@ def look_at(relative: Float32, candidate: Candidate) -> RoughLine | None:
     complete = np.isfinite(values).all(axis=1)
     if complete.sum() < _FEWEST_SECTIONS:
         return None
-    profile = np.median(values[complete], axis=0)
+    profile = np.median(values[complete], axis=0).astype(float)
     near = np.flatnonzero(np.abs(strip.x) <= 0.75 * candidate.width_px)
     peak = int(near[np.argmin(profile[near] if candidate.dark else -profile[near])])
     skin_px = int(_SKIN_PX)

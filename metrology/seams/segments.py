@@ -54,9 +54,11 @@ def _longest_run(points: Array, tolerance: float, generator: np.random.Generator
     best = (0, 0)
     for sampled in (pairs[:1], pairs[1:]):
         along = points[sampled[:, 1]] - points[sampled[:, 0]]
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        length = np.linalg.norm(along, axis=1, keepdims=True)
         away = points[None] - points[sampled[:, 0], None]
-        outside = np.abs(away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]) > tolerance
+        # Two samples in one place make no line: no point lies on it.
+        outside = np.abs(away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]) > tolerance * length
+        outside |= length == 0
         for row in outside:
             borders = np.flatnonzero(np.concatenate([[True], row, [True]]))
             runs = np.diff(borders) - 1

@@ -1,4 +1,4 @@
-"""Images with seams by formula: blurred bands on unevenly lit, grainy skin, with exact centre lines, ends and crossings."""
+"""Images with seams by formula: blurred bands on unevenly lit, grainy skin, with exact centre lines and ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Band:
-    """A seam in the image: in its own frame (x along from `through`, y across) the course ``y = bow · sin(2π x/period)``.
+    """A seam in the image: its course is ``y = bow · sin(2π x/period)``, x along it from `through`, y across.
 
     Attributes
     ----------
@@ -59,15 +59,13 @@ class Band:
         """u, v of one end (0 or 1)."""
         angle, x = np.deg2rad(self.angle_deg), self.reach[which]
         y = self.bow_px * np.sin(2 * np.pi * x / self.period_px)
-        return np.array(self.through) + (
-            x * np.cos(angle) - y * np.sin(angle),
-            x * np.sin(angle) + y * np.cos(angle),
-        )
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return np.asarray(self.through + turn @ [x, y])
 
 
 @dataclass(frozen=True)
 class Look:
-    """How the camera sees it: lens blur (standard deviation, px; the pixel's own area is added), noise, grain, light."""
+    """How the camera sees it: lens blur (standard deviation, px, the pixel's area not included), noise, grain, light."""
 
     blur_px: float = 0.7
     noise: float = 2.0

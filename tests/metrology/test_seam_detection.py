@@ -1,0 +1,220 @@
+"""Seam detection: centre lines and ends on painted textures; what the points confirm; the reference scans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+from scipy.spatial import cKDTree
+from seam_scan import SHAPE, Relief, seam_scan
+from seam_textures import Band, paint
+
+from metrology.errors import UsageError
+from metrology.results import RivetDetection
+from metrology.seams import ImageLine, LineSettings, detect_lines, detect_seams
+from metrology.seams.segments import join_pieces, straight_pieces
+
+IMAGE = (620, 820)
+
+
+def only_line(bands, rng, **extras) -> ImageLine:
+    lines = detect_lines(paint(bands, IMAGE, rng, **extras))
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    ("angle", "width", "contrast", "bow"),
+    [(0, 8, 40, 0), (90, 5, 40, 0), (25, 12, 30, 3), (62, 4, 50, 0), (117, 16, 25, 4), (158, 7, -40, 2)],
+)
+def test_centre_line(angle, width, contrast, bow, rng):
+    # Unequal brightness on both sides pulls Steger's own points aside.
+    band = Band((410, 310), angle, width, contrast, bow_px=bow, other_side=6.0)
+    line = only_line([band], rng)
+    offset = band.offsets(line.centre_px)
+    assert np.sqrt(np.mean(offset**2)) < 0.04
+    assert np.abs(offset).max() < 0.12
+    assert np.median(line.width_px) == pytest.approx(width, abs=0.25)
+    assert np.sign(line.contrast) == -np.sign(contrast)
+    # Up to the image's borders.
+    assert line.length_px > 0.97 * chord_length(band)
+
+
+def chord_length(band: Band) -> float:
+    """Length of the band's axis within the image."""
+    angle = np.deg2rad(band.angle_deg)
+    t = np.arange(-1200.0, 1200.0, 0.25)
+    u, v = band.through[0] + t * np.cos(angle), band.through[1] + t * np.sin(angle)
+    inside = (u >= 0) & (u <= IMAGE[1] - 1) & (v >= 0) & (v <= IMAGE[0] - 1)
+    return 0.25 * float(inside.sum())
+
+
+@pytest.mark.parametrize("angle", [3, 48, 95, 140])
+def test_line_ends(angle, rng):
+    band = Band((410, 310), angle, 8.0, 45.0, reach=(-170.3, 201.6), bow_px=2.0)
+    ends = only_line([band], rng).centre_px[[0, -1]]
+    for which in (0, 1):
+        assert np.linalg.norm(ends - band.end(which), axis=1).min() < 0.15
+
+
+@pytest.mark.parametrize(("angle", "width"), [(40, 6.0), (85, 12.0), (130, 9.0)])
+def test_crossing(angle, width, rng):
+    bands = [Band((400, 300), 4, 9.0, 35.0), Band((430, 320), angle, width, 45.0, bow_px=2.0)]
+    lines = detect_lines(paint(bands, IMAGE, rng))
+    assert len(lines) == 2
+    true = fsolve(lambda p: [float(b.offsets(p[None])[0]) for b in bands], [410, 310])
+    assert np.linalg.norm(intersection(lines[0].centre_px, lines[1].centre_px) - true) < 0.15
+
+
+def intersection(a, b):
+    """Where two polylines cross: straight pieces around the places nearest to each other."""
+    distance, index = cKDTree(b).query(a)
+    k = int(distance.argmin())
+    p, q = a[k - 3 : k + 4], b[index[k] - 3 : index[k] + 4]
+    along_a, along_b = p[-1] - p[0], q[-1] - q[0]
+    s = np.linalg.solve(np.stack([along_a, -along_b], axis=1), q.mean(axis=0) - p.mean(axis=0))
+    return p.mean(axis=0) + s[0] * along_a
+
+
+@pytest.mark.parametrize("angle", [50, 90, 125])
+def test_line_ends_at_the_border_of_the_one_it_runs_into(angle, rng):
+    through = Band((400, 250), 5, 10.0, 40.0)
+    ending = Band((400, 250), angle, 7.0, 40.0, reach=(0.0, 3000.0))
+    lines = detect_lines(paint([through, ending], IMAGE, rng))
+    assert len(lines) == 2
+    line = min(lines, key=lambda found: np.abs(ending.offsets(found.centre_px)).mean())
+    end = np.abs(through.offsets(line.centre_px[[0, -1]])).min()
+    assert end == pytest.approx(0.5 * through.width_px, abs=0.15)
+
+
+def test_heads_and_highlights_interrupt_no_seam(rng):
+    band = Band((410, 310), 20, 8.0, 40.0, bow_px=3.0)
+    along = np.array([np.cos(np.deg2rad(20)), np.sin(np.deg2rad(20))])
+    centre = np.array(band.through)
+    discs = [(*(centre - 200 * along), 32.0, 118.0)]
+    glints = [(*(centre + 180 * along), 30.0, 300.0)]
+    line = only_line([band], rng, discs=discs, glints=glints)
+    offset = band.offsets(line.centre_px)
+    assert line.length_px > 0.97 * chord_length(band)
+    assert np.sqrt(np.mean(offset**2)) < 0.06
+    assert line.support < 0.95
+
+
+def test_no_line_in_noise_nor_of_short_scratches(rng):
+    assert detect_lines(100 + rng.normal(0, 3, IMAGE)) == []
+    scratches = [
+        Band(tuple(rng.uniform((100, 100), (700, 500))), rng.uniform(0, 180), 1.5, 25.0, reach=(-50, 50))
+        for _ in range(8)
+    ]
+    assert detect_lines(paint(scratches, IMAGE, rng)) == []
+
+
+def test_pieces_are_straight_and_joined_across_a_gap(rng):
+    t = np.arange(0.0, 400.0)
+    line = np.stack([t, 0.1 * t + rng.normal(0, 0.2, t.size), np.ones_like(t)], axis=-1)
+    bent = np.concatenate([line, [[400 + k, 40 + 2 * k, 1] for k in range(100)]])
+    pieces = straight_pieces(bent, 1.0, 40.0, rng)
+    assert len(pieces) == 2
+    assert max(len(p) for p in pieces) == pytest.approx(400, abs=5)
+    halves = [line[:150], line[230:][::-1]]
+    joined = join_pieces(halves, 100.0, 2.0, np.deg2rad(6))
+    assert len(joined) == 1
+    assert len(joined[0]) == 320
+    aside = line[230:] + np.array([0, 12, 0])
+    assert len(join_pieces([line[:150], aside], 100.0, 2.0, np.deg2rad(6))) == 2
+
+
+SEAM = Band((450, 350), 70, 9.0, 70.0, bow_px=3.0)
+
+
+@pytest.mark.parametrize(
+    ("band", "relief"),
+    [
+        (SEAM, Relief(depth_mm=2.0)),
+        (SEAM, Relief(depth_mm=2.0, step_mm=-0.6)),
+        # Sealed: a step without a groove, a little sunk in, bright.
+        (SEAM, Relief(step_mm=0.12)),
+        (SEAM, Relief(depth_mm=0.05)),
+        (Band((450, 350), 0, 12.0, -30.0), Relief(step_mm=0.3)),
+        # 0.3 mm wide.
+        (Band((450, 350), 120, 1.5, 100.0), Relief(depth_mm=2.0, step_mm=0.1)),
+    ],
+)
+def test_groove_or_step_is_a_seam(band, relief, rng):
+    found = detect_seams(seam_scan([band], [relief], rng), ())
+    assert [line.relief for line in found] == [True]
+    assert found[0].seam_id == "S01"
+    assert found[0].confidence > 0.8
+    assert np.abs(band.offsets(found[0].centre_px)).max() < 0.3
+
+
+@pytest.mark.parametrize("depth", [0.0, -0.06, -1.2])
+def test_paint_decals_and_cables_are_no_seams(depth, rng):
+    found = detect_seams(seam_scan([SEAM], [Relief(depth_mm=depth)], rng), ())
+    assert [line.relief for line in found] == [False]
+    assert found[0].confidence <= 0.2
+
+
+def test_border_of_the_lit_field_is_no_line(rng):
+    lit = np.broadcast_to(np.arange(SHAPE[1]) > 300, SHAPE)
+    assert detect_seams(seam_scan([], [], rng, lit=lit), ()) == []
+
+
+def test_seam_ends_with_the_lit_field(rng):
+    lit = np.broadcast_to(np.arange(SHAPE[0])[:, None] < 500, SHAPE)
+    band = Band((450, 350), 88, 9.0, 70.0)
+    found = detect_seams(seam_scan([band], [Relief(depth_mm=2.0)], rng, lit=lit), ())
+    assert len(found) == 1
+    assert found[0].centre_px[:, 1].max() == pytest.approx(499.5, abs=0.3)
+
+
+def test_highlight_denies_no_seam(rng):
+    # Over more than half of its length there are no points beside it.
+    v, u = np.indices(SHAPE)
+    saturated = (v < 420) & (np.abs(u - 450) > 6) & (np.abs(u - 450) < 200)
+    band = Band((450, 350), 90, 9.0, 70.0)
+    found = detect_seams(seam_scan([band], [Relief(depth_mm=2.0)], rng, saturated=saturated), ())
+    assert [line.relief for line in found] == [True]
+    assert np.ptp(found[0].centre_px[:, 1]) > 0.95 * SHAPE[0]
+
+
+def test_seam_runs_on_under_rivets(rng):
+    band = Band((450, 350), 90, 9.0, 70.0)
+    places = [(450.0, 200.0), (450.0, 480.0)]
+    heads = [RivetDetection(u, v, 70.0, 70.0, 0.0, 1.0) for u, v in places]
+    scan = seam_scan([band], [Relief(depth_mm=2.0)], rng, discs=[(u, v, 35.0, 112.0) for u, v in places])
+    found = detect_seams(scan, heads)
+    assert [line.relief for line in found] == [True]
+    assert np.ptp(found[0].centre_px[:, 1]) > 0.97 * SHAPE[0]
+
+
+def test_seams_are_numbered_from_left_to_right(rng):
+    bands = [Band((700, 350), 90, 8.0, 70.0), Band((200, 350), 90, 8.0, 70.0), Band((450, 350), 90, 8.0, 70.0)]
+    reliefs = [Relief(depth_mm=2.0), Relief(step_mm=0.3), Relief()]
+    found = detect_seams(seam_scan(bands, reliefs, rng), ())
+    assert [line.seam_id for line in found] == ["S01", "S02", "S03"]
+    assert [line.relief for line in found] == [True, True, False]
+    assert [round(float(line.centre_px[:, 0].mean()), -2) for line in found] == [200, 700, 400]
+
+
+def test_settings_out_of_range():
+    with pytest.raises(UsageError, match="min_contrast"):
+        LineSettings(min_contrast=2)
+    with pytest.raises(UsageError, match="coarsest_level"):
+        LineSettings(coarsest_level=0)
+
+
+@pytest.mark.parametrize(("name", "seams"), [("skin", 1), ("skin-shiny", 1), ("skin-worn", 0), ("standard-part", 0)])
+def test_reference_scans(shared, name, seams):
+    from reference_scans import reference_scan
+
+    from metrology.rivets import detect_rivets
+
+    cloud, truth = reference_scan(shared / "scenes" / name)
+    found = [line for line in detect_seams(cloud, detect_rivets(cloud)) if line.relief]
+    assert len(found) == seams
+    for line, true in zip(found, truth.get("seams", []), strict=True):
+        visible = np.array(true["uv_px"])[np.array(true["visible"])]
+        distance, _ = cKDTree(line.centre_px).query(visible)
+        # The image's dark band and the ideal edges have different middles.
+        assert np.quantile(distance, 0.98) < 0.5 * np.median(line.width_px)
