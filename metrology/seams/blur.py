@@ -70,6 +70,14 @@ class EdgeResponse:
         return cls(step, values, slopes)
 
 
+def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int, reach_px: float) -> Array:
+    """(n,) values of the blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach."""
+    half = int(np.ceil(reach_px * nodes_per_px))
+    side_u, side_v = (max(abs(side), _THIN) for side in normal)
+    values, _ = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill)
+    return np.asarray(values)
+
+
 @kernel
 def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-untyped-def]
     """A Gaussian edge folded with two boxes (differences of its second antiderivative) and with the spill."""

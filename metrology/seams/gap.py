@@ -28,9 +28,17 @@ class GapEdge:
     depth_mm: float
 
 
+@dataclass(frozen=True)
+class Gap:
+    """Both edges at one station, and the standard deviation of the width between them, mm."""
+
+    a: GapEdge
+    b: GapEdge
+    sigma_width_mm: float
+
+
 def signed_distance(section: Section, x: float, h: float, line: SkinLine) -> float:
-    """Distance of a point from a skin line, positive outside the skin: eqs 7 and 8 with a sign, for curved
-    lines too."""
+    """Distance of a point from a skin line, positive outside the skin: eqs 7 and 8 with a sign, curved lines too."""
     return (h - line.height(x)) / float(np.hypot(1.0, line.slope(x)))
 
 

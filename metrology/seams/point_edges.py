@@ -8,18 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
-from metrology.seams.image_edges import Edge
-from metrology.seams.piecewise import project_onto, side_of_section
+from metrology.seams.gap import Gap, GapEdge
+from metrology.seams.piecewise import SideFit, project_onto, side_of_section
 from metrology.seams.sections import Section, strip
 
 Mask = NDArray[np.bool_]
 
 
+# A corner is found to the spacing of the points; both corners' errors add up, each spread evenly over it.
+_SPREAD_OF_TWO = (2.0 / 12.0) ** 0.5
+
+
 def point_edges(
     sections: Sequence[Section | None], reconstruction: Reconstruction, clear: Mask, half_length: float, extent: float,
     tolerance_sigmas: float, angle: float,
-) -> list[tuple[Edge | None, Edge | None]]:  # fmt: skip
-    """Edges A and B of every station.
+) -> list[Gap | str]:  # fmt: skip
+    """The gap at every station, or why it is not known.
 
     Parameters
     ----------
@@ -30,10 +34,10 @@ def point_edges(
     tolerance_sigmas, angle : float
         ε in units of the points' median σ, and θ in radians.
     """
-    edges: list[tuple[Edge | None, Edge | None]] = []
+    gaps: list[Gap | str] = []
     for section in sections:
         if section is None:
-            edges.append((None, None))
+            gaps.append("no section")
             continue
         pixel = reconstruction.rig.left.project(section.frame.origin)
         points = strip(reconstruction, clear, pixel, section.frame, half_length, extent)
@@ -41,19 +45,16 @@ def point_edges(
         x, h, sigma = points[:, 0], points[:, 2], float(np.median(points[:, 3]))
         a = side_of_section(x, h, tolerance_sigmas * sigma, angle)
         b = side_of_section(-x[::-1], h[::-1], tolerance_sigmas * sigma, angle)
-        spacing = float(np.median(np.diff(x[:: max(1, len(x) // 100)]))) if len(x) > 200 else 0.2
-        edges.append(
-            tuple(  # type: ignore[arg-type]
-                None
-                if fit is None
-                else Edge(
-                    border_mm=sign * project_onto(fit)[0],
-                    ideal_mm=sign * project_onto(fit)[0],
-                    depth_mm=max(project_onto(fit)[1] - fit.inflection[1], 0.0),
-                    sigma_border_mm=spacing,
-                    sigma_chamfer_mm=0.0,
-                )
-                for fit, sign in ((a, 1.0), (b, -1.0))
-            )
-        )
-    return edges
+        if a is None or b is None:
+            missing = " and ".join(name for name, fit in (("A", a), ("B", b)) if fit is None)
+            gaps.append(f"edge {missing} not seen in the points")
+            continue
+        # The strip's rows interleave: along one row the points lie this far apart.
+        spacing = float(np.sqrt(extent * half_length * 4.0 / len(points)))
+        gaps.append(Gap(_edge(a, 1.0), _edge(b, -1.0), _SPREAD_OF_TWO * spacing))
+    return gaps
+
+
+def _edge(fit: SideFit, sign: float) -> GapEdge:
+    ideal = project_onto(fit)
+    return GapEdge(sign * ideal[0], max(ideal[1] - fit.inflection[1], 0.0))

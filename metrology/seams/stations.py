@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.results import Rivet, SeamLine, SeamStation
-from metrology.seams.gap import GapEdge, gap_width, midpoint, step_gradient, step_height
-from metrology.seams.image_edges import Edge, image_edges
+from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
+from metrology.seams.image_edges import image_edges
 from metrology.seams.point_edges import point_edges
 from metrology.seams.sections import Section, section_at, usable_points
 from metrology.seams.settings import SeamSettings
 from metrology.seams.tracks import Track, lay_on_skin, oriented
-from metrology.seams.views import both_views
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,8 +25,6 @@ Mask = NDArray[np.bool_]
 _COVERAGE_95 = 1.96
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
-# A dark band (gap and chamfers) narrower than this shows its borders merged by the blur, px.
-_LEAST_BAND_PX = 7.5
 # Neighbouring points share pixels of the matched phase: their noise averages out more slowly than if they were
 # independent.
 _CORRELATION = 1.4
@@ -35,13 +32,12 @@ _CORRELATION = 1.4
 
 @dataclass(frozen=True)
 class _Station:
-    """Where a station stands, its section or the reason why there is none, and the limit if its gap is too narrow."""
+    """Where a station stands, and its section or the reason why there is none."""
 
     s_mm: float
     pixel: Array
     half_width_mm: float
     section: Section | str
-    narrow_limit_mm: float | None = None
 
 
 def measure_seams(
@@ -97,29 +93,20 @@ def _measure_seam(
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
     stations = [_place(track, float(s), reconstruction, usable, heads, settings) for s in places]
     sections = [station.section if isinstance(station.section, Section) else None for station in stations]
+    half_widths = [station.half_width_mm for station in stations]
     if settings.edges == "points":
-        widest = max(station.half_width_mm for station in stations)
-        edges = point_edges(
+        gaps = point_edges(
             sections,
             reconstruction,
             reconstruction.valid & ~heads,
             settings.half_length_mm,
-            widest + settings.skin_extent_mm,
+            max(half_widths) + settings.skin_extent_mm,
             settings.tolerance_sigmas,
             np.deg2rad(settings.merge_angle_deg),
         )
     else:
-        wide = [
-            None if station.narrow_limit_mm is not None else s for station, s in zip(stations, sections, strict=True)
-        ]
-        edges = image_edges(
-            wide,
-            [station.half_width_mm for station in stations],
-            both_views(reconstruction),
-            settings.half_length_mm,
-            settings.min_edge_snr,
-        )
-    return [_row(seam_id, station, a, b, reconstruction) for station, (a, b) in zip(stations, edges, strict=True)]
+        gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
+    return [_row(seam_id, station, gap, reconstruction) for station, gap in zip(stations, gaps, strict=True)]
 
 
 def _place(
@@ -148,8 +135,7 @@ def _place(
         settings.half_length_mm,
         settings.min_points,
     )
-    limit = _LEAST_BAND_PX / px_mm if width_px < _LEAST_BAND_PX else None
-    return _Station(s, pixel, half, section, limit if settings.edges == "image" else None)
+    return _Station(s, pixel, half, section)
 
 
 def _towards_b(track: Track, origin: Array, direction: Array) -> Array:
@@ -162,58 +148,17 @@ def _towards_b(track: Track, origin: Array, direction: Array) -> Array:
     return np.asarray(across / np.linalg.norm(across))
 
 
-def _row(
-    seam_id: str, station: _Station, a: Edge | None, b: Edge | None, reconstruction: Reconstruction
-) -> SeamStation:
+def _row(seam_id: str, station: _Station, gap: Gap | str, reconstruction: Reconstruction) -> SeamStation:
     section = station.section
     u, v = (float(x) for x in station.pixel)
     if not isinstance(section, Section):
         return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=section)
-    n_left, n_right = section.a.n, section.b.n
-    if station.narrow_limit_mm is not None:
-        return _narrow_row(seam_id, station, section, station.narrow_limit_mm, reconstruction)
-    if a is None or b is None:
-        missing = " and ".join(name for name, edge in (("A", a), ("B", b)) if edge is None)
-        return SeamStation(
-            seam_id,
-            station.s_mm,
-            None,
-            None,
-            None,
-            u,
-            v,
-            n_left=n_left,
-            n_right=n_right,
-            reason=f"edge {missing} not seen by a camera",
-        )
-    middle = midpoint(section, a.ideal_mm, b.ideal_mm)
-    pixel = reconstruction.rig.left.project(middle)
-    width_variance = sum(e.sigma_border_mm**2 + e.sigma_chamfer_mm**2 for e in (a, b))
-    return SeamStation(
-        seam_id,
-        station.s_mm,
-        float(middle[0]),
-        float(middle[1]),
-        float(middle[2]),
-        float(pixel[0]),
-        float(pixel[1]),
-        step_mm=step_height(section, a.ideal_mm, b.ideal_mm),
-        step_u95_mm=_step_u95(section, a.ideal_mm, b.ideal_mm),
-        width_mm=gap_width(section, GapEdge(a.ideal_mm, a.depth_mm), GapEdge(b.ideal_mm, b.depth_mm)),
-        width_u95_mm=_COVERAGE_95 * float(np.sqrt(width_variance)),
-        n_left=n_left,
-        n_right=n_right,
-    )
-
-
-def _narrow_row(
-    seam_id: str, station: _Station, section: Section, limit_mm: float, reconstruction: Reconstruction
-) -> SeamStation:
-    """Only the step: it hardly depends on where exactly the edges are."""
-    a, b = -station.half_width_mm, station.half_width_mm
+    # Without its edges a gap still has a step, which hardly depends on where exactly they are.
+    half = station.half_width_mm
+    a, b = (gap.a.ideal_mm, gap.b.ideal_mm) if isinstance(gap, Gap) else (-half, half)
     middle = midpoint(section, a, b)
     pixel = reconstruction.rig.left.project(middle)
-    return SeamStation(
+    row = SeamStation(
         seam_id,
         station.s_mm,
         float(middle[0]),
@@ -225,8 +170,15 @@ def _narrow_row(
         step_u95_mm=_step_u95(section, a, b),
         n_left=section.a.n,
         n_right=section.b.n,
-        reason=f"too narrow for its width to be measured: gap and chamfers together under {limit_mm:.2f} mm",
+        reason=gap if isinstance(gap, str) else None,
     )
+    if isinstance(gap, str):
+        return row
+    width, u95 = gap_width(section, gap.a, gap.b), _COVERAGE_95 * gap.sigma_width_mm
+    if width < u95:
+        limit = max(width, 0.0) + u95
+        return replace(row, reason=f"too narrow for its width to be measured: under {limit:.2f} mm")
+    return replace(row, width_mm=width, width_u95_mm=u95)
 
 
 def _step_u95(section: Section, a: float, b: float) -> float:
