@@ -81,8 +81,8 @@ class SeamSettings:
         Points nearer to an edge than this are mixed with what lies behind it and stay out of the skin lines.
     min_points : int
         Fewest points of a skin line.
-    min_edge_snr : float
-        Least ratio of an edge's contrast to the noise around it.
+    chamfer_deg : float
+        Angle of the edges' chamfers against the skin (drawings: 45°).
     merge_angle_deg : float
         θ: neighbouring pieces with a smaller angle are one line (`edges: points`; paper: 20°).
     tolerance_sigmas : float
@@ -98,7 +98,7 @@ class SeamSettings:
     skin_extent_mm: float = 14.0
     guard_px: float = 4.0
     min_points: int = 150
-    min_edge_snr: float = 3.0
+    chamfer_deg: float = 45.0
     merge_angle_deg: float = 20.0
     tolerance_sigmas: float = 5.0
 
@@ -112,12 +112,13 @@ class SeamSettings:
             "half_length_mm",
             "skin_extent_mm",
             "min_points",
-            "min_edge_snr",
             "merge_angle_deg",
             "tolerance_sigmas",
         )
         for name in positive:
             if not getattr(self, name) > 0:
                 raise UsageError(f"{name}: found {getattr(self, name):g}, expected more than 0")
+        if not 0 < self.chamfer_deg <= 75:
+            raise UsageError(f"chamfer_deg: found {self.chamfer_deg:g}, expected more than 0, up to 75")
         if self.guard_px < 0:
             raise UsageError(f"guard_px: found {self.guard_px:g}, expected 0 or more")
