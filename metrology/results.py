@@ -92,9 +92,9 @@ class Rivet:
 class SeamLine:
     """The centre line of a seam in the left image: what detection hands to measurement.
 
-    One seam is one line, across rivet heads, highlights and other seams. It ends where its band of brightness does: with
-    the gap, at the border of the seam that it runs into (a T joint), with the lit skin, or with the image. Its course
-    is smooth; its points are in order, from either end.
+    One seam is one line, across rivet heads, highlights and other seams. It ends where its band of brightness does:
+    with the gap, at the border of the seam that it runs into (a T joint), with the lit skin, or with the image. Its
+    course is smooth; its points are in order, from either end.
 
     Attributes
     ----------

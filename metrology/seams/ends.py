@@ -16,6 +16,7 @@ from metrology.seams.polyline import Array
 from metrology.seams.sampling import LocalMap, sample
 
 Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 # The step is sought this far both ways, px, and must leave so much on each side of it.
 _REACH_PX = 24.0
@@ -62,7 +63,7 @@ def end_of_band(relative: Float32, end: Array, outward: Array, width_px: float) 
     return place if clear and within else None
 
 
-def _difference(along: Array, grey: Array, inside: Array, outside: Array) -> tuple[Array, Array, Array]:
+def _difference(along: Array, grey: Array, inside: Mask, outside: Mask) -> tuple[Array, Array, Array]:
     """Brightness beside the band less that in it per bin along the line, where the bins are, and pixels' weight."""
     bins = np.floor((along + _REACH_PX) / _BIN_PX).astype(np.int64)
     size = int(bins.max()) + 1 if len(bins) else 0

@@ -65,7 +65,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Look:
-    """How the camera sees it: lens blur (standard deviation, px, the pixel's area not included), noise, grain, light."""
+    """How the camera sees it: lens blur (standard deviation, px; the pixel comes on top), noise, grain, light."""
 
     blur_px: float = 0.7
     noise: float = 2.0
