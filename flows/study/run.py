@@ -76,7 +76,9 @@ def run_study(
         say("report")
         sections = [section for block in blocks for section in block.sections(workshop.store)]
         title = f"Study of {study.spec.study}"
-        made = f"Flushline {version('flushline')}, {datetime.now(UTC):%Y-%m-%d}, {done} scans inspected."
+        made = (
+            f"Flushline {version('flushline')}, {datetime.now(UTC):%Y-%m-%d}, {done - len(problems)} inspected scans."
+        )
         missed = [f"Not inspected: {problem}" for problem in problems]
         report = write_report(out, title, (SIMULATED, made, *missed), sections)
     return Finished(report, tuple(bar for section in sections for bar in section.bars), tuple(problems))

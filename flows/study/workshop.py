@@ -139,5 +139,7 @@ def _inspect(workshop: Workshop, scan: Scan, frames: dict[str, Frames], specific
         workshop.frames, scan.key, rig.stem, simulation.fringe, simulation.camera.exposures, frames["left"],
         frames["right"], operator="simulator",
     )  # fmt: skip
-    inspect_scene(Job(workshop.frames, workshop.store, rig, workshop.settings, specification), workshop.call)
-    shutil.rmtree(workshop.frames)
+    try:
+        inspect_scene(Job(workshop.frames, workshop.store, rig, workshop.settings, specification), workshop.call)
+    finally:
+        shutil.rmtree(workshop.frames)
