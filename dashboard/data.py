@@ -70,6 +70,7 @@ class Archive:
         path = (self.root / str(relative)).resolve()
         if not relative or not path.is_relative_to(self.root.resolve()):
             raise StoreError(f"{self.root}: found path {relative!r} in the archive, expected one inside the store")
+        self.store.file(str(relative))
         if not path.is_file():
             raise StoreError(f"{path}: found no such file, expected it; older runs may have been pruned")
         return path

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from flows.inspect_scene import Job, inspect_scene
+from flows.memory import share_heap
 from metrology.errors import FlushlineError, RigError, SceneError, UsageError
 from storage.archive import Store
 from storage.archive.bundle import document_hash
@@ -159,6 +160,7 @@ def plan(job: InboxJob) -> Plan:
 
 def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
     """Inspect one scene folder of an inbox from its files to its published result: the unit of work. Never raises."""
+    share_heap()
     start = time.perf_counter()
     store = Store(job.store)
     scene_id = None

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error, unexpected
 from flows.inspect_scene import Inspected, Job, inspect_scene
+from flows.memory import share_heap
 from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
 from metrology.errors import FlushlineError
@@ -48,6 +49,7 @@ class Inputs:
 
 def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) -> int:
     """Inspect scenes one after the other; returns the command's exit code."""
+    share_heap()
     jobs = _jobs(inputs)
     sound = [job for job in jobs if _passes(partial(steps.load, job.folder, job.rig_path, job.store), job, debug)]
     if not sound:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import tomllib
-import urllib.error
-import urllib.request
 from pathlib import Path
 
 from metrology.errors import UsageError
@@ -53,6 +51,9 @@ def configured_api() -> str | None:
 
 def answers(api: str) -> bool:
     """Whether the server at an API address is up."""
+    import urllib.error
+    import urllib.request
+
     try:
         with urllib.request.urlopen(f"{api.rstrip('/')}/health", timeout=_TIMEOUT_SECONDS) as answer:
             return bool(answer.status == 200)

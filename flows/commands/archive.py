@@ -20,6 +20,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         action.set_defaults(run=run)
         return action
 
+    creating = add("create", create, "make an empty store, with its bundles on object storage if you like")
+    creating.add_argument("--bundles", metavar="URI", help="where bundles lie, such as s3://bucket/prefix")
     add(
         "check",
         check,
@@ -39,15 +41,25 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     cloud.add_argument("--out", type=Path, required=True, metavar="FILE")
 
 
+def create(options: argparse.Namespace) -> int:
+    """Make an empty store."""
+    from storage.archive import Store
+
+    Store(options.store).create(options.bundles)
+    print(options.store)
+    return 0
+
+
 def check(options: argparse.Namespace) -> int:
     """Check bundles and index."""
     from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
     from flows.progress import progress_bar
     from storage.archive import Store, maintenance
 
-    layout = Store(options.store).existing()
+    store = Store(options.store)
+    layout = store.existing()
     with progress_bar() as progress:
-        bar = progress.add_task("checking runs", total=len(layout.runs()))
+        bar = progress.add_task("checking runs", total=len(store.bundles.runs()))
         found = maintenance.check(layout, lambda: progress.advance(bar))
     for problem in found.problems:
         print_error(problem)
@@ -71,9 +83,10 @@ def rebuild(options: argparse.Namespace) -> int:
 
 def compact(options: argparse.Namespace) -> int:
     """Write Parquet for other engines."""
-    from storage.archive import Store, maintenance
+    from storage.archive import Store
+    from storage.archive.compaction import compact as write_parquet
 
-    print(maintenance.compact(Store(options.store).existing()))
+    print(write_parquet(Store(options.store).existing()))
     return 0
 
 

@@ -46,7 +46,8 @@ def disk_trouble(root: Path, consequence: str) -> Iterator[None]:
     try:
         yield
     except OSError as problem:
-        found = f'{problem.filename or root}: found "{problem.strerror}", expected a store that can be written'
+        reason = problem.strerror or problem
+        found = f'{problem.filename or root}: found "{reason}", expected a store that can be written'
         if problem.errno == errno.ENOSPC:
             found = f"{root}: found the disk full, expected room for a result"
         raise StoreError(f"{found}; {consequence}") from problem

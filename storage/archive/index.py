@@ -16,6 +16,7 @@ import duckdb
 
 from metrology.errors import StoreError
 from storage.archive.bundle import BundleModel, check_bundle
+from storage.archive.bundles import Bundles
 from storage.archive.layout import Layout
 from storage.archive.schema import TABLES
 from storage.archive.signed import by_preference, signed_runs
@@ -50,10 +51,12 @@ def current_runs(layout: Layout) -> tuple[list[Path], list[str]]:
     newest: dict[Path, Path] = {}
     problems = []
     signed = signed_runs(ReviewLog(layout.root).read())
-    for run in by_preference((manifest.parent for manifest in layout.runs()), signed):
+    bundles = Bundles(layout)
+    for run in by_preference(bundles.runs(), signed):
         if run.parent in newest:
             continue
         try:
+            bundles.bring(run, tables_only=True)
             check_bundle(run, only_tables=True)
         except StoreError as problem:
             problems.append(str(problem))

@@ -2,7 +2,7 @@
 
 flushline-store.json           marks the folder as a store
 archive.duckdb                 link to the published index: what people, the dashboard and SQL open
-bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth
+bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth (see `bundles`)
 rigs/RIG.json                  calibrations, found by the id that a scene names
 panels/PANEL/                  panel specifications in all their versions, and patterns enrolled from scans
 parquet/                       link to the compacted tables for other engines
@@ -91,10 +91,6 @@ class Layout:
     def scene(self, key: SceneKey) -> Path:
         """Folder of a scene's runs."""
         return self.bundles / key.aircraft_serial / key.panel / key.scene_id
-
-    def runs(self) -> list[Path]:
-        """Every complete run of every scene, oldest first within a scene."""
-        return sorted(self.bundles.glob("*/*/*/*/manifest.json"))
 
     def relative(self, path: Path) -> str:
         """A path as the tables have it."""

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from storage.archive.bundle import PATTERN
-from storage.archive.files import hold, link_first, locked, make_folders, sync, write_durably
+from storage.archive.bundles import Bundles
+from storage.archive.files import hold, link_first, locked, make_folders, write_durably
 from storage.archive.layout import Layout, new_run_id
 from storage.archive.panels import PatternTaken
 
@@ -61,7 +62,7 @@ def staged_run(layout: Layout, scene: Path, pattern: Path) -> Iterator[StagedRun
         yield run
     except BaseException:
         if not run.final.exists():
-            _remove(run.folder, pattern)
+            _remove(layout, run.folder, run.final, pattern)
         raise
     finally:
         if descriptor is not None:
@@ -70,13 +71,11 @@ def staged_run(layout: Layout, scene: Path, pattern: Path) -> Iterator[StagedRun
 
 def settle(layout: Layout, run: StagedRun, pattern: Path) -> None:
     """Give a written run its place, and its station the pattern that the run enrols."""
-    make_folders(run.final.parent, layout.root)
     if (run.folder / PATTERN).exists():
         make_folders(pattern.parent, layout.root)
         if not link_first(run.folder / PATTERN, pattern):
             raise PatternTaken(f"{pattern}: found a pattern enrolled meanwhile, expected none")
-    run.folder.rename(run.final)
-    sync(run.final.parent)
+    Bundles(layout).settle(run.folder, run.final)
 
 
 def pending(layout: Layout) -> dict[Path, Path]:
@@ -90,7 +89,11 @@ def pending(layout: Layout) -> dict[Path, Path]:
         if run is not None and run.is_dir():
             complete[marker] = run
         elif (descriptor := hold(marker)) is not None:  # its writer is dead
-            _remove(marker.with_suffix(""), pattern)
+            folder = marker.with_suffix("")
+            if run is not None and Bundles(layout).arrived(run, folder):
+                complete[marker] = run
+            else:
+                _remove(layout, folder, run, pattern)
             os.close(descriptor)
     return complete
 
@@ -108,8 +111,11 @@ def _places(layout: Layout, marker: Path) -> tuple[Path | None, Path | None]:
         return None, None
 
 
-def _remove(folder: Path, pattern: Path | None) -> None:
+def _remove(layout: Layout, folder: Path, run: Path | None, pattern: Path | None) -> None:
     """Remove a run that did not get its place, with the pattern that it had enrolled already."""
+    if run:
+        with contextlib.suppress(OSError):  # object storage that does not answer keeps a run without a manifest
+            Bundles(layout).remove_there(run)
     own = folder / PATTERN
     if pattern and own.exists() and pattern.exists() and own.samefile(pattern):
         pattern.unlink()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from metrology.inspection import InspectionResult
     from metrology.rig import Rig
+    from storage.archive.bundles import Bundles
     from storage.archive.panels import Panels
     from storage.cloud import StoredCloud
 
@@ -65,6 +66,33 @@ class Store:
         from storage.archive.panels import Panels
 
         return Panels(self.layout.panels)
+
+    @property
+    def bundles(self) -> Bundles:
+        """Where bundles lie."""
+        from storage.archive.bundles import Bundles
+
+        return Bundles(self.layout)
+
+    def create(self, bundles: str | None = None) -> None:
+        """Make an empty store.
+
+        Parameters
+        ----------
+        bundles : str, optional
+            Where its bundles shall lie: a URI such as ``s3://bucket/prefix``; by default in the store's folder.
+        """
+        from storage.archive.remote import Remote
+
+        self.check_usable()
+        if self.layout.marker.exists():
+            raise StoreError(f"{self.root}: found a store, expected a new folder")
+        if bundles:
+            Remote(bundles).runs()  # refused where it cannot be reached
+        self.root.mkdir(parents=True, exist_ok=True)
+        document = {"format": STORE_FORMAT} | ({"bundles": bundles} if bundles else {})
+        write_first(self.layout.marker, json.dumps(document).encode())
+        self.prepare()
 
     def check_usable(self) -> None:
         """Refuse a folder that holds something else than a store, before any work is done for it."""
@@ -179,14 +207,22 @@ class Store:
                 raise StoreError(f"query: {' '.join(str(problem).split())}") from None
 
     def paths(self, scene_id: str) -> ScenePaths:
-        """Where the files of a scene's current run lie."""
+        """Where the files of a scene's current run lie; from object storage they are fetched."""
         with contextlib.closing(self.connect()) as connection:
             row = connection.execute(
                 "SELECT bundle_path, cloud_path, overlay_path, preview_path FROM scenes WHERE scene_id = ?", [scene_id]
             ).fetchone()
         if row is None:
             raise StoreError(f"{self.root}: found no scene {scene_id!r}, expected a scene_id of the table scenes")
-        return ScenePaths(*(self.root / path for path in row))
+        paths = ScenePaths(*(self.root / path for path in row))
+        self.bundles.bring(paths.bundle)
+        return paths
+
+    def file(self, relative: str) -> Path:
+        """A file of a bundle by the path that the tables have for it; from object storage it is fetched."""
+        path = self.root / relative
+        self.bundles.bring_file(path)
+        return path
 
     def load_cloud(self, scene_id: str) -> StoredCloud:
         """The organised cloud of a scene's current run."""

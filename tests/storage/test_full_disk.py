@@ -11,6 +11,7 @@ import pytest
 
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance
+from storage.archive.compaction import compact
 from tests.storage.results import small_key, small_result
 
 RIVETS = 9
@@ -64,7 +65,7 @@ def test_a_full_disk_is_said_and_all_is_well_once_there_is_room(disk: Disk, kilo
     acts: tuple[Callable[[], object], ...] = (
         store.recover,
         lambda: maintenance.rebuild(store.layout),
-        lambda: maintenance.compact(store.layout),
+        lambda: compact(store.layout),
         lambda: maintenance.prune(store.layout),
         lambda: maintenance.check(store.layout),
     )

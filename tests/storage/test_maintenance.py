@@ -13,6 +13,7 @@ import pytest
 from flows.cli import main
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance
+from storage.archive.compaction import compact
 from storage.archive.schema import TABLES
 from tests.storage.results import small_key, small_result
 
@@ -88,7 +89,7 @@ def test_rebuild_passes_over_a_damaged_run(store: Store, capsys: pytest.CaptureF
 
 def test_compacted_parquet_holds_the_same_rows(store: Store) -> None:
     for _ in range(3):
-        parquet = maintenance.compact(store.layout)
+        parquet = compact(store.layout)
     assert len(list(store.layout.index.glob("parquet-*"))) == 2
     with duckdb.connect() as other:
         for table in TABLES:
