@@ -54,10 +54,10 @@ _GAP_DEPTH_MM = (2.0, 3.0)
 _SQUARE = (0.0, 0.05)
 _SPILL = (0.08, 0.1)
 _LENS_PX = (0.45, 0.25)
-# Both edges of a joint are broken alike, and both cameras have like lenses, to this standard deviation.
-_ALIKE_EDGES_MM = 0.1
+# Both edges of a joint are broken by one rule (within 0.1 mm each, 95 %), and both cameras have like lenses.
+_ALIKE_EDGES_MM = 0.07
 _ALIKE_LENSES_PX = 0.1
-_LOWEST = (0.0, 0.0, 0.05, -0.5, -0.5, 0.0)
+_LOWEST = (0.0, 0.0, 0.0, -0.5, -0.5, 0.0)
 _HIGHEST = (2.0, 2.0, 12.0, 0.5, 0.5, 0.24)
 _LENS_BOUNDS_PX = (0.05, 2.0)
 # How much a station's levels scatter about the seam's usual ones, relative to the skin's: grain, smudges, highlights.
@@ -70,7 +70,8 @@ _SHAPE_STATIONS = 24
 _START_STATIONS = 6
 _START_CHAMFERS_MM = (0.05, 0.35, 0.7)
 _START_DEPTHS_MM = (1.0, 3.0)
-# Chamfers are taken for real where leaving them out costs more than this many units of variance (three σ).
+# Chamfers are taken for real where leaving them out costs more than this in squared standard deviations: then their
+# two widths earn their keep (Bayesian information of about a hundred independent pixels).
 _PROOF = 9.0
 # Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy), and so many
 # times: nothing, they show something else than this gap.
@@ -135,9 +136,11 @@ _OF_STATIONS = ("borders", "normals", "gradients", "levels", "costs")
 class _Knowledge:
     """Prior of what is shared: quadratic form about a mean; what is held fixed has no say."""
 
-    def __init__(self, ambient: Array, floor: Floor, fixed: Sequence[int]) -> None:
+    def __init__(self, ambient: Array, floor: Floor, fixed: tuple[int, ...] = ()) -> None:
         cameras = len(ambient)
         depth = _GAP_DEPTH_MM if floor.depth_mm is None else (floor.depth_mm, _FLOOR_SIGMA_MM)
+        if floor.sealed:
+            depth = (max(floor.depth_mm or 0.0, 0.0), _FLOOR_SIGMA_MM)
         spread = [_BROKEN_EDGE_MM, _BROKEN_EDGE_MM, depth, _SQUARE, _SQUARE, _SPILL]
         spread += [_LENS_PX] * cameras
         spread += [level for share in ambient for level in _levels_beforehand(float(share))]
@@ -174,7 +177,7 @@ def fit_gap(profiles: Profiles, chamfer_slope: float, floors: Sequence[Floor]) -
         What may close the gap below; the pictures decide.
     """
     chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
-    shape = _fit_shape(profiles, chosen, chamfer_slope, floors)
+    shape, doubt = _fit_shape(profiles, chosen, chamfer_slope, floors)
     final = _fit_borders(profiles, shape, _like(shape, profiles.at(chosen), profiles), chamfer_slope)
     sound = _is_sound(final, profiles)
     if not sound.all() and sound.any():
@@ -193,7 +196,7 @@ def fit_gap(profiles: Profiles, chamfer_slope: float, floors: Sequence[Floor]) -
         leans=shape.shared[LEAN] + profiles.places * shape.shared[LEAN_CHANGE],
         sealed=shape.floor.sealed,
         sigma_own_mm=own * _excess_scatter(widths, own),
-        sigma_common_mm=_common_sigma(shape, profiles.ambient),
+        sigma_common_mm=float(np.hypot(_common_sigma(shape, profiles.ambient), doubt)),
         sound=sound,
     )
 
@@ -202,27 +205,38 @@ def _evenly(n: int, most: int) -> Indices:
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
 
 
-def _fit_shape(profiles: Profiles, chosen: Indices, slope: float, floors: Sequence[Floor]) -> _State:
-    """The most likely shape from several starts; without chamfers where they are not proven."""
+def _fit_shape(profiles: Profiles, chosen: Indices, slope: float, floors: Sequence[Floor]) -> tuple[_State, float]:
+    """The most likely shape from several starts, and what the doubt about chamfers adds to the width's σ.
+
+    Without chamfers where they are not proven.
+    """
     few, some = profiles.at(chosen[_evenly(len(chosen), _START_STATIONS)]), profiles.at(chosen)
     ambient = profiles.ambient
-    best = min(_first_looks(few, slope, floors), key=lambda look: _total(look, ambient))
+    best = min(
+        _first_looks(few, slope, floors), key=lambda look: _posterior_cost(look, _Knowledge(ambient, look.floor))
+    )
     free = _descend(some, _like(best, few, some), best.shared, best.floor, slope, 30)
     if best.floor.sealed:
-        return free
+        return free, 0.0
     bare = free.shared.copy()
     bare[[WIDTH_A, WIDTH_B]] = 0.0
     inwards = 0.5 * free.shared[[WIDTH_A, WIDTH_B]] * [1.0, -1.0]
     plain = _descend(some, free.borders + inwards, bare, free.floor, slope, 30, (WIDTH_A, WIDTH_B))
     limit = _DOUBTFUL * float(np.median(free.costs))
-    return plain if _trusted_cost(plain, limit) - _trusted_cost(free, limit) < _PROOF else free
+    bare_knowledge = _Knowledge(ambient, free.floor, (WIDTH_A, WIDTH_B))
+    worse = _posterior_cost(plain, bare_knowledge, limit) - _posterior_cost(
+        free, _Knowledge(ambient, free.floor), limit
+    )
+    doubt = 1.0 / (1.0 + np.exp(0.5 * abs(worse - _PROOF)))
+    spread = float(np.sqrt(doubt * (1 - doubt))) * abs(_mean_width(plain) - _mean_width(free))
+    return (plain if worse < _PROOF else free), spread
 
 
 def _first_looks(few: Profiles, slope: float, floors: Sequence[Floor]) -> list[_State]:
     """Fits of a few stations from every start."""
     looks = []
     for floor in floors:
-        usual = _Knowledge(few.ambient, floor, ()).mean
+        usual = _Knowledge(few.ambient, floor).mean
         depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else usual[[DEPTH]]
         for depth in depths:
             for chamfer in (0.0,) if floor.sealed else _START_CHAMFERS_MM:
@@ -239,9 +253,16 @@ def _like(found: _State, stations: Profiles, others: Profiles) -> Array:
     return np.asarray(np.outer(others.half_widths, [-1.0, 1.0]) + shift)
 
 
-def _total(state: _State, ambient: Array) -> float:
-    limit = _DOUBTFUL * float(np.median(state.costs))
-    return _trusted_cost(state, limit) + _Knowledge(ambient, state.floor, ()).cost(state.shared)
+def _posterior_cost(state: _State, known: _Knowledge, limit: float | None = None) -> float:
+    """What the pictures and what is known beforehand have against a state; doubtful stations from `limit` on."""
+    limit = _DOUBTFUL * float(np.median(state.costs)) if limit is None else limit
+    return _trusted_cost(state, limit) + known.cost(state.shared)
+
+
+def _mean_width(state: _State) -> float:
+    """Median of the stations' widths, mm."""
+    between = state.borders[:, 1] - state.borders[:, 0]
+    return float(np.median(between) - state.shared[WIDTH_A] - state.shared[WIDTH_B])
 
 
 def _levels_beforehand(ambient: float) -> list[tuple[float, float]]:

@@ -53,9 +53,9 @@ def _outline(outline, sealed, tilt, slope, x, h):  # type: ignore[no-untyped-def
     x[6], h[6] = b, -tilt[0] - tilt[1] * b
     x[5], h[5] = b - wide_b + lean * slope * wide_b, h[6] - slope * wide_b
     x[7], h[7] = b + _FAR_MM, h[6]
-    # Sealant joins both edges; an open gap's floor is level.
-    h[3] = h[2] if sealed else min(-depth, h[2])
-    h[4] = h[5] if sealed else min(-depth, h[5])
+    # Sealant joins both edges, or lies as deep below each; an open gap's floor is level.
+    h[3] = h[2] - depth if sealed else min(-depth, h[2])
+    h[4] = h[5] - depth if sealed else min(-depth, h[5])
     x[3], x[4] = x[2] + lean * (h[2] - h[3]), x[5] + lean * (h[5] - h[4])
 
 
