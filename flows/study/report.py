@@ -20,6 +20,12 @@ SIMULATED = (
 )
 
 
+_STYLE = """
+.study { overflow-x: auto; } .study th[colspan] { border-left: 2px solid #d7dde3; }
+.study thead tr + tr th, .study td { padding: .2em .5em; font-size: .9em; }
+"""
+
+
 def write_report(out: Path, title: str, lead: Sequence[str], sections: Sequence[Section]) -> Path:
     """Write report.html, report.md and tables/*.csv into a folder; returns the HTML file."""
     bars = [bar for section in sections for bar in section.bars]
@@ -50,7 +56,11 @@ def _markdown(title: str, lead: Sequence[str], sections: Sequence[Section]) -> s
 
 
 def _html(title: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
-    parts = [f"<script>{get_plotlyjs()}</script>", f"<h1>{escape(title)}</h1>", *_paragraphs(lead)]
+    parts = [
+        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script>",
+        f"<h1>{escape(title)}</h1>",
+        *_paragraphs(lead),
+    ]
     for section in sections:
         parts += [f"<h2>{escape(section.title)}</h2>", *_paragraphs(section.text)]
         parts += [_table(table) for table in section.tables if table.shown]
@@ -69,7 +79,7 @@ def _table(table: Table) -> str:
     if any(column.group for column in table.columns):
         body = body.replace("<thead>", f"<thead>{_group_heads(table)}", 1)
     caption = f'{escape(table.title)} (<a href="tables/{table.name}.csv">CSV</a>)'
-    return f'<h3>{caption}</h3><div style="overflow-x: auto">{body}</div>'
+    return f'<h3>{caption}</h3><div class="study">{body}</div>'
 
 
 def _group_heads(table: Table) -> str:
