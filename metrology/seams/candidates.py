@@ -61,7 +61,8 @@ class Candidate:
 
 def relative_brightness(texture: ArrayLike) -> Float32:
     """(h, w) texture over its local mean: exposure-fused scans span orders of magnitude, lines stand out by ratio."""
-    grey = np.nan_to_num(np.asarray(texture, np.float32))
+    grey = np.array(texture, np.float32)
+    cv2.patchNaNs(grey, 0.0)
     small = cv2.resize(grey, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
     size = max(3, (_BACKGROUND_PX // 8) | 1)
     mean = cv2.blur(small, (size, size), borderType=cv2.BORDER_REFLECT)

@@ -68,12 +68,13 @@ def smoothed(points: Array, scale_px: float, weights: ArrayLike | None = None) -
     kernel = np.exp(-0.5 * d * d)
     if weights is not None:
         kernel *= np.maximum(np.asarray(weights, float), _LEAST_WEIGHT)
-    moments = [np.sum(kernel * d**k, axis=1) for k in range(5)]
+    d2 = d * d
+    moments = [np.sum(kernel * power, axis=1) for power in (1.0, d, d2, d * d2, d2 * d2)]
     normal = np.stack([np.stack(moments[k : k + 3], axis=-1) for k in range(3)], axis=1)
     # A little stiffness where too few neighbours are left for a parabola.
     normal += 1e-9 * moments[0][:, None, None] * np.eye(3)
     first = np.linalg.solve(normal, np.broadcast_to([[1.0], [0.0], [0.0]], (len(points), 3, 1)))[..., 0]
-    influence = kernel * (first[:, :1] + first[:, 1:2] * d + first[:, 2:] * d * d)
+    influence = kernel * (first[:, :1] + first[:, 1:2] * d + first[:, 2:] * d2)
     return np.asarray(influence @ points)
 
 

@@ -7,15 +7,13 @@ disagree with their neighbours' (a rivet, a highlight, another seam) do not coun
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.seams.bands import fit_bands
+from metrology.seams.band_kernel import borders_at_nodes
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.polyline import Array, normals, resample, smoothed
-from metrology.seams.sampling import LocalMap, binned, sample
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -32,11 +30,9 @@ _REACH_PX = 7.0
 # much of the band at most.
 _APART_PX = 2.2
 _INNER_PX = 4.0
-# A typical lens; the borders' middle does not depend on it.
+# A typical lens, and a direction between rows and diagonals; the borders' middle depends on neither.
 _BLUR = PixelBlur(lens_px=0.6, spill=0.0)
-# Pixels are binned across the line; fewer of them tell nothing.
-_BIN_PX = 0.25
-_MIN_PIXELS = 60
+_DIRECTION = (float(np.cos(np.pi / 8)), float(np.sin(np.pi / 8)))
 # Nodes are compared with so many neighbours on each side, and may depart so far from their median, px.
 _NEIGHBOURS = 6
 _DEPARTURE_PX = 1.5
@@ -53,7 +49,6 @@ _AHEAD = 6
 _END_RUN = 2
 _FEWEST_NODES = 4
 _LEAST_SHARE = 0.3
-_NOTHING = (np.nan, np.nan, np.nan, np.nan)
 # What the fit does not know of (a border's own roughness) spares no node, px.
 _LEAST_SIGMA_PX = 0.01
 
@@ -174,50 +169,20 @@ def _moved(nodes: Array, fits: _Fits, good: Mask) -> Array:
 
 
 def _fit(relative: Float32, nodes: Array, width_px: float) -> _Fits:
-    across = normals(nodes)
-    # Unequal steps of `resample` and growing do not matter: each node stands for itself.
-    fits = np.array([_borders(relative, node, normal, width_px) for node, normal in zip(nodes, across, strict=True)])
-    return _Fits(*fits.T)
-
-
-def _borders(relative: Float32, node: Array, normal: Array, width: float) -> tuple[float, float, float, float]:
-    """Offset of the band's middle along the normal, its σ, width and contrast; NaN where it is not there."""
-    half = width / 2
-    reach = half + min(_REACH_WIDTHS * width, _MOST_REACH_PX) + _REACH_PX
-    local = LocalMap.in_image(node, normal)
-    x, _, grey = sample(relative, local, -reach, reach, _HALF_PX)
-    if len(x) < _MIN_PIXELS:
-        return _NOTHING
-    x, grey, counts = binned(x, grey, _BIN_PX)
-    response = _response(*np.round(normal, 2))
-    if half < _APART_PX:
-        fit = fit_bands(x, grey, [-half, half], response, counts=counts)
-        if fit is None:
-            return _NOTHING
-        variance = float(fit.covariance.sum())
-        return _band(fit.edges, fit.levels[[0, 2]], float(fit.levels[1]), variance)
+    """Cross-sections at nodes (n, 2): both borders of the band."""
+    half = width_px / 2
+    reach = half + min(_REACH_WIDTHS * width_px, _MOST_REACH_PX) + _REACH_PX
     # The floor of a gap is lit on one side and shadowed on the other: each border sees what is next to it.
-    edges, outside, inside = np.empty(2), np.empty(2), np.empty(2)
-    inner, variance = half - min(half, _INNER_PX), 0.0
-    for k, (side, slopes) in enumerate(((x < -inner, (True, False)), (x > inner, (False, True)))):
-        fit = fit_bands(x[side], grey[side], [(-half, half)[k]], response, slopes=slopes, counts=counts[side])
-        if fit is None:
-            return _NOTHING
-        edges[k], outside[k], inside[k] = fit.edges[0], fit.levels[k], fit.levels[1 - k]
-        variance += float(fit.covariance[0, 0])
-    return _band(edges, outside, float(inside.mean()), variance)
-
-
-@lru_cache(maxsize=512)
-def _response(across_u: float, across_v: float) -> EdgeResponse:
-    """The blurred step across a line of this direction."""
-    return EdgeResponse.along((across_u, across_v), _BLUR)
-
-
-def _band(edges: Array, outside: Array, inside: float, variance: float) -> tuple[float, float, float, float]:
-    """Middle, its σ, width and contrast from borders (`variance` is that of their sum) and levels."""
-    skin = float(outside.mean())
-    if not (skin > 0 and edges[1] > edges[0] and np.ptp(outside) < abs(inside - skin) * 2):
-        return _NOTHING
-    sigma = max(0.5 * float(np.sqrt(max(variance, 0.0))), _LEAST_SIGMA_PX)
-    return float(edges.mean()), sigma, float(edges[1] - edges[0]), inside / skin - 1.0
+    inner = half - min(half, _INNER_PX) if half > _APART_PX else -1.0
+    response = EdgeResponse.along(_DIRECTION, _BLUR)
+    table = np.stack([response.values, response.slopes])
+    rows = np.empty((len(nodes), 6))
+    borders_at_nodes(relative, nodes, normals(nodes), half, reach, _HALF_PX, inner, response.step, table, rows)
+    near, far, variance, near_skin, far_skin, band = rows.T
+    skin = 0.5 * (near_skin + far_skin)
+    with np.errstate(invalid="ignore"):
+        sound = (skin > 0) & (far > near) & (np.abs(near_skin - far_skin) < 2 * np.abs(band - skin))
+    offset, width = 0.5 * (near + far), far - near
+    sigma = np.maximum(0.5 * np.sqrt(np.maximum(variance, 0.0)), _LEAST_SIGMA_PX)
+    contrast = band / np.where(sound, skin, 1.0) - 1.0
+    return _Fits(*(np.where(sound, values, np.nan) for values in (offset, sigma, width, contrast)))

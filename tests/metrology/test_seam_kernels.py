@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 from seam_textures import Band, paint
 
 from metrology.ridges import RidgeMap, gaussian_kernels, ridge_points
-from metrology.seams.bands import _cholesky_solve, _model, _normal_equations, _start_levels, fit_bands
+from metrology.seams.band_kernel import borders_at_nodes, cholesky_solve, gather, model, normal_equations, start_levels
+from metrology.seams.bands import fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.linking import link
 
@@ -129,17 +130,17 @@ def test_band_model_and_its_derivatives(rng):
     parameters = np.array([120.0, 40, 60, 110, 0.8, -0.5, 0.3, -0.2])
     table = np.stack([RESPONSE.values, RESPONSE.slopes])
 
-    def model(x, p):
+    def at(x, p):
         jacobian = np.zeros(8)
-        return _model(x, edges, ties, RESPONSE.step, table, p, jacobian), jacobian
+        return model(x, edges, ties, RESPONSE.step, table, p, jacobian), jacobian
 
     for x in rng.uniform(-8, 8, 60):
-        value, jacobian = model(x, parameters)
+        value, jacobian = at(x, parameters)
         plain = bands_in_numpy(x, parameters[:4], parameters[4:6], edges + ties @ parameters[6:])
         # The kernel interpolates the table by cubics.
         assert value == pytest.approx(plain, abs=0.02)
         steps = 1e-4 * np.eye(8)
-        numeric = [(model(x, parameters + h)[0] - model(x, parameters - h)[0]) / 2e-4 for h in steps]
+        numeric = [(at(x, parameters + h)[0] - at(x, parameters - h)[0]) / 2e-4 for h in steps]
         assert jacobian == pytest.approx(numeric, abs=0.05)
 
 
@@ -152,12 +153,12 @@ def test_normal_equations_and_their_solution(rng):
     table = np.stack([RESPONSE.values, RESPONSE.slopes])
     free = np.array([1, 1, 1, 1, 0, 1, 1], bool)
     residuals, limit = np.empty(80), 9.0
-    cost, normal, gradient = _normal_equations(
+    cost, normal, gradient = normal_equations(
         x, grey, counts, edges, ties, RESPONSE.step, table, parameters, limit, free, residuals
     )
     jacobian = np.zeros((80, 7))
     value = np.array(
-        [_model(a, edges, ties, RESPONSE.step, table, parameters, row) for a, row in zip(x, jacobian, strict=True)]
+        [model(a, edges, ties, RESPONSE.step, table, parameters, row) for a, row in zip(x, jacobian, strict=True)]
     )
     jacobian[:, ~free] = 0
     scaled = np.abs(grey - value) * np.sqrt(counts)
@@ -170,14 +171,14 @@ def test_normal_equations_and_their_solution(rng):
     assert normal == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert gradient == pytest.approx(jacobian.T @ (weight * (grey - value)), rel=1e-6, abs=1e-9)
     solution = np.zeros(7)
-    assert _cholesky_solve(normal.copy(), gradient, solution)
+    assert cholesky_solve(normal.copy(), gradient, solution)
     assert solution == pytest.approx(np.linalg.solve(normal, gradient), rel=1e-6, abs=1e-9)
-    assert not _cholesky_solve(np.diag([1.0, -1.0, 1, 1, 1, 1, 1]), gradient, solution)
+    assert not cholesky_solve(np.diag([1.0, -1.0, 1, 1, 1, 1, 1]), gradient, solution)
 
 
 def test_levels_start_at_the_bands_means():
     x, levels = np.array([-3.0, -2, 0, 1, 3, 4]), np.zeros(4)
-    _start_levels(x, np.array([10.0, 20, 1, 3, 30, 50]), np.array([-1.0, 2.0]), levels)
+    start_levels(x, np.array([10.0, 20, 1, 3, 30, 50]), np.array([-1.0, 2.0]), levels)
     assert levels[:3] == pytest.approx([15, 2, 40])
 
 
@@ -194,3 +195,50 @@ def test_band_fit_equals_scipy_s(rng):
     assert fit.levels == pytest.approx(reference.x[:3], abs=0.05)
     covariance = np.linalg.inv(reference.jac.T @ reference.jac)[5:, 5:] * 2 * reference.cost / (300 - 7)
     assert np.diag(fit.covariance) == pytest.approx(np.diag(covariance), rel=0.05)
+
+
+def test_pixels_gathered_across_a_line(rng):
+    image = rng.uniform(0, 100, (60, 70)).astype(np.float32)
+    node, normal, reach, half_along = np.array([33.3, 28.7]), np.array([0.8, 0.6]), 5.1, 4.0
+    size = int(2 * reach / 0.25) + 1
+    xs, greys, counts = np.empty(size), np.empty(size), np.empty(size)
+    total = gather(image, node, normal, reach, half_along, xs, greys, counts)
+    v, u = np.indices(image.shape)
+    du, dv = u - node[0], v - node[1]
+    x = du * normal[0] + dv * normal[1]
+    window = (np.abs(x) <= reach) & (np.abs(dv * normal[0] - du * normal[1]) <= half_along)
+    bins = ((x[window] + reach) / 0.25).astype(int)
+    held = np.bincount(bins, minlength=size)
+    assert total == window.sum()
+    assert np.array_equal(counts, held)
+    some = held > 0
+    assert xs[some] == pytest.approx(np.bincount(bins, x[window], size)[some] / held[some])
+    assert greys[some] == pytest.approx(np.bincount(bins, image[window], size)[some] / held[some])
+
+
+@pytest.mark.parametrize("inner", [-1.0, 1.0])
+def test_borders_at_nodes_are_those_of_single_fits(inner, rng):
+    band = Band((60, 50), 35, 9.0, 40.0, other_side=5.0)
+    image = paint([band], (100, 120), rng)
+    along = np.array([np.cos(np.deg2rad(35)), np.sin(np.deg2rad(35))])
+    nodes = np.array(band.through) + np.array([[-20.0], [0.0], [22.5]]) * along
+    normals = np.repeat([[-along[1], along[0]]], 3, axis=0)
+    table, rows = np.stack([RESPONSE.values, RESPONSE.slopes]), np.empty((3, 6))
+    borders_at_nodes(image, nodes, normals, 4.5, 14.0, 8.0, inner, RESPONSE.step, table, rows)
+    size = int(2 * 14.0 / 0.25) + 1
+    for node, normal, row in zip(nodes, normals, rows, strict=True):
+        x, grey, counts = np.empty(size), np.empty(size), np.empty(size)
+        gather(image, node, normal, 14.0, 8.0, x, grey, counts)
+        if inner < 0:
+            fit = fit_bands(x[counts > 0], grey[counts > 0], [-4.5, 4.5], RESPONSE, counts=counts[counts > 0])
+            assert row[:3] == pytest.approx([*fit.edges, fit.covariance.sum()], rel=1e-6)
+            assert row[[3, 5, 4]] == pytest.approx(fit.levels)
+            continue
+        for k, side in enumerate((x < -inner, x > inner)):
+            part = side & (counts > 0)
+            start = [(-4.5, 4.5)[k]]
+            fit = fit_bands(x[part], grey[part], start, RESPONSE, slopes=(k == 0, k == 1), counts=counts[part])
+            assert row[k] == pytest.approx(fit.edges[0])
+            assert row[3 + k] == pytest.approx(fit.levels[k])
+    # Borders are where they were painted.
+    assert np.abs(rows[:, :2] - (-4.5, 4.5)).max() < 0.3

@@ -1,0 +1,286 @@
+"""Compiled parts of the band model (`bands`): the model, its least-squares fit, and borders at many nodes of a line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrology.jit import kernel
+
+_ITERATIONS = 40
+# Residuals beyond this many standard deviations lose weight (Huber): specks, not borders that the model misses a
+# little.
+_OUTLIER_SIGMAS = 5.0
+# Pixels are binned across the line; fewer of them tell nothing.
+_BIN_PX = 0.25
+_MIN_PIXELS = 60
+
+
+@kernel
+def borders_at_nodes(  # type: ignore[no-untyped-def]
+    image, nodes, normals, half, reach, half_along, inner, grid, table, out
+):
+    """Both borders of a line at each node, into the rows of `out`: see `refine`.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+    nodes, normals : (n, 2)
+        u, v, and unit vectors across the line.
+    half : float
+        Half the band's expected width, px.
+    reach, half_along : float
+        Half the window across and along the line, px.
+    inner : float
+        Each border is fitted by itself to what lies beyond this distance from the node; if negative, both at once.
+    grid, table : float, (2, m)
+        Step, values and slopes of the blurred unit step.
+    out : (n, 6)
+        Borders, variance of their sum, grey levels beside both borders, grey level between; NaN where there are none.
+    """
+    size = int(2 * reach / _BIN_PX) + 1
+    xs, greys, counts = np.empty(size), np.empty(size), np.empty(size)
+    for node in range(nodes.shape[0]):
+        out[node] = np.nan
+        pixels = gather(image, nodes[node], normals[node], reach, half_along, xs, greys, counts)
+        if pixels < _MIN_PIXELS:
+            continue
+        held = counts > 0
+        x, grey, count = xs[held], greys[held], counts[held]
+        if inner < 0.0:
+            both_borders(x, grey, count, half, grid, table, out[node])
+        else:
+            each_border(x, grey, count, half, inner, grid, table, out[node])
+
+
+@kernel
+def gather(image, node, normal, reach, half_along, xs, greys, counts):  # type: ignore[no-untyped-def]
+    """Bin the pixels of a window by their distance across; mean distance, mean grey level, number; returns how many."""
+    height, width = image.shape
+    xs[:], greys[:], counts[:] = 0.0, 0.0, 0.0
+    span = reach + half_along
+    total = 0
+    for v in range(max(0, int(node[1] - span)), min(height, int(node[1] + span) + 2)):
+        for u in range(max(0, int(node[0] - span)), min(width, int(node[0] + span) + 2)):
+            du, dv = u - node[0], v - node[1]
+            x = du * normal[0] + dv * normal[1]
+            if abs(x) > reach or abs(dv * normal[0] - du * normal[1]) > half_along:
+                continue
+            k = int((x + reach) / _BIN_PX)
+            xs[k] += x
+            greys[k] += image[v, u]
+            counts[k] += 1.0
+            total += 1
+    for k in range(xs.size):
+        if counts[k] > 0:
+            xs[k] /= counts[k]
+            greys[k] /= counts[k]
+    return total
+
+
+@kernel
+def both_borders(x, grey, count, half, grid, table, row):  # type: ignore[no-untyped-def]
+    """A band whose borders' blurs overlap: one level between two sloping sides."""
+    free = np.ones(7, np.bool_)
+    if x.size < 2 * free.size:
+        return
+    edges = np.array([-half, half])
+    parameters, normal, cost, good = fit(x, grey, count, edges, np.eye(2), grid, table, free)
+    if not good:
+        return
+    direction, solved = np.zeros(7), np.zeros(7)
+    direction[5:] = 1.0
+    if cholesky_solve(normal, direction, solved):
+        row[:2] = edges + parameters[5:]
+        row[2] = cost / (x.size - 7) * (solved[5] + solved[6])
+        row[3], row[4], row[5] = parameters[0], parameters[2], parameters[1]
+
+
+@kernel
+def each_border(x, grey, count, half, inner, grid, table, row):  # type: ignore[no-untyped-def]
+    """Borders one by one: a sloping side and the level next to it in the band."""
+    found = np.empty(6)
+    found[2], found[5] = 0.0, 0.0
+    for k in range(2):
+        side = x < -inner if k == 0 else x > inner
+        part, free = x[side], np.ones(5, np.bool_)
+        free[3 - k] = False
+        if part.size < 2 * free.size:
+            return
+        edge = np.full(1, -half if k == 0 else half)
+        parameters, normal, cost, good = fit(part, grey[side], count[side], edge, np.eye(1), grid, table, free)
+        direction, solved = np.zeros(5), np.zeros(5)
+        direction[4] = 1.0
+        if not (good and cholesky_solve(normal, direction, solved)):
+            return
+        found[k] = edge[0] + parameters[4]
+        found[2] += cost / (part.size - 4) * solved[4]
+        found[3 + k] = parameters[k]
+        found[5] += 0.5 * parameters[1 - k]
+    row[:] = found
+
+
+@kernel
+def fit(x, grey, count, edges, tie, grid, table, free):  # type: ignore[no-untyped-def]
+    """Levenberg–Marquardt on [levels, two slopes, shifts]: first on all pixels, then with outliers losing weight."""
+    size = free.size
+    trial = np.zeros(size)
+    start_levels(x, grey, edges, trial)
+    parameters, step = trial.copy(), np.zeros(size)
+    normal, gradient = np.eye(size), np.zeros(size)
+    residuals = np.empty(x.size)
+    cost, limit, damping = np.inf, np.inf, 1e-3
+    trusting, good = True, False
+    for _iteration in range(_ITERATIONS):
+        trial_cost, trial_normal, trial_gradient = normal_equations(
+            x, grey, count, edges, tie, grid, table, trial, limit, free, residuals
+        )
+        settled = False
+        if trial_cost <= cost:
+            settled = cost - trial_cost < 1e-5 * cost
+            parameters, cost, normal, gradient = trial, trial_cost, trial_normal, trial_gradient
+            damping = max(damping * 0.1, 1e-9)
+        else:
+            damping *= 10.0
+            # Where no downhill step is left, this is the minimum, to rounding.
+            settled = damping > 1e6
+        if settled and not trusting:
+            good = True
+            break
+        if settled:
+            # Once more, by another measure of cost.
+            trusting = False
+            limit = _OUTLIER_SIGMAS * 1.4826 * np.median(residuals) + 1e-9
+            trial, cost, damping = parameters, np.inf, 1e-3
+            continue
+        damped = normal.copy()
+        for i in range(size):
+            damped[i, i] *= 1.0 + damping
+        if not cholesky_solve(damped, gradient, step):
+            break
+        trial = parameters + step
+    return parameters, normal, cost, good
+
+
+@kernel
+def start_levels(x, grey, edges, parameters):  # type: ignore[no-untyped-def]
+    """Mean grey level of each band where the borders are expected to be."""
+    m = edges.size
+    overall = grey.mean()
+    for band in range(m + 1):
+        low = -np.inf if band == 0 else edges[band - 1]
+        high = np.inf if band == m else edges[band]
+        total, count = 0.0, 0
+        for i in range(x.size):
+            if low <= x[i] < high:
+                total += grey[i]
+                count += 1
+        parameters[band] = total / count if count > 0 else overall
+
+
+@kernel
+def model(position, edges, tie, grid, table, parameters, jacobian):  # type: ignore[no-untyped-def]
+    """I(x) and its derivatives by all parameters."""
+    m = edges.size
+    groups = tie.shape[1]
+    first = m + 3
+    nodes = table.shape[1]
+    jacobian[:] = 0.0
+    value = parameters[0]
+    jacobian[0] = 1.0
+    for k in range(m):
+        edge = edges[k]
+        for q in range(groups):
+            edge += tie[k, q] * parameters[first + q]
+        away = position - edge
+        # The tabulated step between its nodes: cubic, by values and slopes.
+        place = away / grid + nodes // 2
+        if place <= 0.0:
+            response, density = 0.0, 0.0
+        elif place >= nodes - 1:
+            response, density = 1.0, 0.0
+        else:
+            i = int(place)
+            f = place - i
+            s0, s1 = table[0, i], table[0, i + 1]
+            d0, d1 = table[1, i], table[1, i + 1]
+            response = s0 + f * f * (3.0 - 2.0 * f) * (s1 - s0)
+            response += grid * f * (1.0 - f) * ((1.0 - f) * d0 - f * d1)
+            density = d0 + f * (d1 - d0)
+        jump = parameters[k + 1] - parameters[k]
+        value += jump * response
+        jacobian[k + 1] += response
+        jacobian[k] -= response
+        by_edge = -jump * density
+        if k == 0:
+            value += parameters[m + 1] * away * (1.0 - response)
+            jacobian[m + 1] = away * (1.0 - response)
+            by_edge += parameters[m + 1] * (away * density - (1.0 - response))
+        if k == m - 1:
+            value += parameters[m + 2] * away * response
+            jacobian[m + 2] = away * response
+            by_edge -= parameters[m + 2] * (response + away * density)
+        for q in range(groups):
+            jacobian[first + q] += tie[k, q] * by_edge
+    return value
+
+
+@kernel
+def normal_equations(  # type: ignore[no-untyped-def]
+    x, grey, count, edges, tie, grid, table, parameters, limit, free, residuals
+):
+    """Huber's cost of the residuals; JᵀWJ and JᵀWr, with what is not free as in the identity."""
+    size = parameters.size
+    normal, gradient, jacobian = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    cost = 0.0
+    for i in range(x.size):
+        residual = grey[i] - model(x[i], edges, tie, grid, table, parameters, jacobian)
+        # In units of a single pixel's noise.
+        scaled = abs(residual) * np.sqrt(count[i])
+        residuals[i] = scaled
+        weight = count[i]
+        if scaled > limit:
+            weight *= limit / scaled
+            cost += limit * (2.0 * scaled - limit)
+        else:
+            cost += scaled * scaled
+        for a in range(size):
+            if not free[a]:
+                jacobian[a] = 0.0
+            weighted = weight * jacobian[a]
+            gradient[a] += weighted * residual
+            for b in range(a + 1):
+                normal[a, b] += weighted * jacobian[b]
+    for a in range(size):
+        if not free[a]:
+            normal[a, a] = 1.0
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+    return cost, normal, gradient
+
+
+@kernel
+def cholesky_solve(matrix, right, solution):  # type: ignore[no-untyped-def]
+    """Solve by Cholesky, in place; False where the matrix is not positive definite."""
+    size = right.size
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 1e-12 * (1e-12 + matrix[i, i]):
+                    return False
+                matrix[i, i] = np.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    for i in range(size):
+        total = right[i]
+        for k in range(i):
+            total -= matrix[i, k] * solution[k]
+        solution[i] = total / matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, size):
+            total -= matrix[k, i] * solution[k]
+        solution[i] = total / matrix[i, i]
+    return True
