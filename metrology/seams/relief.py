@@ -112,25 +112,24 @@ def examine_relief(
     rows = (chosen[:, None] * _PIECE_ROWS + np.arange(_PIECE_ROWS)).ravel()
     strip = strip.rows(rows)
 
-    def piecewise(image: NDArray[np.generic]) -> Array:
-        return strip.nearest(np.asarray(image, np.float32)).reshape(len(chosen), -1).astype(float)
-
+    v, u, inside = (index.reshape(len(chosen), -1) for index in strip.pixels(usable.shape))
     x = np.tile(strip.x, _PIECE_ROWS)
     y = np.repeat(_STEP_PX * (np.arange(_PIECE_ROWS) - (_PIECE_ROWS - 1) / 2), len(strip.x))
-    z = piecewise(reconstruction.points[..., 2])
-    skin = (piecewise(usable) > 0.5) & (np.abs(x) > inner)
-    saturated = piecewise((reconstruction.flags & np.uint16(PixelFlag.SATURATED)) != 0) > 0.5
-    both, evident = _evidence(x, skin, saturated & (np.abs(x) > inner))
+    beside = inside & (np.abs(x) > inner)
+    skin = beside & usable[v, u]
+    saturated = beside & ((reconstruction.flags[v, u] & np.uint16(PixelFlag.SATURATED)) != 0)
+    both, evident = _evidence(x, skin, saturated)
     if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
         return Relief(float(both.sum() / max(evident.sum(), _FEWEST_PIECES)))
-    z, skin = z[both], skin[both]
+    v, u, skin = v[both], u[both], skin[both]
+    z = np.where(inside[both], reconstruction.points[v, u, 2].astype(float), np.nan)
     sides = _fit_sides(x, y, z, skin)
     joined = np.abs(sides.step_mm) < _MAX_STEP_MM
     skin_share = float(joined.sum() / evident.sum())
     if skin_share < _SKIN_SHARE:
         return Relief(skin_share)
     between = np.abs(x) <= max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
-    depth, sigma = _depth(x, y, z, piecewise(reconstruction.left.texture)[both], skin, sides, between)
+    depth, sigma = _depth(x, y, z, reconstruction.left.texture[v, u], skin, sides, between)
     depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * sigma)[joined]
     step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
     step, depth = sides.step_mm[joined], depth[joined]

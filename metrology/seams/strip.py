@@ -58,14 +58,14 @@ class Strip:
 
     def smooth(self, image: Float32) -> Float32:
         """(n, m) image at the places, bilinear; NaN outside it."""
-        return self._look_up(image, cv2.INTER_LINEAR)
-
-    def nearest(self, image: Float32) -> Float32:
-        """(n, m) image at the pixels nearest to the places; NaN outside it."""
-        return self._look_up(image, cv2.INTER_NEAREST)
-
-    def _look_up(self, image: Float32, interpolation: int) -> Float32:
         values = cv2.remap(
-            image, self.u, self.v, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+            image, self.u, self.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
         )
         return np.asarray(values, np.float32)
+
+    def pixels(self, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """(n, m) rows and columns of the pixels nearest to the places, kept in the image, and whether they are in it."""
+        rows, columns = (np.rint(coordinate).astype(np.intp) for coordinate in (self.v, self.u))
+        height, width = shape[:2]
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        return np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1), inside
