@@ -1,9 +1,8 @@
 """How a camera blurs a straight edge: lens, pixel aperture, and light that spills into neighbouring pixels.
 
-A border's position is as good as this model where another border (a chamfer's) lies within the blur. The point
-spread is
-taken as a Gaussian (lens) folded with the pixel's square aperture and with ``[q, 1 − 2q, q]`` along rows and columns
-(spill: halation, sensor cross-talk, sharpening if negative). An edge in any direction sees its projection.
+A border's position is as good as this model where another border (a chamfer's) lies within the blur. The point spread
+is taken as a Gaussian (lens) folded with the pixel's square aperture and with ``[q, 1 − 2q, q]`` along rows and columns
+(spill: halation, sensor cross-talk). An edge in any direction sees its projection.
 """
 
 from __future__ import annotations
@@ -80,23 +79,22 @@ def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int
 
 @kernel
 def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-untyped-def]
-    """A Gaussian edge folded with two boxes (differences of its second antiderivative) and with the spill."""
+    """A Gaussian edge folded with two boxes (differences of its second antiderivative) and with the spill.
+
+    Along one axis, box and spill together difference it at ±½ and ±1½ pixels.
+    """
     values, slopes = np.zeros(2 * half + 1), np.zeros(2 * half + 1)
-    for i in range(-1, 2):
-        for j in range(-1, 2):
-            weight = (spill if i != 0 else 1.0 - 2.0 * spill) * (spill if j != 0 else 1.0 - 2.0 * spill)
+    shares = (-spill, 3.0 * spill - 1.0, 1.0 - 3.0 * spill, spill)
+    for i in range(4):
+        for j in range(4):
+            weight = shares[i] * shares[j] / (side_u * side_v)
             if weight == 0.0:
                 continue
-            weight /= side_u * side_v
-            for corner in range(4):
-                du = 0.5 if corner % 2 == 0 else -0.5
-                dv = 0.5 if corner < 2 else -0.5
-                offset = (du - i) * side_u + (dv - j) * side_v
-                signed = weight if du == dv else -weight
-                for k in range(values.size):
-                    t = ((k - half) * step + offset) / sigma
-                    phi = 0.3989422804014327 * np.exp(-0.5 * t * t)
-                    cdf = 0.5 * (1.0 + math.erf(t * 0.7071067811865476))
-                    values[k] += signed * 0.5 * sigma * sigma * ((t * t + 1.0) * cdf + t * phi)
-                    slopes[k] += signed * sigma * (t * cdf + phi)
+            offset = (i - 1.5) * side_u + (j - 1.5) * side_v
+            for k in range(values.size):
+                t = ((k - half) * step + offset) / sigma
+                phi = 0.3989422804014327 * np.exp(-0.5 * t * t)
+                cdf = 0.5 * (1.0 + math.erf(t * 0.7071067811865476))
+                values[k] += weight * 0.5 * sigma * sigma * ((t * t + 1.0) * cdf + t * phi)
+                slopes[k] += weight * sigma * (t * cdf + phi)
     return values, slopes

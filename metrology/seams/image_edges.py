@@ -50,7 +50,7 @@ def image_edges(
     depths = slope * fit.chamfers_mm
     for row, station in enumerate(profiles.stations):
         if not fit.sound[row]:
-            gaps[station] = "the gap looks unlike the rest of the seam"
+            gaps[station] = "the gap looks unlike the rest of the seam: a hole, another seam or dirt"
             continue
         shift = fit.leans[row] * depths
         a = GapEdge(float(fit.borders[row, 0] + fit.chamfers_mm[0] + shift[0]), float(depths[0]))

@@ -1,14 +1,12 @@
 """Cross-sections of a seam: a plane across it at each station, and the two skin lines in that plane (paper §4.2,
 Fig. 7).
 
-The points within ε_d of the plane are projected onto it. Each side has its line ``h = c_0 + c_1 x + c_2 x²``; both
-sides
-share the curvature c_2 (one skin, bent as a whole), which a strip of a dozen millimetres on one side alone determines
-poorly. A slope along the seam on each side takes out what the strip's finite length would smear.
+The points within ε_d of the plane are projected onto it, and each side gets its line (`skin_lines`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +14,18 @@ from numpy.typing import NDArray
 
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.jit import kernel
+from metrology.seams.plates import beyond
+from metrology.seams.skin_lines import SkinFit, fit_skin_lines
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 6
-_CLIP_SIGMAS = 4.0
-# Skin lies this near to the frame's plane while the frame is being turned into it.
-_SKIN_BAND_MM = (6.0, 3.0, 3.0)
+# The frame is turned into the skin on every so many points.
+_SPARSE = 4
+# Skin lies this near to the frame's plane, and while the frame is being turned into it.
+_SKIN_BAND_MM = 3.0
+_TURNING_BANDS_MM = (6.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -62,15 +63,15 @@ class Section:
     a, b : SkinLine
     covariance : (5, 5) ndarray
         Of a's c_0, c_1, b's c_0, c_1 and the common c_2.
-    chi : float
-        Residuals over their expected standard deviation; 1 where σ is right.
+    clumping : float
+        By how much sums of neighbouring points' errors vary more than independent points' would.
     """
 
     frame: Frame
     a: SkinLine
     b: SkinLine
     covariance: Array
-    chi: float
+    clumping: float
 
     def point(self, x: float, h: float, y: float = 0.0) -> Array:
         """(3,) rig-frame point of section coordinates."""
@@ -148,53 +149,6 @@ def _strip(points, sigma_z, usable, centre, radius, origin, axes, half_length, e
     return out[:count]
 
 
-def fit_skin_lines(
-    points: Array, inner_a: float, inner_b: float, max_height: float
-) -> tuple[Array, Array, float, int, int] | None:
-    """Both skin lines at once by weighted least squares with outliers clipped.
-
-    Parameters
-    ----------
-    points : (n, ≥4) ndarray
-        x, y, h, σ_h.
-    inner_a, inner_b : float
-        Side A is x < inner_a, side B is x > inner_b, mm.
-    max_height : float
-        Points farther from h = 0 than this are not skin.
-
-    Returns
-    -------
-    coefficients (7,), covariance (7, 7), chi, n_a, n_b, or None
-        Of a's c_0, c_1, b's c_0, c_1, common c_2, slopes along the seam on A and B.
-    """
-    x, y, h, sigma = points[:, :4].T
-    side_a, side_b = x < inner_a, x > inner_b
-    keep = (side_a | side_b) & (np.abs(h) < max_height)
-    if min((keep & side_a).sum(), (keep & side_b).sum()) < 10:
-        return None
-    design = np.stack([side_a, x * side_a, side_b, x * side_b, x * x, y * side_a, y * side_b], axis=-1)
-    weighted, target = design / sigma[:, None], h / sigma
-    solution = np.zeros(7)
-    spread = 1.0
-    for _ in range(_ROUNDS):
-        kept = weighted[keep]
-        normal = kept.T @ kept
-        try:
-            solution = np.linalg.solve(normal, kept.T @ target[keep])
-        except np.linalg.LinAlgError:
-            return None
-        residual = target - weighted @ solution
-        spread = 1.4826 * float(np.median(np.abs(residual[keep]))) + 1e-9
-        now = (side_a | side_b) & (np.abs(residual) < _CLIP_SIGMAS * spread)
-        if min((now & side_a).sum(), (now & side_b).sum()) < 10:
-            return None
-        if np.array_equal(now, keep):
-            break
-        keep = now
-    covariance = np.linalg.inv(normal) * spread**2
-    return solution, covariance, spread, int((keep & side_a).sum()), int((keep & side_b).sum())
-
-
 def section_at(
     reconstruction: Reconstruction,
     usable: Mask,
@@ -206,6 +160,7 @@ def section_at(
     outer: tuple[float, float],
     half_length: float,
     min_points: int,
+    other_courses: Sequence[Array] = (),
 ) -> Section | str:
     """The section of a station, or the reason why there is none.
 
@@ -224,28 +179,34 @@ def section_at(
         ε_d, mm.
     min_points : int
         Fewest points of a skin line.
+    other_courses : sequence of (m, 2) ndarray
+        Other seams' courses in the left image: what lies beyond them is another plate.
     """
-    view = origin / np.linalg.norm(origin)
-    frame = _frame(origin, direction, towards_b, -view)
-    for turn in range(3):
-        points = strip(reconstruction, usable, centre_px, frame, half_length, max(outer))
-        side_ok = np.where(points[:, 0] < 0, -points[:, 0] <= outer[0], points[:, 0] <= outer[1])
-        fitted = fit_skin_lines(points[side_ok], -inner[0], inner[1], _SKIN_BAND_MM[turn])
-        if fitted is None:
+
+    def fitted(frame: Frame, band: float, every: int) -> SkinFit | None:
+        points = strip(reconstruction, usable, centre_px, frame, half_length, max(outer))[::every]
+        points = points[np.where(points[:, 0] < 0, -points[:, 0] <= outer[0], points[:, 0] <= outer[1])]
+        if other_courses:
+            v, u = np.divmod(points[:, 4], usable.shape[1])
+            points = points[~beyond(np.stack([u, v], axis=1), centre_px, other_courses)]
+        return fit_skin_lines(points, -inner[0], inner[1], band)
+
+    frame = _frame(origin, direction, towards_b, -origin / np.linalg.norm(origin))
+    for band in _TURNING_BANDS_MM:
+        fit = fitted(frame, band, _SPARSE)
+        if fit is None:
             return "too few points of skin beside the seam"
-        solution, covariance, chi, n_a, n_b = fitted
-        slope = 0.5 * (solution[1] + solution[3])
-        along = 0.5 * (solution[5] + solution[6])
-        if turn == 2:
-            break
-        normal = frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1]
-        frame = _frame(origin, direction, towards_b, normal)
-    if min(n_a, n_b) < min_points:
-        side, n = ("A", n_a) if n_a <= n_b else ("B", n_b)
+        slope, along = 0.5 * (fit.solution[1] + fit.solution[3]), 0.5 * (fit.solution[5] + fit.solution[6])
+        frame = _frame(origin, direction, towards_b, frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1])
+    fit = fitted(frame, _SKIN_BAND_MM, 1)
+    if fit is None:
+        return "too few points of skin beside the seam"
+    if min(fit.n_a, fit.n_b) < min_points:
+        side, n = ("A", fit.n_a) if fit.n_a <= fit.n_b else ("B", fit.n_b)
         return f"{n} points of skin on side {side}, {min_points} needed"
-    a = SkinLine(np.array([solution[0], solution[1], solution[4]]), n_a)
-    b = SkinLine(np.array([solution[2], solution[3], solution[4]]), n_b)
-    return Section(frame, a, b, covariance[:5, :5], chi)
+    a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
+    b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
+    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping)
 
 
 def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:

@@ -13,6 +13,7 @@ from metrology.cloud import Reconstruction
 from metrology.results import Rivet, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
+from metrology.seams.plates import coarse_course, gap_mask
 from metrology.seams.point_edges import point_edges
 from metrology.seams.sections import Section, section_at, usable_points
 from metrology.seams.settings import SeamSettings
@@ -25,9 +26,6 @@ Mask = NDArray[np.bool_]
 _COVERAGE_95 = 1.96
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
-# Neighbouring points share pixels of the matched phase: their noise averages out more slowly than if they were
-# independent.
-_CORRELATION = 1.4
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,29 @@ class _Station:
     pixel: Array
     half_width_mm: float
     section: Section | str
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What a seam is measured on.
+
+    Attributes
+    ----------
+    reconstruction : Reconstruction
+    clear : (h, w) ndarray of bool
+        Points that may carry a skin line, off rivets and other seams.
+    heads : (h, w) ndarray of bool
+        Rivet heads and what is close around them.
+    other_courses : list of (m, 2) ndarray
+        Of the other seams, left image.
+    settings : SeamSettings
+    """
+
+    reconstruction: Reconstruction
+    clear: Mask
+    heads: Mask
+    other_courses: list[Array]
+    settings: SeamSettings
 
 
 def measure_seams(
@@ -65,15 +86,17 @@ def measure_seams(
     usable = usable_points(reconstruction)
     heads = rivet_mask(rivets, usable.shape)
     usable &= ~heads
-    tracks = {
-        line.seam_id: lay_on_skin(oriented(line.centre_px), line.width_px, reconstruction, usable, settings.guard_px)
-        for line in lines
-        if line.relief
-    }
+    seams = [line for line in lines if line.relief]
     stations = []
-    for seam_id, track in tracks.items():
+    for seam in seams:
+        others = [other for other in seams if other is not seam]
+        clear = usable.copy() if others else usable
+        for other in others:
+            clear &= ~gap_mask(other, settings.guard_px, usable.shape)
+        track = lay_on_skin(oriented(seam.centre_px), seam.width_px, reconstruction, clear, settings.guard_px)
         if track is not None:
-            stations += _measure_seam(seam_id, track, reconstruction, usable, heads, settings)
+            ground = _Ground(reconstruction, clear, heads, [coarse_course(other) for other in others], settings)
+            stations += _measure_seam(seam.seam_id, track, ground)
     return stations
 
 
@@ -87,18 +110,17 @@ def rivet_mask(rivets: Sequence[Rivet], shape: tuple[int, ...]) -> Mask:
     return mask.astype(bool)
 
 
-def _measure_seam(
-    seam_id: str, track: Track, reconstruction: Reconstruction, usable: Mask, heads: Mask, settings: SeamSettings
-) -> list[SeamStation]:
+def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStation]:
+    settings, reconstruction = ground.settings, ground.reconstruction
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
-    stations = [_place(track, float(s), reconstruction, usable, heads, settings) for s in places]
+    stations = [_place(track, float(s), ground) for s in places]
     sections = [station.section if isinstance(station.section, Section) else None for station in stations]
     half_widths = [station.half_width_mm for station in stations]
     if settings.edges == "points":
         gaps = point_edges(
             sections,
             reconstruction,
-            reconstruction.valid & ~heads,
+            reconstruction.valid & ~ground.heads,
             settings.half_length_mm,
             max(half_widths) + settings.skin_extent_mm,
             settings.tolerance_sigmas,
@@ -106,26 +128,26 @@ def _measure_seam(
         )
     else:
         gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
-    return [_row(seam_id, station, gap, reconstruction) for station, gap in zip(stations, gaps, strict=True)]
+    # How neighbouring points' errors go together is the same all along; one section tells it poorly.
+    clumping = float(np.median([max(1.0, section.clumping) for section in sections if section is not None] or [1.0]))
+    return [_row(seam_id, station, gap, reconstruction, clumping) for station, gap in zip(stations, gaps, strict=True)]
 
 
-def _place(
-    track: Track, s: float, reconstruction: Reconstruction, usable: Mask, heads: Mask, settings: SeamSettings
-) -> _Station:
+def _place(track: Track, s: float, ground: _Ground) -> _Station:
     """One station's section."""
+    settings = ground.settings
     origin, direction, pixel, width_px = track.at(s)
-    rig = reconstruction.rig
     towards_b = _towards_b(track, origin, direction)
-    ahead = rig.left.project(np.stack([origin, origin + towards_b]))
+    ahead = ground.reconstruction.rig.left.project(np.stack([origin, origin + towards_b]))
     px_mm = float(np.linalg.norm(ahead[1] - ahead[0]))
     half = 0.5 * width_px / px_mm
-    u, v = np.clip(np.round(pixel).astype(int), 0, np.array(heads.shape[::-1]) - 1)
-    if heads[v, u]:
+    u, v = np.clip(np.round(pixel).astype(int), 0, np.array(ground.heads.shape[::-1]) - 1)
+    if ground.heads[v, u]:
         return _Station(s, pixel, half, "over a rivet")
     inner = half + settings.guard_px / px_mm
     section = section_at(
-        reconstruction,
-        usable,
+        ground.reconstruction,
+        ground.clear,
         origin,
         direction,
         towards_b,
@@ -134,6 +156,7 @@ def _place(
         (inner + settings.skin_extent_mm,) * 2,
         settings.half_length_mm,
         settings.min_points,
+        ground.other_courses,
     )
     return _Station(s, pixel, half, section)
 
@@ -148,7 +171,9 @@ def _towards_b(track: Track, origin: Array, direction: Array) -> Array:
     return np.asarray(across / np.linalg.norm(across))
 
 
-def _row(seam_id: str, station: _Station, gap: Gap | str, reconstruction: Reconstruction) -> SeamStation:
+def _row(
+    seam_id: str, station: _Station, gap: Gap | str, reconstruction: Reconstruction, clumping: float
+) -> SeamStation:
     section = station.section
     u, v = (float(x) for x in station.pixel)
     if not isinstance(section, Section):
@@ -167,7 +192,7 @@ def _row(seam_id: str, station: _Station, gap: Gap | str, reconstruction: Recons
         float(pixel[0]),
         float(pixel[1]),
         step_mm=step_height(section, a, b),
-        step_u95_mm=_step_u95(section, a, b),
+        step_u95_mm=_step_u95(section, a, b, clumping),
         n_left=section.a.n,
         n_right=section.b.n,
         reason=gap if isinstance(gap, str) else None,
@@ -181,7 +206,7 @@ def _row(seam_id: str, station: _Station, gap: Gap | str, reconstruction: Recons
     return replace(row, width_mm=width, width_u95_mm=u95)
 
 
-def _step_u95(section: Section, a: float, b: float) -> float:
+def _step_u95(section: Section, a: float, b: float, clumping: float) -> float:
     """Expanded uncertainty of the step, from the skin lines' covariance."""
     gradient = step_gradient(a, b)
-    return _COVERAGE_95 * _CORRELATION * float(np.sqrt(gradient @ section.covariance @ gradient))
+    return _COVERAGE_95 * float(np.sqrt(clumping * (gradient @ section.covariance @ gradient)))

@@ -1,0 +1,180 @@
+"""Both skin lines of a section by weighted least squares (paper §4.2: L1 and L2).
+
+Each side has its line ``h = c_0 + c_1 x + c_2 x²``; both sides share the curvature c_2 (one skin, bent as a whole),
+which a strip of a dozen millimetres on one side alone determines poorly. A slope along the seam on each side takes out
+what the strip's finite length would smear.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.jit import kernel
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 6
+_CLIP_SIGMAS = 4.0
+_MIN_SIDE_POINTS = 10
+# Each side is cut into so many stretches to see whether the residuals of neighbours go together; five of the seven
+# coefficients are as coarse as that and take the stretches' common part with them.
+_STRETCHES = 8
+_COARSE = 5
+
+
+class SkinFit(NamedTuple):
+    """Both skin lines.
+
+    Attributes
+    ----------
+    solution : (7,) ndarray
+        A's c_0, c_1, B's c_0, c_1, common c_2, slopes along the seam on A and B.
+    covariance : (7, 7) ndarray
+        As if the points were independent.
+    chi : float
+        Residuals over their expected standard deviation; 1 where σ is right.
+    n_a, n_b : int
+        Points used.
+    clumping : float
+        Variance of the residuals' sums over a stretch of points, in units of what independent points would give.
+    """
+
+    solution: Array
+    covariance: Array
+    chi: float
+    n_a: int
+    n_b: int
+    clumping: float
+
+
+def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: float) -> SkinFit | None:
+    """Both skin lines at once, outliers clipped; None where there are too few points.
+
+    Parameters
+    ----------
+    points : (n, ≥4) ndarray
+        x, y, h, σ_h.
+    inner_a, inner_b : float
+        Side A is x < inner_a, side B is x > inner_b, mm.
+    max_height : float
+        Points farther from h = 0 than this are not skin.
+    """
+    x, y, h, sigma = (np.ascontiguousarray(column) for column in points[:, :4].T)
+    normal, solution = np.zeros((7, 7)), np.zeros(7)
+    spread, n_a, n_b, clumping, good = _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution)
+    if not good:
+        return None
+    try:
+        covariance = np.linalg.inv(normal) * spread**2
+    except np.linalg.LinAlgError:
+        return None
+    return SkinFit(solution, covariance, spread, n_a, n_b, clumping)
+
+
+@kernel
+def _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution):  # type: ignore[no-untyped-def]
+    """Least squares on what is kept, again and again until that does not change."""
+    n = x.size
+    kept, residual, sizes = np.zeros(n, np.bool_), np.zeros(n), np.empty(n)
+    for i in range(n):
+        kept[i] = (x[i] < inner_a or x[i] > inner_b) and abs(h[i]) < max_height
+    spread, n_a, n_b = 1.0, 0, 0
+    for _round in range(_ROUNDS):
+        if not _solve(x, y, h, sigma, inner_a, kept, normal, solution):
+            return spread, n_a, n_b, 1.0, False
+        count = 0
+        for i in range(n):
+            a = x[i] < inner_a
+            if a or x[i] > inner_b:
+                k = 0 if a else 2
+                fitted = solution[k] + solution[k + 1] * x[i] + solution[4] * x[i] * x[i]
+                residual[i] = (h[i] - fitted - solution[5 if a else 6] * y[i]) / sigma[i]
+                if kept[i]:
+                    sizes[count] = abs(residual[i])
+                    count += 1
+        spread = 1.4826 * np.median(sizes[:count]) + 1e-9
+        n_a, n_b, changed = 0, 0, False
+        for i in range(n):
+            a = x[i] < inner_a
+            now = (a or x[i] > inner_b) and abs(residual[i]) < _CLIP_SIGMAS * spread
+            changed = changed or now != kept[i]
+            kept[i] = now
+            n_a += 1 if now and a else 0
+            n_b += 1 if now and not a else 0
+        if n_a < _MIN_SIDE_POINTS or n_b < _MIN_SIDE_POINTS:
+            return spread, n_a, n_b, 1.0, False
+        if not changed:
+            break
+    return spread, n_a, n_b, _clumping(x, inner_a, inner_b, kept, residual) / spread**2, True
+
+
+@kernel
+def _solve(x, y, h, sigma, inner_a, kept, normal, solution):  # type: ignore[no-untyped-def]
+    """Normal equations and their solution by Cholesky; False where a side has too few points."""
+    row, columns = np.empty(4), np.empty(4, np.int64)
+    lower, right = np.zeros((7, 7)), np.zeros(7)
+    normal[:] = 0.0
+    n_a, n_b = 0, 0
+    for i in range(x.size):
+        if not kept[i]:
+            continue
+        a = x[i] < inner_a
+        n_a += 1 if a else 0
+        n_b += 0 if a else 1
+        columns[0], columns[1], columns[2], columns[3] = 0 if a else 2, 1 if a else 3, 4, 5 if a else 6
+        row[0], row[1], row[2], row[3] = 1.0, x[i], x[i] * x[i], y[i]
+        weight = 1.0 / (sigma[i] * sigma[i])
+        for j in range(4):
+            right[columns[j]] += weight * row[j] * h[i]
+            for k in range(4):
+                normal[columns[j], columns[k]] += weight * row[j] * row[k]
+    if n_a < _MIN_SIDE_POINTS or n_b < _MIN_SIDE_POINTS:
+        return False
+    for i in range(7):
+        for j in range(i + 1):
+            total = normal[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not total > 1e-12 * normal[i, i]:
+                    return False
+                lower[i, i] = math.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    for i in range(7):
+        total = right[i]
+        for k in range(i):
+            total -= lower[i, k] * solution[k]
+        solution[i] = total / lower[i, i]
+    for i in range(6, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, 7):
+            total -= lower[k, i] * solution[k]
+        solution[i] = total / lower[i, i]
+    return True
+
+
+@kernel
+def _clumping(x, inner_a, inner_b, kept, residual):  # type: ignore[no-untyped-def]
+    """Mean square of the stretches' sums over their numbers of points."""
+    low, high = x.min(), x.max()
+    sums, counts = np.zeros(2 * _STRETCHES), np.zeros(2 * _STRETCHES)
+    for i in range(x.size):
+        if not kept[i]:
+            continue
+        if x[i] < inner_a:
+            k = int(_STRETCHES * (inner_a - x[i]) / (inner_a - low + 1e-9))
+        else:
+            k = _STRETCHES + int(_STRETCHES * (x[i] - inner_b) / (high - inner_b + 1e-9))
+        sums[k] += residual[i]
+        counts[k] += 1.0
+    total, used = 0.0, 0
+    for k in range(2 * _STRETCHES):
+        if counts[k] > 0:
+            total += sums[k] * sums[k] / counts[k]
+            used += 1
+    return total / max(used - _COARSE, 1)
