@@ -104,33 +104,26 @@ def examine_relief(
         Pixels with a point that is not mixed across an edge.
     """
     inner = width_px / 2 + settings.guard_px
-    strip = Strip.along(points, inner + _SKIN_PX, _STEP_PX)
-    pieces = len(strip.line) // _PIECE_ROWS
-    if pieces == 0:
+    pieces = _Pieces.along(points, inner + _SKIN_PX, usable.shape)
+    if pieces is None:
         return Relief()
-    chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(int))
-    rows = (chosen[:, None] * _PIECE_ROWS + np.arange(_PIECE_ROWS)).ravel()
-    strip = strip.rows(rows)
-
-    v, u, inside = (index.reshape(len(chosen), -1) for index in strip.pixels(usable.shape))
-    x = np.tile(strip.x, _PIECE_ROWS)
-    y = np.repeat(_STEP_PX * (np.arange(_PIECE_ROWS) - (_PIECE_ROWS - 1) / 2), len(strip.x))
-    beside = inside & (np.abs(x) > inner)
-    skin = beside & usable[v, u]
-    saturated = beside & ((reconstruction.flags[v, u] & np.uint16(PixelFlag.SATURATED)) != 0)
-    both, evident = _evidence(x, skin, saturated)
+    beside = pieces.inside & (np.abs(pieces.x) > inner)
+    saturated = (reconstruction.flags[pieces.v, pieces.u] & np.uint16(PixelFlag.SATURATED)) != 0
+    skin = beside & usable[pieces.v, pieces.u]
+    both, evident = _evidence(pieces.x, skin, beside & saturated)
     if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
         return Relief(float(both.sum() / max(evident.sum(), _FEWEST_PIECES)))
-    v, u, skin = v[both], u[both], skin[both]
-    z = np.where(inside[both], reconstruction.points[v, u, 2].astype(float), np.nan)
-    sides = _fit_sides(x, y, z, skin)
+    pieces, skin = pieces.some(both), skin[both]
+    z = np.where(pieces.inside, reconstruction.points[pieces.v, pieces.u, 2], np.nan).astype(float)
+    sides = _fit_sides(pieces.x, pieces.y, z, skin)
     joined = np.abs(sides.step_mm) < _MAX_STEP_MM
     skin_share = float(joined.sum() / evident.sum())
     if skin_share < _SKIN_SHARE:
         return Relief(skin_share)
-    between = np.abs(x) <= max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
-    depth, sigma = _depth(x, y, z, reconstruction.left.texture[v, u], skin, sides, between)
-    depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * sigma)[joined]
+    texture = reconstruction.left.texture[pieces.v, pieces.u].astype(float)
+    half = max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
+    depth, depth_sigma = _depth(pieces, half, z, texture, skin, sides)
+    depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * depth_sigma)[joined]
     step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
     step, depth = sides.step_mm[joined], depth[joined]
     median = float(np.median(step))
@@ -141,6 +134,46 @@ def examine_relief(
         step_mm=median,
         step_share=float((step * np.sign(median) > step_limit).mean()),
     )
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """A line's surroundings in pieces: p pieces of the same n places.
+
+    Attributes
+    ----------
+    x, y : (n,) ndarray
+        Places across and along the line, from a piece's middle, px.
+    v, u : (p, n) ndarray of int
+        Their pixels.
+    inside : (p, n) ndarray of bool
+        Whether they lie in the image.
+    """
+
+    x: Array
+    y: Array
+    v: NDArray[np.intp]
+    u: NDArray[np.intp]
+    inside: Mask
+
+    @classmethod
+    def along(cls, points: Array, reach_px: float, shape: tuple[int, ...]) -> _Pieces | None:
+        """Pieces evenly spread along a polyline; None if it is shorter than one."""
+        strip = Strip.along(points, reach_px, _STEP_PX)
+        count = len(strip.line) // _PIECE_ROWS
+        if count == 0:
+            return None
+        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PIECES)).round().astype(int))
+        rows = (chosen[:, None] * _PIECE_ROWS + np.arange(_PIECE_ROWS)).ravel()
+        v, u, inside = strip.rows(rows).pixels(shape)
+        x = np.tile(strip.x, _PIECE_ROWS)
+        y = np.repeat(_STEP_PX * (np.arange(_PIECE_ROWS) - (_PIECE_ROWS - 1) / 2), len(strip.x))
+        size = (len(chosen), -1)
+        return cls(x, y, v.reshape(size), u.reshape(size), inside.reshape(size))
+
+    def some(self, which: Mask) -> _Pieces:
+        """Some of the pieces."""
+        return _Pieces(self.x, self.y, self.v[which], self.u[which], self.inside[which])
 
 
 def _evidence(x: Array, skin: Mask, saturated: Mask) -> tuple[Mask, Mask]:
@@ -193,12 +226,11 @@ def _fit_sides(x: Array, y: Array, z: Array, skin: Mask) -> _Sides:
     return _Sides(solution * unit, step, spread_mm * _CORRELATION * np.sqrt(variance), spread_mm)
 
 
-def _depth(
-    x: Array, y: Array, z: Array, texture: Array, skin: Mask, sides: _Sides, between: Mask
-) -> tuple[Array, Array]:
-    """Median depth below both skins (p,) of the places between them, negative above both, 0 in between; and its σ."""
+def _depth(pieces: _Pieces, half_px: float, z: Array, texture: Array, skin: Mask, sides: _Sides) -> tuple[Array, Array]:
+    """Median depth below both skins (p,) of the places in the band, negative above both, 0 in between; and its σ."""
     brightness = np.array([np.median(row[on]) for row, on in zip(texture, skin, strict=True)])
-    x, y, z, texture = x[between], y[between], z[:, between], texture[:, between]
+    between = np.abs(pieces.x) <= half_px
+    x, y, z, texture = pieces.x[between], pieces.y[between], z[:, between], texture[:, between]
     offsets, rest = sides.coefficients[:, :2], sides.coefficients[:, 2:] @ _design(x, y)[:, 2:].T
     far, near = 1.0 / (offsets.min(axis=1)[:, None] + rest), 1.0 / (offsets.max(axis=1)[:, None] + rest)
     depth = np.maximum(z - far, 0.0) + np.minimum(z - near, 0.0)

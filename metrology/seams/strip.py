@@ -64,7 +64,7 @@ class Strip:
         return np.asarray(values, np.float32)
 
     def pixels(self, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """(n, m) rows and columns of the pixels nearest to the places, kept in the image, and whether they are in it."""
+        """(n, m) rows, columns of the pixels nearest to the places, kept in the image, and whether they lie in it."""
         rows, columns = (np.rint(coordinate).astype(np.intp) for coordinate in (self.v, self.u))
         height, width = shape[:2]
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
