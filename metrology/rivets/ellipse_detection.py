@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.evidence import distinction, ring_profile
+from metrology.rivets.evidence import distinction, ring_profile, settle
 from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import CircleShapes, shapes_of
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
+_USUAL_SIGMA_PX = 1.0  # half-width of a ring
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -126,8 +127,7 @@ def _shadowed(ellipse: Ellipse, other: Ellipse) -> bool:
     The flanks of a clear ring, its highlights and its recess make such; a head round a recess is larger than this.
     """
     return (
-        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.3 * other.b
-        and ellipse.radius < _SHADOW * other.radius
+        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.3 * other.b and ellipse.radius < _SHADOW * other.radius
     )
 
 
@@ -145,7 +145,12 @@ def _verified(
     if shapes is not None:
         start = shapes.ellipse(start.u, start.v, start.radius)
         shape = start.shape
-    fit = fit_ring(image, start, 1.0, limits, shape)
+    fit = fit_ring(image, start, _USUAL_SIGMA_PX, limits, shape)
+    if fit is None or not _is_rim(fit, settings):
+        # A glint or a gap in the ring has pulled the suspect aside: once more from where a whole ring shows best.
+        near = np.empty(5)
+        settle(image, start.parameters, _USUAL_SIGMA_PX, near)
+        fit = fit_ring(image, Ellipse.of(near), _USUAL_SIGMA_PX, limits, shape)
     if fit is None or not _is_rim(fit, settings) or not _is_line(image, fit):
         return None
     if shape is None and fit.coverage < settings.min_coverage_alone:
@@ -165,7 +170,7 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
         ring.score >= settings.min_score
         and ring.coverage >= settings.min_coverage
         and ring.sigma_px < min(2.1, 0.4 * ring.ellipse.b)
-        and beside_head > 0.3 * abs(ring.amplitude)
+        and beside_head > 0.1 * abs(ring.amplitude)
         and abs(ring.amplitude) > settings.min_ring_share * abs(ring.step)
     )
 

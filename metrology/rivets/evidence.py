@@ -12,6 +12,7 @@ _FLANK = 4  # px from the ridge at which skin and head are taken
 _SLACK = 2  # px by which a sector's ridge may lie beside the candidate
 _AWAY = 7  # px from the ridge at which the same measure must find nothing
 _REACH = _AWAY + _SLACK + _FLANK
+_SEARCH = 3  # px by which a suspect may lie beside its ring
 
 
 @kernel
@@ -202,6 +203,36 @@ def distinction(image, ellipse, sigma):  # type: ignore[no-untyped-def]
     # The 90 % quantile too: grain has heavy tails, while neighbours and seams fill fewer places than that.
     spread = max(1.4826 * departures[n // 2], departures[int(0.9 * n)] / 1.645) + 1e-12
     return abs(own - middle) / spread
+
+
+@kernel
+def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
+    """Move an ellipse to where a ring of its shape shows best nearby: size first, then centre, twice.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+    ellipse : (5,) float64
+    sigma : float
+        Half-width of the ring looked for, px.
+    found : (5,) float64, output
+    """
+    found[:] = ellipse
+    best = -1.0
+    for _ in range(2):
+        for which in range(3):
+            start = found.copy()
+            for k in range(-_SEARCH, _SEARCH + 1):
+                trial = start.copy()
+                if which == 0:
+                    trial[2] += k
+                    trial[3] += k * start[3] / start[2]
+                else:
+                    trial[which - 1] += k
+                value = abs(_template_mean(image, trial, 0.0, 0.0, sigma, 48))
+                if value > best:
+                    best = value
+                    found[:] = trial
 
 
 @kernel

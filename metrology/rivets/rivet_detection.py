@@ -16,6 +16,7 @@ from metrology.rivets.settings import RivetSettings
 
 Array = NDArray[np.float64]
 
+_SURROUNDED = 0.9  # of the pixels round a weak ring must have points
 _LEAST_STEP = 0.6  # of a head's height in the height map, between the points inside and outside its border
 
 
@@ -53,11 +54,14 @@ def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
     """Whether ring and cloud together make a rivet.
 
     A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain
-    needs a step in height to be believed.
+    needs a step in height to be believed, with skin all round: beside the panel's border there are steps without rivets.
     """
     if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
         return False
-    return ring.quality >= settings.sure_quality or relief.significance >= settings.sure_relief
+    if ring.quality >= settings.sure_quality:
+        return True
+    on_skin = relief.outer_share > _SURROUNDED and abs(relief.step_mm) < settings.max_sunk_mm
+    return on_skin and relief.significance >= settings.sure_relief
 
 
 def _steps_up(head: PlainHead, reconstruction: Reconstruction) -> bool:

@@ -78,7 +78,7 @@ class RivetSettings:
     min_coverage: float = 0.52
     min_coverage_alone: float = 0.64
     min_score: float = 8.0
-    min_quality: float = 3.0
+    min_quality: float = 2.5
     sure_quality: float = 6.0
     sure_relief: float = 4.0
     max_sunk_mm: float = 2.0

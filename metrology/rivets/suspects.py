@@ -65,7 +65,7 @@ class Evidence:
 
 
 # To be fitted where the shape is known, where it is not, and to be beyond doubt without knowing it.
-KNOWN_SHAPE, ANY_SHAPE, STRONG = Evidence(11.0, 0.66), Evidence(8.5, 0.6), Evidence(16.0, 0.8)
+KNOWN_SHAPE, ANY_SHAPE, STRONG = Evidence(11.0, 0.66), Evidence(6.0, 0.5), Evidence(16.0, 0.8)
 
 
 @dataclass(frozen=True)
