@@ -26,7 +26,7 @@ _DARKEST = 0.05
 
 
 # Fields of `Profiles` that are not by station.
-_OF_CAMERAS = ("normals", "ambient")
+_OF_THE_SEAM = ("normals", "ambient", "chamfer_slope")
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,8 @@ class Profiles:
         Unit vector across the seam in each image, mean of the stations.
     ambient : (k,) ndarray
         Share of the skin's brightness that does not follow the fringes.
+    chamfer_slope : float
+        Tangent of the chamfers' angle against the skin.
     """
 
     stations: NDArray[np.int64]
@@ -73,10 +75,11 @@ class Profiles:
     px_mm: Array
     normals: Array
     ambient: Array
+    chamfer_slope: float
 
     def at(self, which: NDArray[np.int64]) -> Profiles:
         """Some of the stations."""
-        picked = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name not in _OF_CAMERAS}
+        picked = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name not in _OF_THE_SEAM}
         return replace(self, **picked)
 
 
@@ -86,6 +89,7 @@ def collect(
     views: tuple[View, View],
     projector: Device,
     half_length: float,
+    chamfer_slope: float,
 ) -> Profiles | None:
     """Profiles of all stations that have a section and whose skin a camera sees; None where there is none."""
     rows = []
@@ -133,6 +137,7 @@ def collect(
         px_mm=px_mm,
         normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
         ambient=np.array([view.ambient for view in views]),
+        chamfer_slope=chamfer_slope,
     )
 
 
@@ -165,7 +170,8 @@ def _profile(section: Section, half: float, view: View, half_length: float) -> _
     # What bins scatter about a straight line is grain and noise, correlated within a bin as they are.
     squares = freedom = 0.0
     for skin in skins:
-        line = np.polyfit(x[skin], grey[skin], 1)
-        squares += float(((grey[skin] - np.polyval(line, x[skin])) ** 2 * counts[skin]).sum())
+        from_mean, level = x[skin] - x[skin].mean(), grey[skin] - grey[skin].mean()
+        residual = level - from_mean * (from_mean @ level) / (from_mean @ from_mean)
+        squares += float((residual**2 * counts[skin]).sum())
         freedom += int(skin.sum()) - 2
     return _Profile(x, grey, counts, px_mm, local.gradient, squares / freedom)

@@ -42,11 +42,12 @@ def image_edges(
         Angle of the chamfers against the skin.
     """
     gaps: list[Gap | str] = ["edges not seen by a camera"] * len(sections)
-    profiles = collect(sections, half_widths, both_views(reconstruction), reconstruction.rig.projector, half_length)
+    slope = float(np.tan(np.deg2rad(chamfer_deg)))
+    projector, views = reconstruction.rig.projector, both_views(reconstruction)
+    profiles = collect(sections, half_widths, views, projector, half_length, slope)
     if profiles is None:
         return gaps
-    slope = float(np.tan(np.deg2rad(chamfer_deg)))
-    fit = fit_gap(profiles, slope, possible_floors(floor_depth(sections, half_widths, reconstruction, half_length)))
+    fit = fit_gap(profiles, possible_floors(floor_depth(sections, half_widths, reconstruction, half_length)))
     depths = slope * fit.chamfers_mm
     for row, station in enumerate(profiles.stations):
         if not fit.sound[row]:

@@ -57,9 +57,11 @@ def fit_map(offsets: Array, pixels: Array) -> LocalMap:
     """The map that takes `pixels` (n, 2) to their `offsets` (n, 2): exact to the third order of the patch's size."""
     centre = pixels.mean(axis=0)
     a, b = (pixels - centre).T
+    scale = max(np.abs(a).max(), np.abs(b).max())
+    a, b = a / scale, b / scale
     design = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=-1)
-    coefficients, *_ = np.linalg.lstsq(design, offsets, rcond=None)
-    return LocalMap(centre, np.ascontiguousarray(coefficients.T))
+    coefficients = np.linalg.solve(design.T @ design, design.T @ offsets).T
+    return LocalMap(centre, np.ascontiguousarray(coefficients / scale ** np.array([0, 1, 1, 2, 2, 2])))
 
 
 def sample(

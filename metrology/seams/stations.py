@@ -129,7 +129,7 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
     else:
         gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
     # How neighbouring points' errors go together is the same all along; one section tells it poorly.
-    clumping = float(np.median([max(1.0, section.clumping) for section in sections if section is not None] or [1.0]))
+    clumping = max(1.0, float(np.mean([section.clumping for section in sections if section is not None] or [1.0])))
     return [_row(seam_id, station, gap, reconstruction, clumping) for station, gap in zip(stations, gaps, strict=True)]
 
 

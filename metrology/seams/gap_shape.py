@@ -1,0 +1,91 @@
+"""The shape of a gap that all its stations share, found from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.seams.gap_floor import Floor
+from metrology.seams.gap_knowledge import DEPTH, WIDTH_A, WIDTH_B, Knowledge
+from metrology.seams.gap_profiles import Profiles
+from metrology.seams.gap_solver import ACROSS, State, fit_shape_from
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# So many stations, evenly spread, tell the shape; so few of them choose where to start from.
+_SHAPE_STATIONS = 24
+_START_STATIONS = 6
+_START_CHAMFERS_MM = (0.05, 0.35, 0.7)
+_START_DEPTHS_MM = (1.0, 3.0)
+_START_ITERATIONS, _ITERATIONS = 10, 30
+# Chamfers are taken for real where leaving them out costs more than this in squared standard deviations: then their
+# two widths earn their keep (Bayesian information of about a hundred independent pixels).
+_PROOF = 9.0
+
+
+def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array, float]:
+    """The most likely shape, borders to start from for all stations, and the standard deviation of the mean width."""
+    chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
+    some = profiles.at(chosen)
+    few = some.at(_evenly(len(chosen), _START_STATIONS))
+    look = min(_first_looks(few, floors), key=lambda look: look.cost(look.limit))
+    free = fit_shape_from(some, _like(look, few, some), look.shared, look.known, _ITERATIONS)
+    shape, doubt = (free, 0.0) if look.known.floor.sealed else _prove_chamfers(free, some)
+    return shape, _like(shape, some, profiles), float(np.hypot(_mean_width_sigma(shape), doubt))
+
+
+def _evenly(n: int, most: int) -> Indices:
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
+
+
+def _first_looks(few: Profiles, floors: Sequence[Floor]) -> list[State]:
+    """Fits of a few stations from every start."""
+    looks = []
+    for floor in floors:
+        known = Knowledge(few.ambient, floor)
+        depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else known.mean[[DEPTH]]
+        for depth in depths:
+            for chamfer in (0.0,) if floor.sealed else _START_CHAMFERS_MM:
+                shared = known.mean.copy()
+                shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
+                # What is detected as the band's border lies on the chamfer.
+                borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
+                looks.append(fit_shape_from(few, borders, shared, known, _START_ITERATIONS))
+    return looks
+
+
+def _like(found: State, stations: Profiles, others: Profiles) -> Array:
+    """(n, 2) borders of other stations, as far from where they are expected as those found."""
+    shift = np.median(found.borders - np.outer(stations.half_widths, ACROSS), axis=0)
+    return np.asarray(np.outer(others.half_widths, ACROSS) + shift)
+
+
+def _prove_chamfers(free: State, some: Profiles) -> tuple[State, float]:
+    """The shape with chamfers, or without where they are not proven; and what the doubt adds to the width's σ."""
+    bare = free.shared.copy()
+    bare[[WIDTH_A, WIDTH_B]] = 0.0
+    middles = free.borders - 0.5 * free.shared[[WIDTH_A, WIDTH_B]] * ACROSS
+    known, limit = free.known.without_chamfers(), free.limit
+    plain = fit_shape_from(some, middles, bare, known, _START_ITERATIONS)
+    worse = plain.cost(limit) - free.cost(limit)
+    if 0.1 * worse < _PROOF:
+        plain = fit_shape_from(some, plain.borders, plain.shared, known, _ITERATIONS)
+        worse = plain.cost(limit) - free.cost(limit)
+    odds = np.exp(-0.5 * min(abs(worse - _PROOF), 100.0))
+    doubt = float(np.sqrt(odds) / (1.0 + odds)) * abs(float(np.median(plain.widths) - np.median(free.widths)))
+    return (plain if worse < _PROOF else free), doubt
+
+
+def _mean_width_sigma(shape: State) -> float:
+    """Standard deviation of the stations' mean width by what they have in common."""
+    normal, cross, inverse = shape.shape_normal()
+    n, free = len(shape.borders), shape.known.free
+    # W = x_B − x_A − w_A − w_B; with the shape, the borders move along.
+    by_shape = -(ACROSS @ (inverse @ cross)).mean(axis=0)
+    by_shape[[WIDTH_A, WIDTH_B]] -= 1.0
+    variance = by_shape[free] @ np.linalg.solve(normal[np.ix_(free, free)], by_shape[free])
+    variance += (ACROSS @ inverse @ ACROSS).sum() / n**2
+    return float(np.sqrt(variance))

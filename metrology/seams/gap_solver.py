@@ -1,0 +1,202 @@
+"""Least squares of a gap's section on all stations' pixels: Levenberg–Marquardt with levels and borders eliminated.
+
+What limits the shape is not noise but how well the model renders the gap. That error is common to all stations, so
+each of n stations gets n times its variance: more stations do not make it smaller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.seams.blur import PixelBlur, blurred_step
+from metrology.seams.gap_knowledge import LENSES, LEVEL_SCATTER, SPILL, WIDTH_A, WIDTH_B, Knowledge
+from metrology.seams.gap_profiles import Profiles
+from metrology.seams.gap_view import (
+    DIFFERENCE,
+    LEVELS,
+    MORE_LENS,
+    MORE_SPILL,
+    NODES_PER_PX,
+    NOMINAL,
+    TABLES,
+    normal_equations,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Error of the rendered brightness, relative to the skin's.
+_RENDERING = 0.004
+# Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy).
+_DOUBTFUL = 3.0
+# An iteration that gains less than this, in squared standard deviations, is the last.
+_SETTLED = 0.002
+# No border moves farther in one iteration, mm.
+_STRIDE_MM = 0.3
+# Pixel and spill reach so far along the diagonal, px; the tail of the lens's Gaussian, standard deviations.
+_BLUR_REACH_PX, _LENS_TAIL = 2.2, 4.5
+# From skin A to skin B.
+ACROSS = np.array([-1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class State:
+    """Parameters of n stations in k cameras, and the normal equations there.
+
+    Attributes
+    ----------
+    borders : (n, 2) ndarray
+        x of C on both skins, mm.
+    shared : (m,) ndarray
+        As in `gap_knowledge`.
+    known : Knowledge
+    normals, gradients : (n, 2 + m, 2 + m), (n, 2 + m) ndarray
+        JᵀWJ and JᵀWr of each station, its own levels eliminated.
+    levels : (n, k, LEVELS) ndarray
+    costs : (n,) ndarray
+        Squared residuals in units of their variance.
+    """
+
+    borders: Array
+    shared: Array
+    known: Knowledge
+    normals: Array
+    gradients: Array
+    levels: Array
+    costs: Array
+
+    @property
+    def widths(self) -> Array:
+        """(n,) from ideal edge to ideal edge, mm."""
+        return np.asarray(self.borders @ ACROSS - self.shared[WIDTH_A] - self.shared[WIDTH_B])
+
+    @property
+    def limit(self) -> float:
+        """Cost from which a station is doubtful."""
+        return _DOUBTFUL * float(np.median(self.costs))
+
+    def cost(self, limit: float) -> float:
+        """What pictures and prior have against the state; of costs beyond the limit only the logarithm counts."""
+        beyond = limit * (1.0 + np.log(np.maximum(self.costs / max(limit, 1e-12), 1.0)))
+        return float(np.where(self.costs < limit, self.costs, beyond).sum()) + self.known.cost(self.shared)
+
+    def at(self, which: Mask) -> State:
+        """Some of the stations."""
+        return replace(self, **{name: getattr(self, name)[which] for name in _OF_STATIONS})
+
+    def with_stations(self, which: Mask, others: State) -> State:
+        """The state with some of its stations replaced."""
+        changed = {}
+        for name in _OF_STATIONS:
+            changed[name] = getattr(self, name).copy()
+            changed[name][which] = getattr(others, name)
+        return replace(self, **changed)
+
+    def shape_normal(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
+        """Normal matrix of what is shared with the borders eliminated (Schur complement).
+
+        Returns
+        -------
+        normal : (m, m) ndarray
+        cross : (n, 2, m) ndarray
+            Blocks of borders by shape.
+        inverse : (n, 2, 2) ndarray
+            Of the borders' own blocks.
+        """
+        own = self.normals[:, :2, :2] * (1.0 + damping * np.eye(2)) + 1e-9 * np.eye(2)
+        cross, inverse = self.normals[:, :2, 2:], np.asarray(np.linalg.inv(own), float)
+        trust = self._trust[:, None, None]
+        normal = (trust * self.normals[:, 2:, 2:]).sum(axis=0) + self.known.precision
+        normal += damping * np.diag(np.diag(normal))
+        normal -= ((trust * cross).transpose(0, 2, 1) @ (inverse @ cross)).sum(axis=0)
+        return normal, cross, inverse
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Moves of the borders and of what is shared."""
+        normal, cross, inverse = self.shape_normal(damping)
+        alone = (inverse @ self.gradients[:, :2, None])[..., 0]
+        right = self._trust @ (self.gradients[:, 2:] - (alone[:, None, :] @ cross)[:, 0])
+        right += self.known.gradient(self.shared)
+        by_shape, free = np.zeros(len(self.shared)), self.known.free
+        by_shape[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
+        by_border = alone - (inverse @ (cross @ by_shape)[..., None])[..., 0]
+        return np.clip(by_border, -_STRIDE_MM, _STRIDE_MM), by_shape
+
+    @property
+    def _trust(self) -> Array:
+        """(n,) stations' weights: one for those with usual costs."""
+        return np.minimum(1.0, self.limit / np.maximum(self.costs, 1e-12))
+
+
+_OF_STATIONS = ("borders", "normals", "gradients", "levels", "costs")
+
+
+def fit_shape_from(profiles: Profiles, borders: Array, shared: Array, known: Knowledge, iterations: int) -> State:
+    """Borders and shape together, from a start."""
+    n = len(profiles.stations)
+    cautious = replace(profiles, variance=profiles.variance + n * _RENDERING**2)
+    state = _state_at(cautious, borders, shared, known, with_shape=True)
+    damping = 1e-2
+    for _ in range(iterations):
+        by_border, by_shape = state.step(damping)
+        tried = known.within_bounds(state.shared + by_shape)
+        new = _state_at(cautious, state.borders + by_border, tried, known, with_shape=True)
+        gain = state.cost(state.limit) - new.cost(state.limit)
+        if gain > 0:
+            state, damping = new, max(0.2 * damping, 1e-6)
+            if gain < _SETTLED:
+                break
+        else:
+            damping *= 8.0
+            if damping > 1e4:
+                break
+    return state
+
+
+def fit_borders_from(profiles: Profiles, borders: Array, shape: State) -> State:
+    """Every station's borders from a start, with the shape known, each station by itself."""
+    careful = replace(profiles, variance=profiles.variance + _RENDERING**2)
+    state = _state_at(careful, borders, shape.shared, shape.known, with_shape=False)
+    damping = np.full(len(borders), 1e-2)
+    for _ in range(10):
+        own = state.normals[:, :2, :2] * (1.0 + damping[:, None, None] * np.eye(2)) + 1e-9 * np.eye(2)
+        moves = np.clip(np.linalg.solve(own, state.gradients[:, :2, None])[..., 0], -_STRIDE_MM, _STRIDE_MM)
+        if np.abs(moves).max() < 1e-4:
+            break
+        new = _state_at(careful, state.borders + moves, shape.shared, shape.known, with_shape=False)
+        better = new.costs < state.costs
+        damping = np.where(better, 0.2 * damping, 8.0 * damping)
+        state = state.with_stations(better, new.at(better))
+    return state
+
+
+def _state_at(profiles: Profiles, borders: Array, shared: Array, known: Knowledge, with_shape: bool) -> State:
+    n, k = profiles.sizes.shape
+    size = 2 + len(shared)
+    state = State(
+        borders, shared, known, np.zeros((n, size, size)), np.zeros((n, size)), np.zeros((n, k, LEVELS)), np.zeros(n)
+    )
+    normal_equations(
+        profiles.x, profiles.grey, profiles.variance, profiles.sizes, profiles.places, borders, shared,
+        _tables(profiles.normals, shared, with_shape), known.floor.sealed, profiles.tilts, profiles.chamfer_slope,
+        profiles.eyes, profiles.lamps, profiles.px_mm, LEVEL_SCATTER**-2.0, with_shape,
+        state.normals, state.gradients, state.levels, state.costs,
+    )  # fmt: skip
+    return state
+
+
+def _tables(normals: Array, shared: Array, with_shape: bool) -> Array:
+    """(k, TABLES, nodes) blurred steps of the cameras, and how they change."""
+    spill, lenses = float(shared[SPILL]), [float(lens) for lens in shared[LENSES : LENSES + len(normals)]]
+    reach = _BLUR_REACH_PX + _LENS_TAIL * max(lenses)
+    changes = {NOMINAL: (0.0, 0.0)}
+    if with_shape:
+        changes |= {MORE_LENS: (DIFFERENCE, 0.0), MORE_SPILL: (0.0, DIFFERENCE)}
+    return np.array([
+        [blurred_step((float(u), float(v)), PixelBlur(lens + changes[i][0], spill + changes[i][1]), NODES_PER_PX, reach)
+         for i in range(TABLES if with_shape else 1)]
+        for (u, v), lens in zip(normals, lenses, strict=True)
+    ])  # fmt: skip
