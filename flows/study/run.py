@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -16,11 +16,12 @@ from flows.study.document import Section
 from flows.study.folder import Finished, claim
 from flows.study.gage import Gage
 from flows.study.report import SIMULATED, write_report
-from flows.study.series import Series
+from flows.study.series import RigKind, Series
 from flows.study.skin import Skin
 from flows.study.spec import Study
 from flows.study.standard_part import StandardPart
-from flows.study.workshop import Workshop, run_series
+from flows.study.workshop import Workshop, make_rigs, run_series
+from simulator.spec import SimulationSpec
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from tasks.settings import InspectionSettings
@@ -70,6 +71,8 @@ def run_study(
         done += 1
 
     with only_run(out):
+        for simulation in study.simulations.values():
+            make_rigs(workshop, simulation, _rigs_of(simulation, blocks), say)
         for block in blocks:
             for series in block.series:
                 problems += run_series(workshop, series, count, say)
@@ -82,6 +85,12 @@ def run_study(
         missed = [f"Not inspected: {problem}" for problem in problems]
         report = write_report(out, title, (SIMULATED, made, *missed), sections)
     return Finished(report, tuple(bar for section in sections for bar in section.bars), tuple(problems))
+
+
+def _rigs_of(simulation: SimulationSpec, blocks: Sequence[Block]) -> set[RigKind]:
+    """With which rigs the scans of a simulation's rig are inspected."""
+    series = [series for block in blocks for series in block.series if series.simulation.rig == simulation.rig]
+    return {rig for one in series for rig in one.rigs}
 
 
 def blocks_of(study: Study) -> list[Block]:

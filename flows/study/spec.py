@@ -108,7 +108,7 @@ class DetectionSpec:
 
     simulation: str = "skin"
     ring_levels: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
-    panels: int = 3
+    panels: int = 2
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -192,7 +192,12 @@ def parse_study(text: str, path: Path, kind: Kind) -> Study:
         raise SpecError(f"{path}: {problem}") from None
     if spec.study != kind:
         raise SpecError(f"{path}: study: found {spec.study!r}, expected {kind!r} as the command says")
-    return Study(spec, {block.simulation: _simulation(block.simulation, path) for block in spec.blocks})
+    simulations = {block.simulation: _simulation(block.simulation, path) for block in spec.blocks}
+    rigs = {simulation.rig.id: simulation.rig for simulation in simulations.values()}
+    for name, simulation in simulations.items():
+        if rigs[simulation.rig.id] != simulation.rig:
+            raise SpecError(f"{path}: {name}: found another rig {simulation.rig.id!r}, expected one rig of that id")
+    return Study(spec, simulations)
 
 
 def _simulation(name: str, path: Path) -> SimulationSpec:

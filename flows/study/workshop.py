@@ -91,7 +91,7 @@ def _calibrate(workshop: Workshop, simulation: SimulationSpec, path: Path, say: 
 
 
 def run_series(workshop: Workshop, series: Series, on_scan: Callable[[], None], say: Say) -> list[str]:
-    """Inspect every scan of a series that the store does not hold yet.
+    """Inspect every scan of a series that the store does not hold yet; its rigs are there.
 
     Parameters
     ----------
@@ -105,7 +105,6 @@ def run_series(workshop: Workshop, series: Series, on_scan: Callable[[], None], 
     list of str
         Why scans could not be inspected.
     """
-    make_rigs(workshop, series.simulation, series.rigs, say)
     specification = panel_specification(series, workshop.tolerance_mm)
     problems = []
     for scans in zip(*(series.scans(rig) for rig in series.rigs), strict=True):  # one exposure, seen with every rig

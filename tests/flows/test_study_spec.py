@@ -18,7 +18,7 @@ LEAST = 'format = "flushline-study/1"\nstudy = "accuracy"\n[standard_part]\nsimu
     ("kind", "quick", "scans"),
     # Both rigs inspect the standard part; of the budget noise, vibration and all of them vary.
     [
-        ("accuracy", True, 2 * 3), ("accuracy", False, 2 * 10 + 8 + 3 * 3 + 6 * 3),
+        ("accuracy", True, 2 * 3), ("accuracy", False, 2 * 10 + 8 + 3 * 3 + 6 * 2),
         ("repeatability", True, 3), ("repeatability", False, 10 + 3 * 3),
     ],
 )  # fmt: skip
@@ -54,6 +54,16 @@ def test_mistakes_are_named(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=message) as caught:
         parse_study(text, tmp_path / "mine.toml", "accuracy")
     assert "\n" not in str(caught.value)
+
+
+def test_two_rigs_of_one_name_are_refused(tmp_path: Path) -> None:
+    scene = 'format = "flushline-simulation/1"\n[scene]\naircraft_serial = "A"\npanel = "P"\nstation = "S"\n'
+    scene += 'captured_at = "2026-11-20T08:00:00Z"\n[rig]\nid = "rig"\nseed = '
+    for name in ("1", "2"):
+        (tmp_path / f"{name}.toml").write_text(scene + name)
+    text = LEAST.replace('standard_part"', '1.toml"') + '[budget]\nsimulation = "2.toml"\n'
+    with pytest.raises(SpecError, match="found another rig 'rig'"):
+        parse_study(text, tmp_path / "mine.toml", "accuracy")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
