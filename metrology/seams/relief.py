@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.seams.polyline import Array
 from metrology.seams.settings import SeamSettings
+from metrology.seams.shade import black_level, projected_share
 from metrology.seams.strip import Strip
 
 Mask = NDArray[np.bool_]
@@ -35,6 +36,10 @@ _SHADOW = 0.5
 _SHADOW_DEPTH_MM = 1.0
 # The middle of a band is looked at over at least this half-width, px, however narrow the band is.
 _LEAST_HALF_PX = 1.0
+# A band narrower than this has no points of its own; it is a gap where this much less of the projector's light comes
+# back than from paint (paint and scratches stay within 0.01 of 1, gaps are at 0.95 and less: simulated scans).
+_NARROW_PX = 5.0
+_LIT_SHARE = 0.97
 # A seam shows relief over most of its length, and has skin on both sides over most of it.
 _RELIEF_SHARE = 0.6
 _SKIN_SHARE = 0.5
@@ -123,6 +128,11 @@ def examine_relief(
     texture = reconstruction.left.texture[pieces.v, pieces.u].astype(float)
     half = max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
     depth, depth_sigma = _depth(pieces, half, z, texture, skin, sides)
+    if width_px < _NARROW_PX:
+        modulation = reconstruction.left.modulation[pieces.v, pieces.u].astype(float)
+        black = black_level(reconstruction.left)
+        lit = projected_share(texture, modulation, np.abs(pieces.x) < 0.5, skin, black)
+        depth = np.where(lit < _LIT_SHARE, _SHADOW_DEPTH_MM, depth)
     depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * depth_sigma)[joined]
     step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
     step, depth = sides.step_mm[joined], depth[joined]

@@ -13,6 +13,7 @@ from metrology.errors import UsageError
 from metrology.results import RivetDetection
 from metrology.seams import ImageLine, LineSettings, detect_lines, detect_seams
 from metrology.seams.segments import join_pieces, straight_pieces
+from metrology.seams.shade import projected_share
 
 IMAGE = (620, 820)
 
@@ -186,6 +187,20 @@ def test_seam_runs_on_under_rivets(rng):
     found = detect_seams(scan, heads)
     assert [line.relief for line in found] == [True]
     assert np.ptp(found[0].centre_px[:, 1]) > 0.97 * SHAPE[0]
+
+
+def test_fringes_are_fainter_in_a_gap_than_on_paint(rng):
+    black, band = 3.0, np.arange(40) < 8
+    reflectance = np.where(band, 0.4, 1.0) * rng.uniform(0.98, 1.02, (5, 40))
+    # Projected light of 90 grey levels, and light from all around of 10; a gap's floor sees little of the former.
+    projected = np.where(band & (np.arange(5)[:, None] > 2), 60.0, 90.0)
+    texture, modulation = black + reflectance * (projected + 10), reflectance * projected
+    skin = np.broadcast_to(~band, (5, 40))
+    share = projected_share(texture, modulation, band, skin, black)
+    assert share[:3] == pytest.approx(1, abs=0.005)
+    assert share[3:] == pytest.approx(60 / 70 * 100 / 90, abs=0.01)
+    # Too large a black level makes no gap of paint.
+    assert np.all(projected_share(texture, modulation, band, skin, 20.0)[:3] > 1)
 
 
 def test_seams_are_numbered_from_left_to_right(rng):
