@@ -11,10 +11,15 @@ from metrology.cloud import Reconstruction
 from metrology.seams.sections import Section, strip
 from metrology.seams.views import reference_height
 
-# Points nearer to an edge than this are mixed with it, px.
-_MIXED_PX = 3.0
+# This part of the gap about its middle shows floor, not walls or chamfers; points nearer to an edge than this are mixed
+# with it, px.
+_CORE = 0.4
+_MIXED_PX = 2.0
 _MIN_POINTS = 10
 _MIN_STATIONS = 4
+# A floor's points scatter by less than this, and its depth varies by less along the seam.
+_LEVEL_MM = 0.1
+_FLOOR_SIGMA_MM = 0.2
 # Sealant is no deeper than this: a gap's floor is substructure, a sheet's thickness down at least.
 _SEALANT_MM = 0.2
 
@@ -46,14 +51,21 @@ def floor_depth(
     for section, half in zip(sections, half_widths, strict=True):
         if section is None:
             continue
-        inner = half - _MIXED_PX * section.frame.origin[2] / left.K[0, 0]
-        if inner <= 0:
+        inner = _CORE * half
+        if half - inner < _MIXED_PX * section.frame.origin[2] / left.K[0, 0]:
             continue
         pixel = left.project(section.frame.origin)
         points = strip(reconstruction, valid, pixel, section.frame, half_length, inner)
         if len(points) >= _MIN_POINTS:
-            depths.append(float(np.median(reference_height(section, points[:, 0]) - points[:, 2])))
-    return float(np.median(depths)) if len(depths) >= _MIN_STATIONS else None
+            depth = reference_height(section, points[:, 0]) - points[:, 2]
+            low, middle, high = np.percentile(depth, [16, 50, 84])
+            # Points that scatter more than their noise and a floor's evenness explain are of walls, or mixed.
+            if high - low < 2 * np.hypot(_LEVEL_MM, 2 * np.median(points[:, 3])):
+                depths.append(float(middle))
+    if len(depths) < max(_MIN_STATIONS, 0.5 * sum(section is not None for section in sections)):
+        return None
+    low, middle, high = np.percentile(depths, [16, 50, 84])
+    return float(middle) if high - low < 2 * _FLOOR_SIGMA_MM else None
 
 
 def possible_floors(depth_mm: float | None) -> list[Floor]:

@@ -30,16 +30,16 @@ Array = NDArray[np.float64]
 WIDTH_A, WIDTH_B, DEPTH, LEAN, LEAN_CHANGE, SPILL, LENSES = range(7)
 
 # Means and standard deviations. Broken edges are tenths of a millimetre wide, substructure lies a few millimetres down,
-# edges are cut square to the skin, lenses blur by half a pixel, and a little light goes to a pixel's neighbours.
+# edges are cut square to the skin within two degrees, lenses blur by half a pixel, and a little light goes to a pixel's neighbours.
 _BROKEN_EDGE_MM = (0.3, 0.5)
 _GAP_DEPTH_MM = (2.0, 3.0)
-_SQUARE = (0.0, 0.05)
+_SQUARE = (0.0, 0.03)
 _SPILL = (0.08, 0.1)
 _LENS_PX = (0.45, 0.25)
 # The floor's depth as the points show it varies and errs by this.
 _FLOOR_SIGMA_MM = 0.2
-# Both edges of a joint are broken by one rule (within 0.1 mm each, 95 %), and both cameras have like lenses.
-_ALIKE_EDGES_MM = 0.07
+# Both edges of a joint are broken by one tool, and both cameras have like lenses, to this standard deviation.
+_ALIKE_EDGES_MM = 0.05
 _ALIKE_LENSES_PX = 0.1
 # Bounds, up to the lenses; and of the lenses.
 _LOWEST = (0.0, 0.0, 0.0, -0.5, -0.5, 0.0)

@@ -20,9 +20,9 @@ Array = NDArray[np.float64]
 _ROUNDS = 6
 _CLIP_SIGMAS = 4.0
 _MIN_SIDE_POINTS = 10
-# Each side is cut into so many stretches to see whether the residuals of neighbours go together; five of the seven
-# coefficients are as coarse as that and take the stretches' common part with them.
-_STRETCHES = 8
+# Each side is cut into so many stretches (3.5 mm each) to see whether the residuals of neighbours go together; five of
+# the seven coefficients are as coarse as that and take the stretches' common part with them.
+_STRETCHES = 4
 _COARSE = 5
 
 

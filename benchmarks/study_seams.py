@@ -1,0 +1,176 @@
+"""Accuracy and repeatability of seam measurement over simulated seams: the figures in docs/seams.md.
+
+python benchmarks/study_seams.py [--seams 24] [--scans 1] [--only 5 11] [--edges image|points]
+
+Widths 0.3 to 5 mm, steps −1 to 1 mm, chamfers 0 to 0.6 mm, eight directions, bent skin, sealed ones, dark, bright and
+shiny skin. A seam takes about 15 s of CPU to trace; further scans of it differ by noise alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrology.reconstruct import reconstruct
+from metrology.seams import SeamSettings, detect_seams, measure_seams
+from simulator.panel import Panel, Seam, Skin, Surface
+from simulator.random_panel import random_placement
+from simulator.rig import RigDesign
+from simulator.scene import expose, fringe_light, make_rig, set_up
+from simulator.spec import Camera, Lighting, RigSpec, SceneKeys, SimulationSpec
+
+KEYS = SceneKeys("SIM", "P", "S", "2026-11-20T08:00:00Z")
+# A quarter of the usual cameras, of the usual resolution on the panel.
+DESIGN = RigDesign(camera_width=640, camera_height=512)
+WIDTHS_MM = (0.3, 5.0)
+CHAMFERS_MM = (0.0, 0.15, 0.3, 0.45, 0.6, 0.3, 0.2, 0.5)
+REFLECTANCES, SPECULARS = (0.5, 0.25, 0.8, 0.5), (0.0, 0.3, 0.0, 0.8)
+# With the 64 rays a pixel that are usual near edges, a blurred border would be off by up to 4 % of its height.
+RAYS = 500
+
+
+def seam_spec(i: int, count: int) -> SimulationSpec:
+    """The i-th of `count` seams."""
+    rng = np.random.default_rng([5, i])
+    # Every direction gets narrow and wide seams.
+    width = float(np.geomspace(*WIDTHS_MM, count)[(i * 7) % count])
+    step = rng.uniform(-1, 1) if i % 3 else rng.uniform(-0.2, 0.2)
+    filled = i % 5 == 3
+    curvatures = rng.uniform(-1 / 900, 1 / 900, 2)
+    reflectance, specular = REFLECTANCES[i % 4], SPECULARS[i // 2 % 4]
+    seam = Seam(
+        "J01",
+        course(math.radians(22.5 * (i % 8)), rng.uniform(-1, 1)),
+        tuple(float(w) for w in width * (1 + rng.uniform(-0.04, 0.04, 5))),
+        tuple(float(s) for s in step + rng.uniform(-0.04, 0.04, 5)),
+        chamfer_mm=0.0 if filled else CHAMFERS_MM[(5 * i + 3) % 8],
+        filled=filled,
+        depth_mm=rng.uniform(0, 0.05) if filled else rng.uniform(1.5, 4),
+        floor_reflectance=rng.uniform(0.15, 0.5),
+        edge_reflectance=rng.uniform(0.6, 1.0),
+    )
+    surface = Surface(
+        reflectance=reflectance, specular=specular, roughness=rng.uniform(0.3, 0.5),
+        brushing=rng.uniform(0.005, 0.03), brushing_deg=rng.uniform(0, 180), random_scratches=10,
+    )  # fmt: skip
+    panel = Panel(
+        180, 150, Skin(1 / curvatures[0], 1 / curvatures[1], rng.uniform(0, 180)), (), (seam,), surface=surface
+    )
+    brightness = 186.0 / reflectance / (1 + 1.6 * specular)
+    return SimulationSpec(
+        "flushline-simulation/1", KEYS, panel, RigSpec(seed=3 + i, design=DESIGN), (random_placement(rng, 10, 5),),
+        camera=Camera(blur_px=rng.uniform(0.6, 0.95), samples=RAYS),
+        light=Lighting(min(500.0, brightness), rng.uniform(10, 40), rng.uniform(0.3, 0.8)), seed=100 + i,
+    )  # fmt: skip
+
+
+def course(angle: float, bow: float) -> tuple[tuple[float, float], ...]:
+    """A slightly bowed line through the panel's middle."""
+    c, s = math.cos(angle), math.sin(angle)
+    ways = (-1.0, -0.5, 0.0, 0.5, 1.0)
+    return tuple((125 * w * c - bow * (0.5 - w * w) * s, 125 * w * s + bow * (0.5 - w * w) * c) for w in ways)
+
+
+def errors(stations: list, truth: dict) -> np.ndarray:
+    """(n, 5) place along the true seam, error and U95 of step, error and U95 of width; NaN where not measured."""
+    true = truth["seams"][0]
+    line, number = np.array(true["uv_px"]), np.arange(len(true["uv_px"]))
+    along = np.diff(line, axis=0)
+    rows = []
+    for station in stations:
+        pixel = np.array([station.u_px, station.v_px])
+        share = np.clip(((pixel - line[:-1]) * along).sum(1) / (along**2).sum(1), 0, 1)
+        distance = np.linalg.norm(line[:-1] + share[:, None] * along - pixel, axis=1)
+        k = int(distance.argmin())
+        if distance[k] > 12:
+            continue
+        place, row = k + share[k], [k + share[k]]
+        for quantity in ("step", "width"):
+            value, u95 = getattr(station, f"{quantity}_mm"), getattr(station, f"{quantity}_u95_mm")
+            row += [
+                np.nan if value is None else value - np.interp(place, number, true[f"{quantity}_mm"]),
+                u95 or np.nan,
+            ]
+        rows.append(row)
+    return np.array(rows, float).reshape(-1, 5)
+
+
+def scans(spec: SimulationSpec, count: int, settings: SeamSettings) -> Iterator[tuple[np.ndarray, float]]:
+    """Errors of each of `count` scans of one seam, and the CPU seconds of measuring it."""
+    rig = make_rig(spec)
+    stage = set_up(spec, rig, spec.placements[0])
+    rng = np.random.default_rng([9, spec.seed])
+    light = fringe_light(spec, stage, rng)
+    for _ in range(count):
+        frames = [expose(spec, light[side], rng) for side in ("left", "right")]
+        scan = reconstruct(frames[0], frames[1], rig, spec.fringe, spec.camera.exposures)
+        lines = detect_seams(scan, ())
+        start = time.process_time()
+        stations = measure_seams(lines, scan, (), settings)
+        yield errors(stations, stage.truth.as_dict()), time.process_time() - start
+
+
+def summary(error: np.ndarray, u95: np.ndarray) -> str:
+    """Statistics of what was measured."""
+    known = np.isfinite(error) & np.isfinite(u95)
+    error, u95 = error[known], u95[known]
+    if not len(error):
+        return "none"
+    size = np.abs(error)
+    return (
+        f"n {len(error):4d} |e| {size.mean():.4f} bias {error.mean():+.4f} sd {error.std():.4f} "
+        f"p95 {np.percentile(size, 95):.4f} U95 {np.median(u95):.4f} covers {100 * np.mean(size <= u95):.0f} %"
+    )
+
+
+def scatter(runs: list[np.ndarray], column: int) -> str:
+    """Largest and usual standard deviation of one place's values over the scans."""
+    places = np.arange(2.0, max(run[:, 0].max() for run in runs) - 1.0, 2.0)
+    values = []
+    for run in runs:
+        run = run[np.argsort(run[:, 0])]
+        known = np.isfinite(run[:, column])
+        values.append(
+            np.interp(places, run[known, 0], run[known, column]) if known.sum() > 1 else np.full(len(places), np.nan)
+        )
+    spread = np.nanstd(values, axis=0, ddof=1)
+    return f"median {np.nanmedian(spread):.4f} max {np.nanmax(spread):.4f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seams", type=int, default=24)
+    parser.add_argument("--scans", type=int, default=1)
+    parser.add_argument("--only", type=int, nargs="*")
+    parser.add_argument("--edges", choices=("image", "points"), default="image")
+    chosen = parser.parse_args()
+    settings = SeamSettings(edges=chosen.edges)
+    found, seconds = [], []
+    for i in chosen.only or range(chosen.seams):
+        spec = seam_spec(i, chosen.seams)
+        seam = spec.panel.seams[0]
+        runs = []
+        for run, cpu in scans(spec, chosen.scans, settings):
+            runs.append(run)
+            seconds.append(cpu)
+        found += runs
+        print(
+            f"{i:2d} {22.5 * (i % 8):5.1f}° width {seam.width_mm[2]:.2f} step {seam.step_mm[2]:+.2f} "
+            f"chamfer {seam.chamfer_mm:.2f}{' sealed' if seam.filled else ''}: {len(runs[0])} stations"
+        )
+        for name, column in (("step", 1), ("width", 3)):
+            joined = np.concatenate(runs)
+            print(f"   {name:5s} {summary(joined[:, column], joined[:, column + 1])}", flush=True)
+            if chosen.scans > 1:
+                print(f"         sd over {chosen.scans} scans: {scatter(runs, column)}", flush=True)
+    joined = np.concatenate(found)
+    print(f"all: {len(joined)} stations, {np.sum(seconds) / len(joined) * 1e3:.1f} ms of CPU each")
+    print(f"   step  {summary(joined[:, 1], joined[:, 2])}\n   width {summary(joined[:, 3], joined[:, 4])}")
+
+
+if __name__ == "__main__":
+    main()
