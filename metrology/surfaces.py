@@ -177,7 +177,7 @@ def fit_surface(
     residual = target - design @ solution
     chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * _TUKEY_VARIANCE
     back = np.concatenate([np.full(d + 1, scale**-d) for d in range(order + 1)])
-    covariance = np.linalg.inv(normal) * chi2 * _TUKEY_COVARIANCE
+    covariance = np.asarray(np.linalg.inv(normal), float) * chi2 * _TUKEY_COVARIANCE
     real = (h - (design * sigma[:, None]) @ solution)[weights > 0]
     return Polynomial(
         order=order,
@@ -199,7 +199,7 @@ def _reweighted(design: Array, target: Array, start: Array, iterations: int) -> 
         weighted = weights[:, None] * design
         normal = design.T @ weighted
         try:
-            updated = np.linalg.solve(normal, weighted.T @ target)
+            updated = np.asarray(np.linalg.solve(normal, weighted.T @ target), float)
         except np.linalg.LinAlgError:
             return None
         change = np.abs(design @ (updated - solution)).max()

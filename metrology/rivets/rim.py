@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from metrology.cloud import Reconstruction
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
-from metrology.rivets.rim_kernel import BREAK, GAP, RADIUS, SHIFT, UNKNOWNS, fit_rim_kernel
+from metrology.rivets.rim_kernel import BREAK, FLOOR, GAP, RADIUS, SHIFT, UNKNOWNS, fit_rim_kernel
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -39,7 +39,8 @@ _BREAK_MM, _BREAK_SPREAD_MM = 0.08, 0.08
 _FLOOR, _FLOOR_SPREAD = 0.3, 0.3
 _BLACK, _BLACK_SPREAD = 0.15, 0.07
 _BLUR_SPREAD = 0.1  # relative
-_BREAK_SHARE = 0.15  # of the edge break's width that it takes of the light: cos 45° leaves 0.71, half of it either way
+_BREAK_DARKNESS = 1 - np.sqrt(0.5)  # of an edge broken at 45°
+_LEAST_DARKNESS = 0.05  # of a gap that can be seen
 _FAR_MM = 1.0  # spread of centre and radius: free
 _MOST_SHIFT = 0.15  # of the radius, from where the ring alone puts the rim
 
@@ -72,7 +73,7 @@ def head_circle(
     Returns
     -------
     Circle
-        Centre of the head's edge; the radius reaches to the middle of the gap, as a ring's does on a flush head.
+        Centre of the head's edge; the radius reaches to the middle of the dark line, as it would show on a flush head.
     """
     rig = reconstruction.rig
     origin = np.array([start.x, start.y, head_height])
@@ -99,7 +100,7 @@ def head_circle(
     )
     if not good or not np.isfinite(found).all():
         return None
-    x, y, outwards = found[SHIFT], found[SHIFT + 1], found[RADIUS] + 0.5 * found[GAP] - _BREAK_SHARE * found[BREAK]
+    x, y, outwards = found[SHIFT], found[SHIFT + 1], found[RADIUS] + _ridge(found)
     if max(abs(x), abs(y), abs(outwards)) > _MOST_SHIFT * start.radius:
         return None
     return Circle(start.x + float(x), start.y + float(y), start.radius + float(outwards))
@@ -120,6 +121,13 @@ def _profiles(
     level = np.array([np.median(k) if len(k) else np.nan for k in known])[:, None, None]
     shares = ends / level
     return profiles / level, np.where(np.isnan(shares) & np.isfinite(level), 1.0, shares)
+
+
+def _ridge(found: Array) -> float:
+    """Distance of the dark line's middle from the head's edge if the head were flush, mm."""
+    gap = max(1 - found[FLOOR], _LEAST_DARKNESS) * found[GAP]
+    edge = _BREAK_DARKNESS * found[BREAK]
+    return float(0.5 * (gap * found[GAP] - edge * found[BREAK]) / (gap + edge))
 
 
 def _slope(device: Device, frame: Frame, origin: Array) -> Array:

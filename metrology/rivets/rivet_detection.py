@@ -54,7 +54,7 @@ def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
     """Whether ring and cloud together make a rivet.
 
     A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain
-    needs a step in height to be believed, with skin all round: beside the panel's border there are steps without rivets.
+    needs a step in height to be believed, and skin all round: beside the panel's border there are other steps.
     """
     if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
         return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -62,43 +63,58 @@ def rig_of(width: int = 640, height: int = 480) -> Rig:
     return Rig("test", "2026-01-01T00:00:00Z", *devices)
 
 
-def scan(
-    skin: Skin, heads: Sequence[Head], rng: np.random.Generator | None, rig: Rig | None = None, grain: float = 0.6
-) -> Reconstruction:
+def scan(skin: Skin, heads: Sequence[Head], rng: np.random.Generator | None, grain: float = 0.6) -> Reconstruction:
     """The cloud and textures that a perfect instrument with the skin's noise would give."""
-    rig = rig or rig_of()
+    rig = rig_of()
+    points, textures = without_noise(skin, tuple(heads))
+    size = points.shape[:2]
+    if rng is not None:
+        error = rng.normal(size=size)
+        if skin.correlated_px:
+            error = cv2.GaussianBlur(error, (0, 0), skin.correlated_px)
+        points = points * (1 + skin.sigma_z * error / error.std() / points[..., 2])[..., None]
+        textures = [texture + rng.normal(0, grain, size) for texture in textures]
+    views = [
+        DecodedView(
+            coordinate=np.broadcast_to(np.arange(size[1], dtype=np.float32), size),
+            sigma=np.full(size, 0.02, np.float32),
+            modulation=np.full(size, 60, np.float32),
+            texture=texture.astype(np.float32),
+            flags=np.zeros(size, np.uint16),
+        )
+        for texture in textures
+    ]
+    return Reconstruction(
+        rig=rig,
+        left=views[0],
+        right=views[1],
+        points=points.astype(np.float32),
+        sigma_z=np.full(size, skin.sigma_z, np.float32),
+        flags=np.zeros(size, np.uint16),
+    )
+
+
+@cache
+def without_noise(skin: Skin, heads: tuple[Head, ...]) -> tuple[Array, list[Array]]:
+    """(h, w, 3) points that the left camera sees, and both cameras' textures."""
+    rig = rig_of()
+    seen = [seen_by(camera, skin, heads) for camera in (rig.left, rig.right)]
+    shade = 0.05 * (np.arange(rig.left.width) - 0.5 * (rig.left.width - 1))
+    return seen[0][0], [110.0 + shade - ring_darkness(heads, *places, rig) for _, places in seen]
+
+
+def seen_by(camera: Device, skin: Skin, heads: Sequence[Head]) -> tuple[Array, tuple[Array, Array]]:
+    """(h, w, 3) points that a camera's pixels see, and their x and y in the skin's frame."""
     frame = skin.frame
-    v, u = np.mgrid[: rig.left.height, : rig.left.width].astype(float)
-    rays = rig.left.rays(np.stack([u, v], axis=-1)) @ frame.axes.T
-    eye = frame.local(rig.left.centre)
+    v, u = np.mgrid[: camera.height, : camera.width].astype(float)
+    rays = camera.rays(np.stack([u, v], axis=-1)) @ frame.axes.T
+    eye = frame.local(camera.centre)
     level = np.zeros(u.shape)
     for _ in range(6):
         reach = (level - eye[2]) / rays[..., 2]
         x, y = eye[0] + reach * rays[..., 0], eye[1] + reach * rays[..., 1]
         level = surface(skin, heads, x, y)
-    points = frame.rig(np.stack([x, y, level], axis=-1))
-    texture = 110.0 + 0.05 * (u - u.mean()) - ring_darkness(heads, x, y, rig)
-    if rng is not None:
-        error = rng.normal(size=u.shape)
-        if skin.correlated_px:
-            error = cv2.GaussianBlur(error, (0, 0), skin.correlated_px)
-        points = points * (1 + skin.sigma_z * error / error.std() / points[..., 2])[..., None]
-        texture = texture + rng.normal(0, grain, u.shape)
-    view = DecodedView(
-        coordinate=u.astype(np.float32),
-        sigma=np.full(u.shape, 0.02, np.float32),
-        modulation=np.full(u.shape, 60, np.float32),
-        texture=texture.astype(np.float32),
-        flags=np.zeros(u.shape, np.uint16),
-    )
-    return Reconstruction(
-        rig=rig,
-        left=view,
-        right=view,
-        points=points.astype(np.float32),
-        sigma_z=np.full(u.shape, skin.sigma_z, np.float32),
-        flags=np.zeros(u.shape, np.uint16),
-    )
+    return frame.rig(np.stack([x, y, level], axis=-1)), (x, y)
 
 
 def surface(skin: Skin, heads: Sequence[Head], x: Array, y: Array) -> Array:

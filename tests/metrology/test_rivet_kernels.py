@@ -10,7 +10,7 @@ from scipy.special import erfc
 from metrology.rivets.arc_fit import fit_conic
 from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.evidence import distinction, ring_evidence, ring_profile
+from metrology.rivets.evidence import distinction, ring_evidence, ring_profile, settle
 from metrology.rivets.ring_kernel import DENSE, KNOTS, UNKNOWNS, _factor, _row, _substitute
 
 ELLIPSE = Ellipse(61.3, 57.8, 22.0, 17.0, 0.7)
@@ -181,3 +181,14 @@ def test_curvature_noise_is_that_of_white_noise(rng: np.random.Generator) -> Non
     assert np.median(field.noise) == pytest.approx(expected, rel=0.06)
     d = field.derivatives
     assert curvature_noise(3 * d.uu, 3 * d.vv) == pytest.approx(3 * field.noise, rel=1e-4)
+
+
+def test_a_suspect_beside_its_ring_settles_on_it(rng: np.random.Generator) -> None:
+    v, u = np.mgrid[:120, :120].astype(float)
+    ring = -8 * np.exp(-0.5 * ((ELLIPSE.level(u, v) - 1) * ELLIPSE.radius) ** 2)
+    image = (100 + ring + rng.normal(0, 2, ring.shape)).astype(np.float32)
+    found = np.empty(5)
+    settle(
+        image, np.array([ELLIPSE.u + 2.0, ELLIPSE.v - 1.0, ELLIPSE.a + 2.0, ELLIPSE.b + 1.6, ELLIPSE.angle]), 1.0, found
+    )
+    assert found == pytest.approx(ELLIPSE.parameters, abs=0.7)

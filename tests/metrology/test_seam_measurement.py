@@ -1,0 +1,284 @@
+"""Seam measurement: section geometry, the gap as two cameras see it, the paper's piecewise fit, the reference scans."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+
+import gap_render
+import numpy as np
+import pytest
+
+from metrology.errors import UsageError
+from metrology.results import SeamStation
+from metrology.seams import SeamSettings, detect_seams, measure_seams, summarize
+from metrology.seams.blur import EdgeResponse, PixelBlur
+from metrology.seams.gap import GapEdge, gap_width, step_height
+from metrology.seams.piecewise import fit_pieces, paper_gap, side_of_section
+from metrology.seams.plates import beyond
+from metrology.seams.sections import Section, SkinLine
+from metrology.seams.skin_lines import fit_skin_lines
+from metrology.surfaces import Frame
+
+
+def chamfered_section(width, step, chamfer, noise, rng):
+    """Points of a gap with walls, 45° chamfers and a floor 2.5 mm down; side B is `step` higher."""
+    x = np.sort(rng.uniform(-12, 12, 1200))
+    half = width / 2
+    a = -np.clip(x + half + chamfer, 0, chamfer)
+    b = step - np.clip(half + chamfer - x, 0, chamfer)
+    y = np.where(x < -half, a, np.where(x > half, b, -2.5))
+    return x, y + rng.normal(0, noise, x.size)
+
+
+@pytest.mark.parametrize(("width", "step", "chamfer"), [(2.3, 0.1, 0.3), (3.0, -0.4, 0.5), (2.0, 0.25, 0.0)])
+def test_paper_s_procedure_on_exact_sections(width, step, chamfer):
+    x, y = chamfered_section(width, step, chamfer, 0.01, np.random.default_rng(3))
+    a = side_of_section(x, y, 0.05, np.deg2rad(20))
+    b = side_of_section(-x[::-1], y[::-1], 0.05, np.deg2rad(20))
+    assert a is not None
+    assert b is not None
+    mirrored = type(b)(-b.slope, b.intercept, (-b.inflection[0], b.inflection[1]), b.n)
+    height, gap = paper_gap(a, mirrored)
+    assert height == pytest.approx(abs(step), abs=0.01)
+    # Both corners are free within the tolerance: the method is that coarse, which is why it is not the default.
+    assert gap == pytest.approx(width, abs=3 * 0.05)
+
+
+def test_pieces_keep_to_the_tolerance():
+    rng = np.random.default_rng(4)
+    x, y = chamfered_section(2.0, 0.2, 0.3, 0.005, rng)
+    pieces = fit_pieces(x, y, 0.05)
+    assert pieces[0].first == 0
+    assert pieces[-1].end == len(x)
+    assert all(p.end == q.first for p, q in itertools.pairwise(pieces))
+
+
+def section(step, slope=0.0):
+    """Two parallel skins, B higher by `step` along their normal, in a frame tilted by `slope`."""
+    rise = step * np.hypot(1.0, slope)
+    frame = Frame(np.zeros(3), np.eye(3))
+    a, b = SkinLine(np.array([0.0, slope, 0.0]), 100), SkinLine(np.array([rise, slope, 0.0]), 100)
+    return Section(frame, a, b, np.eye(5) * 1e-6, 1.0)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.1, -0.3])
+def test_step_is_signed_and_blind_to_the_frame_s_tilt(slope):
+    assert step_height(section(0.2, slope), -1.2, 1.2) == pytest.approx(0.2)
+    assert step_height(section(-0.2, slope), -1.2, 1.2) == pytest.approx(-0.2)
+
+
+def test_width_is_measured_along_the_skin():
+    a, b = GapEdge(-1.0, 0.3), GapEdge(1.0, 0.3)
+    assert gap_width(section(0.0), a, b) == pytest.approx(2.0)
+    assert gap_width(section(0.0, 0.2), a, b) == pytest.approx(2.0 * np.hypot(1.0, 0.2))
+
+
+def test_edge_response_is_a_blurred_step():
+    for gradient in ((0.2, 0.0), (0.14, -0.14), (0.03, 0.19)):
+        response = EdgeResponse.along(gradient, PixelBlur(0.5, 0.1))
+        assert response.values[0] == pytest.approx(0, abs=1e-5)
+        assert response.values[-1] == pytest.approx(1, abs=1e-5)
+        assert np.allclose(response.values + response.values[::-1], 1, atol=1e-6)
+        assert np.allclose(np.gradient(response.values, response.step)[1:-1], response.slopes[1:-1], atol=0.02)
+        # Variances add: lens, pixel aperture (1/12 of a side squared), spill (2 q).
+        x = response.step * (np.arange(len(response.values)) - len(response.values) // 2)
+        variance = (response.slopes * x**2).sum() / response.slopes.sum()
+        expected = (0.5**2 + 1 / 12 + 2 * 0.1) * np.hypot(*gradient) ** 2
+        assert variance == pytest.approx(expected, rel=0.01)
+
+
+GAPS = [
+    Gap(2.3, 0.3, 0.11),
+    Gap(1.2, 0.0, -0.5),
+    Gap(4.0, 0.5, -0.8),
+    Gap(0.5, 0.3, 0.3),
+    Gap(1.5, 0.0, 0.4, 0.0, True),
+]
+
+
+@pytest.mark.parametrize("gap", GAPS)
+def test_picture_of_a_gap_is_what_single_rays_meet(gap):
+    eye, lamp, px_mm = np.array([-160.0, 680.0]), np.array([60.0, 690.0]), 5.0
+    samples = np.linspace(-4, 4, 801)
+    outline = np.array([
+        -gap.width_mm / 2 - gap.chamfer_mm, gap.width_mm / 2 + gap.chamfer_mm, gap.chamfer_mm, gap.chamfer_mm,
+        gap.depth_mm, 0.0,
+    ])  # fmt: skip
+    # A blur of a hundredth of a pixel.
+    table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), gap_view.NODES_PER_PX, 3.0)
+    work = (np.empty(8), np.empty(8), np.empty((16, 5)), np.empty(17), np.empty(17, np.int64))
+    basis = np.empty((len(samples), gap_view.LEVELS))
+    tilt = np.array([-gap.step_mm / 2, 0.0])
+    gap_view._basis(samples, len(samples), outline, gap.sealed, tilt, 1.0, eye, lamp, px_mm, table, work, basis)
+    regions = {
+        gap_render.SKIN_A: (gap_view.SKIN_A, gap_view.SKIN_A), gap_render.SKIN_B: (gap_view.SKIN_B, gap_view.SKIN_B),
+        gap_render.CHAMFER_A: (gap_view.CHAMFER_A, gap_view.DARK_FLOOR),
+        gap_render.CHAMFER_B: (gap_view.CHAMFER_B, gap_view.DARK_FLOOR),
+        gap_render.WALL_A: (gap_view.LIT_WALL, gap_view.DARK_WALL),
+        gap_render.WALL_B: (gap_view.LIT_WALL, gap_view.DARK_WALL),
+        gap_render.FLOOR: (gap_view.LIT_FLOOR, gap_view.DARK_FLOOR),
+    }  # fmt: skip
+    slopes = [gap_view.SLOPE_A, gap_view.SLOPE_B]
+    assert np.allclose(np.delete(basis, slopes, axis=1).sum(axis=1), 1)
+    clear = basis.max(axis=1) > 0.999
+    # Within half a pixel of a border both mix.
+    assert clear.mean() > 0.5
+    for x, row in zip(samples[clear], np.delete(basis, slopes, axis=1)[clear], strict=True):
+        piece, lit = seen(gap, float(x), eye, lamp)
+        expected = regions[piece][0 if lit else 1]
+        assert row[expected - (expected > gap_view.SLOPE_A)] > 0.99
+
+
+def test_normal_equations_are_the_cost_s_derivatives(rng):
+    some = profiles(Gap(1.5, 0.3, 0.2), 3, rng)
+    known = Knowledge(some.ambient, Floor(False))
+    shared = known.mean.copy()
+    borders = np.outer(some.half_widths, [-1.0, 1.0]) + 0.05
+    state = gap_solver._state_at(some, borders, shared, known, with_shape=True)
+    # Half of the cost's slope downhill is the gradient: the levels have settled, so only θ moves it.
+    for k, size in (
+        (0, 1e-4),
+        (1, 1e-4),
+        (2, 1e-4),
+        (4, 1e-4),
+        (5, 1e-4),
+        (7, 1e-4),
+        (8, 1e-4),
+        (12, 1e-3),
+        (25, 1e-3),
+    ):
+        costs = []
+        for sign in (-1, 1):
+            b, s = borders.copy(), shared.copy()
+            if k < 2:
+                b[:, k] += sign * size
+            else:
+                s[k - 2] += sign * size
+            costs.append(gap_solver._state_at(some, b, s, known, with_shape=True).costs)
+        slope = (costs[1] - costs[0]) / (2 * size)
+        scale = np.sqrt(state.normals[:, k, k] * state.costs)
+        assert np.allclose(-2 * state.gradients[:, k] / scale, slope / scale, atol=0.05)
+    assert np.allclose(state.normals, state.normals.transpose(0, 2, 1), rtol=1e-6, atol=1e-6 * state.normals.max())
+
+
+@pytest.mark.parametrize("gap", GAPS)
+def test_gap_is_measured_from_its_pictures(gap, rng):
+    some = profiles(gap, 16, rng)
+    fit = fit_gap(some, possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
+    assert fit.sound.all()
+    assert np.abs(widths - gap.width_mm).mean() < 0.03
+    assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.8
+    assert np.median(u95) < 0.15
+
+
+def test_slit_narrower_than_the_blur_is_known_to_be_poorly_known(rng):
+    fit = fit_gap(profiles(Gap(0.15, 0.3), 12, rng), possible_floors(None))
+    width = float(np.median(fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()))
+    u95 = 1.96 * fit.sigma_common_mm
+    assert abs(width - 0.15) < u95
+    assert u95 > 0.03
+
+
+def test_station_with_another_picture_is_not_measured_nor_does_it_harm(rng):
+    gap = Gap(2.3, 0.3)
+    some = profiles(gap, 16, rng)
+    # A hole takes one station's edge away.
+    grey = some.grey.copy()
+    grey[7, :, some.x[7, 0] < 0] = 0.05
+    fit = fit_gap(replace(some, grey=grey), possible_floors(2.95))
+    assert not fit.sound[7]
+    assert fit.sound.sum() == 15
+    widths = (fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum())[fit.sound]
+    assert np.abs(widths - 2.3).max() < 0.03
+
+
+def skin_points(rng, n=4000, noise=0.02, correlation=0.0):
+    """Points of two skins with a gap of ±1 mm between them: the same bend, different heights and slopes."""
+    x, y = rng.uniform(-12, 12, n), rng.uniform(-2, 2, n)
+    x = x[np.abs(x) > 1]
+    y = y[: len(x)]
+    common = correlation * noise * rng.standard_normal(40)[((x + 12) / 24 * 40).astype(int)]
+    a, b = 0.1 + 0.02 * x + 0.05 * y, 0.3 + 0.01 * x - 0.02 * y
+    h = np.where(x < 0, a, b) + 3e-4 * x**2 + common + noise * rng.standard_normal(len(x))
+    return np.stack([x, y, h, np.full(len(x), noise)], axis=1)
+
+
+def test_skin_lines_are_least_squares(rng):
+    points = skin_points(rng)
+    points[:40, 2] += 1.0
+    fit = fit_skin_lines(points, -1.0, 1.0, 3.0)
+    assert fit is not None
+    x, y, h, sigma = points[40:].T
+    a, b = x < 0, x > 0
+    design = np.stack([a, a * x, b, b * x, x**2, a * y, b * y], axis=1) / sigma[:, None]
+    expected = np.linalg.lstsq(design, h / sigma, rcond=None)[0]
+    assert np.allclose(fit.solution, expected, atol=2e-4)
+    assert (
+        np.abs((fit.solution - [0.1, 0.02, 0.3, 0.01, 3e-4, 0.05, -0.02]) / np.sqrt(np.diag(fit.covariance))).max() < 4
+    )
+    assert fit.chi == pytest.approx(1.0, abs=0.05)
+    assert min(fit.n_a, fit.n_b) > 1700
+
+
+def test_correlated_points_are_worth_fewer(rng):
+    alone = np.mean([fit_skin_lines(skin_points(rng), -1.0, 1.0, 3.0).clumping for _ in range(40)])
+    together = np.mean([fit_skin_lines(skin_points(rng, correlation=0.3), -1.0, 1.0, 3.0).clumping for _ in range(40)])
+    assert alone == pytest.approx(1.0, abs=0.4)
+    assert together > 3 * alone
+
+
+def test_too_few_points_are_no_skin_line(rng):
+    points = skin_points(rng)
+    assert fit_skin_lines(points[points[:, 0] < 0], -1.0, 1.0, 3.0) is None
+
+
+def test_points_beyond_another_seam_lie_on_another_plate():
+    course = np.array([[0.0, 50.0], [40.0, 52.0], [80.0, 50.0]])
+    pixels = np.array([[30.0, 20.0], [30.0, 70.0], [100.0, 70.0], [40.0, 51.0]])
+    assert beyond(pixels, np.array([30.0, 30.0]), [course]).tolist() == [False, True, False, False]
+    # A seam that ends at this one parts what lies to its left and right.
+    stem = np.array([[60.0, 20.0], [60.0, 45.0]])
+    assert beyond(pixels, np.array([30.0, 30.0]), [course, stem]).tolist() == [False, True, True, False]
+
+
+def test_summary():
+    rows = [SeamStation("S01", s, 0, 0, 0, 0, 0, step_mm=s / 10, width_mm=None) for s in range(11)]
+    summary = summarize(rows, "step_mm")[0]
+    assert (summary.stations, summary.measured) == (11, 11)
+    assert (summary.minimum, summary.maximum, summary.mean) == (0, 1, pytest.approx(0.5))
+    assert np.isnan(summarize(rows, "width_mm")[0].mean)
+
+
+def test_settings_out_of_range():
+    with pytest.raises(UsageError, match="edges"):
+        SeamSettings(edges="guess")  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="chamfer_deg"):
+        SeamSettings(chamfer_deg=90)
+
+
+@pytest.mark.parametrize(("name", "seams"), [("skin", 1), ("skin-worn", 0)])
+def test_reference_scans(shared, name, seams):
+    from metrology.reconstruct import reconstruct
+    from storage.rig import load_rig
+    from storage.scene import load_scene
+
+    scene = load_scene(shared / "scenes" / name)
+    rig = load_rig(shared / "scenes" / "rig.json")
+    cloud = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code, scene.exposures)
+    lines = detect_seams(cloud, ())
+    assert sum(line.relief for line in lines) == seams
+    stations = measure_seams(lines, cloud, ())
+    assert len({station.seam_id for station in stations}) == seams
+    if seams:
+        truth = json.loads((shared / "scenes" / name / "truth.json").read_text())["seams"][0]
+        v = np.array(truth["uv_px"])[:, 1]
+        order = np.argsort(v)
+        measured = [s for s in stations if s.width_mm is not None]
+        for quantity, limit in (("step_mm", 0.004), ("width_mm", 0.030)):
+            true = np.interp([s.v_px for s in measured], v[order], np.array(truth[quantity])[order])
+            error = np.array([getattr(s, quantity) for s in measured]) - true
+            assert np.abs(error).mean() < limit
