@@ -1,7 +1,7 @@
 """How much of the projector's light reaches the bottom of a narrow band.
 
 Paint of reflectance r sends back r times the fringes and r times the mean light: its fringe amplitude B falls with its
-mean level A. Into a gap the projector's narrow beam shines less than the light from all around, so that B falls by more.
+mean level A. Into a gap the projector's narrow beam shines less than the light from all around: there B falls by more.
 Bands too narrow for points of their own are told apart so.
 """
 

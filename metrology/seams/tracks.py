@@ -8,14 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.seams.polyline import arc_length, normals, resample
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# Nodes of the curve, px apart.
 _NODE_STEP_PX = 8.0
+# Skin beside a node, px wide (3 mm: flat) and as long as two nodes are apart; so many points make its depth as good as
+# the points' noise.
 _BAND_PX = 16
 _MIN_POINTS = 25
+# The direction at a node is that of a parabola through so many neighbours on each side, ±10 mm.
 _DIRECTION_NODES = 6
+_FEWEST_NODES = 4
+# Points whose depth differs by more than this share (7 mm) are of something else.
+_SAME_SKIN = 0.01
+_UNKNOWN_WIDTH_PX = 4.0
 
 
 @dataclass(frozen=True)
@@ -77,64 +86,68 @@ def lay_on_skin(
     Each node's depth is that of the skin on both sides: over a plane 1/z is affine in the pixel, so 1/z is fitted there
     and evaluated at the node.
     """
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre_px, axis=0), axis=1))])
-    count = max(2, int(arc[-1] / _NODE_STEP_PX) + 1)
-    stops = np.linspace(0, arc[-1], count)
-    pixels = np.stack([np.interp(stops, arc, column) for column in centre_px.T], axis=-1)
+    pixels = resample(centre_px, _NODE_STEP_PX)
+    stops, arc = arc_length(pixels), arc_length(centre_px)
     known = np.isfinite(width_px)
-    width = np.interp(stops, arc[known], width_px[known]) if known.any() else np.full(count, 4.0)
-    tangents = np.gradient(pixels, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    depth = np.array(
-        [
-            _skin_depth(reconstruction.points[..., 2], usable, pixel, tangent, half + guard_px)
-            for pixel, tangent, half in zip(pixels, tangents, width / 2, strict=True)
-        ]
-    )
-    good = np.isfinite(depth)
-    if good.sum() < 4:
+    width = np.interp(stops, arc[known], width_px[known]) if known.any() else np.full(len(stops), _UNKNOWN_WIDTH_PX)
+    inverse = _skin_inverse_depth(pixels, width / 2 + guard_px, reconstruction.points[..., 2], usable)
+    good = np.isfinite(inverse)
+    if good.sum() < _FEWEST_NODES:
         return None
     # Beyond the last good node the skin is not known; between good nodes it is smooth.
     inside = slice(int(np.argmax(good)), len(good) - int(np.argmax(good[::-1])))
-    inverse = np.interp(stops, stops[good], 1.0 / depth[good])
+    inverse = np.interp(stops, stops[good], inverse[good])
     rays = reconstruction.rig.left.normalized(pixels)
-    points = np.concatenate([rays, np.ones((count, 1))], axis=1) / inverse[:, None]
+    points = np.concatenate([rays, np.ones((len(pixels), 1))], axis=1) / inverse[:, None]
     points, pixels, width = points[inside], pixels[inside], width[inside]
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return Track(s, pixels, points, _directions(s, points), width)
 
 
-def _skin_depth(z: NDArray[np.float32], usable: Mask, pixel: Array, tangent: Array, inner: float) -> float:
-    """Depth of the skin at a node of the line, NaN where too few points lie beside it."""
-    reach = int(inner + _BAND_PX + 2)
-    u0, v0 = np.round(pixel).astype(int)
-    rows = slice(max(0, v0 - reach), max(0, v0 + reach + 1))
-    columns = slice(max(0, u0 - reach), max(0, u0 + reach + 1))
-    v, u = np.nonzero(usable[rows, columns])
-    du, dv = u + columns.start - pixel[0], v + rows.start - pixel[1]
-    across = -du * tangent[1] + dv * tangent[0]
-    along = du * tangent[0] + dv * tangent[1]
-    near = (np.abs(along) < _BAND_PX / 2) & (np.abs(across) > inner) & (np.abs(across) < inner + _BAND_PX)
-    sides = near & (across < 0), near & (across > 0)
-    if min(side.sum() for side in sides) < _MIN_POINTS:
-        return np.nan
-    inverse = 1.0 / z[rows, columns][v, u].astype(float)
-    estimates = []
-    for side in sides:
-        design = np.stack([np.ones(side.sum()), across[side], along[side]], axis=-1)
-        value = inverse[side]
-        keep = np.abs(value - np.median(value)) < 0.01 * np.median(value)
-        if keep.sum() < _MIN_POINTS:
-            return np.nan
-        estimates.append(np.linalg.lstsq(design[keep], value[keep], rcond=None)[0][0])
-    return float(2.0 / np.sum(estimates))
+def _skin_inverse_depth(nodes: Array, inner: Array, z: NDArray[np.float32], usable: Mask) -> Array:
+    """1/z of the skin at nodes (n, 2), from what lies beyond `inner` (n,) px on each side; NaN without skin."""
+    along = normals(nodes)
+    y = np.arange(-_BAND_PX / 2, _BAND_PX / 2 + 1)
+    result = np.zeros(len(nodes))
+    for side in (-1.0, 1.0):
+        x = side * (inner[:, None] + np.arange(1.0, _BAND_PX + 1))
+        # Places (node, along, across) and their pixels: the tangent is the normal turned back from v towards u.
+        u = nodes[:, 0, None, None] + x[:, None] * along[:, 0, None, None] + y[:, None] * along[:, 1, None, None]
+        v = nodes[:, 1, None, None] + x[:, None] * along[:, 1, None, None] - y[:, None] * along[:, 0, None, None]
+        rows, columns = np.rint(v).astype(int), np.rint(u).astype(int)
+        seen = (rows >= 0) & (rows < z.shape[0]) & (columns >= 0) & (columns < z.shape[1])
+        rows, columns = np.clip(rows, 0, z.shape[0] - 1), np.clip(columns, 0, z.shape[1] - 1)
+        skin = (seen & usable[rows, columns]).reshape(len(nodes), -1)
+        inverse = 1.0 / np.where(skin, z[rows, columns].reshape(len(nodes), -1).astype(float), np.nan)
+        across = np.broadcast_to(x[:, None], seen.shape).reshape(len(nodes), -1)
+        lengthwise = np.broadcast_to(y[:, None], seen.shape).reshape(len(nodes), -1)
+        result += 0.5 * _at_origin(across, lengthwise, inverse, skin)
+    return result
+
+
+def _at_origin(x: Array, y: Array, values: Array, known: Mask) -> Array:
+    """Value at (0, 0) of the plane through each row's known values; NaN where they are too few."""
+    result = np.full(len(values), np.nan)
+    rows = np.flatnonzero(known.sum(axis=1) >= _MIN_POINTS)
+    x, y, values, known = x[rows], y[rows], values[rows], known[rows]
+    median = np.nanmedian(values, axis=1)[:, None]
+    with np.errstate(invalid="ignore"):
+        near = (known & (np.abs(values - median) < _SAME_SKIN * median)).astype(float)
+    values = np.where(known, values, 0.0)
+    design = (np.ones_like(x), x, y)
+    normal = np.array([[np.sum(near * a * b, axis=1) for a in design] for b in design]).transpose(2, 0, 1)
+    right = np.array([np.sum(near * a * values, axis=1) for a in design]).T
+    good = near.sum(axis=1) >= _MIN_POINTS
+    result[rows[good]] = np.linalg.solve(normal[good], right[good][..., None])[:, 0, 0]
+    return result
 
 
 def _directions(s: Array, points: Array) -> Array:
-    """Unit tangents by a quadratic through the neighbouring nodes."""
-    tangents = np.empty_like(points)
-    for i in range(len(s)):
-        window = slice(max(0, i - _DIRECTION_NODES), i + _DIRECTION_NODES + 1)
-        order = min(2, len(s[window]) - 1)
-        tangents[i] = np.polyfit(s[window] - s[i], points[window], order)[-2]
-    return np.asarray(tangents / np.linalg.norm(tangents, axis=1, keepdims=True))
+    """Unit tangents: slope of the parabola through the neighbouring nodes."""
+    count = min(2 * _DIRECTION_NODES + 1, len(s))
+    first = np.clip(np.arange(len(s)) - count // 2, 0, len(s) - count)
+    window = first[:, None] + np.arange(count)
+    d = s[window] - s[:, None]
+    design = np.stack([np.ones_like(d), d, d * d], axis=-1)
+    tangents = np.linalg.pinv(design)[:, 1:2] @ points[window]
+    return np.asarray(tangents[:, 0] / np.linalg.norm(tangents[:, 0], axis=1, keepdims=True))
