@@ -25,8 +25,8 @@ from distributed import LocalCluster
 from moto.server import ThreadedMotoServer
 from prefect.testing.utilities import prefect_test_harness
 
-from flows.inbox import InboxJob, Outcome
-from flows.prefect_inbox import run_on_server, runner
+from flows.inbox_job import InboxJob, Outcome, Way
+from flows.prefect_inbox import run_on_server
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance
 
@@ -74,7 +74,7 @@ def main() -> int:
     ):
         killer = threading.Thread(target=kill_one, args=(cluster, store, killed), daemon=True)
         killer.start()
-        run_on_server(job, runner("dask", options.workers, cluster.scheduler_address), outcomes.append)
+        run_on_server(job, Way("dask", options.workers, cluster.scheduler_address), outcomes.append)
     problems = list(maintenance.check(store.layout).problems)
     stored = store.query("SELECT station FROM scenes ORDER BY ALL").column(0).to_pylist()
     if stored != [f"D{index}" for index in range(options.scenes)]:

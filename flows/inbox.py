@@ -11,16 +11,16 @@ import fcntl
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal
 
+from flows.inbox_job import InboxJob, Outcome, Plan
 from flows.inspect_scene import Job, inspect_scene
 from flows.memory import share_heap
 from metrology.errors import FlushlineError, RigError, SceneError, UsageError
 from storage.archive import Store
 from storage.archive.bundle import document_hash
+from storage.archive.compaction import compact
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.review import ReviewLog
 from storage.rig import load_rig, rig_document
@@ -30,76 +30,6 @@ from tasks.settings import load_settings
 
 QUARANTINE = "quarantine"
 _DEPTH = 4
-
-State = Literal["inspected", "known", "signed off", "copying", "waiting", "quarantined", "failed"]
-"""inspected: just now; known: earlier, alike; signed off: earlier, otherwise, and that result stays; copying: still
-being written; waiting: its rig is not in the store; quarantined: broken, put aside; failed: not the scene's fault,
-left for the next run."""
-
-
-@dataclass(frozen=True)
-class InboxJob:
-    """An inbox and what its scenes are inspected with; paths only, so that it can go to another process.
-
-    Attributes
-    ----------
-    inbox, store : Path
-    rig, panel_spec, settings : Path or None
-        As for one scene.
-    settle_s : float
-        A folder whose newest change is younger than this is still being copied.
-    """
-
-    inbox: Path
-    store: Path
-    rig: Path | None = None
-    panel_spec: Path | None = None
-    settings: Path | None = None
-    settle_s: float = 30.0
-
-    def __post_init__(self) -> None:
-        if self.settle_s < 0:
-            raise UsageError(f"settle time: found {self.settle_s:g} s, expected 0 or more")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one scene folder.
-
-    Attributes
-    ----------
-    folder : Path
-        Where it was found.
-    state : State
-    scene_id : str or None
-        None where the manifest could not be read.
-    text : str
-        What was found, or the reason.
-    seconds : float
-        Wall time of the inspection.
-    """
-
-    folder: Path
-    state: State
-    scene_id: str | None = None
-    text: str = ""
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is to be done in an inbox.
-
-    Attributes
-    ----------
-    ready : list of Path
-        Scene folders to inspect.
-    settled : list of Outcome
-        What needs nothing more: known, signed off, still copying, waiting, or broken and put aside already.
-    """
-
-    ready: list[Path]
-    settled: list[Outcome]
 
 
 @contextlib.contextmanager
@@ -177,6 +107,13 @@ def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
         return Outcome(folder, "failed", scene_id, f"unexpected {type(problem).__name__}: {problem}")
     found = f"{len(inspected.rivets)} rivets, {len({s.seam_id for s in inspected.stations})} seams"
     return Outcome(folder, "inspected", scene_id, found, time.perf_counter() - start)
+
+
+def write_parquet(job: InboxJob, outcomes: Iterable[Outcome]) -> str | None:
+    """Compact the store's tables if the job asks for it and something new is in them; returns where they lie."""
+    if not job.compact or not any(outcome.state == "inspected" for outcome in outcomes):
+        return None
+    return str(compact(Store(job.store).existing()))
 
 
 def scene_folders(inbox: Path) -> list[Path]:

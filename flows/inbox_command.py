@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
-from flows.inbox import InboxJob, Outcome, only_run, plan, run_here
+from flows.inbox import only_run, plan, run_here, write_parquet
+from flows.inbox_job import InboxJob, Outcome, Way
 from flows.inbox_report import summary
 from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
 from metrology.errors import UsageError
 
-RunnerKind = Literal["threads", "processes", "dask"]
 
-
-def run_inbox(job: InboxJob, workers: int, kind: RunnerKind, dask_address: str | None, use_server: bool) -> int:
+def run_inbox(job: InboxJob, way: Way, use_server: bool) -> int:
     """Inspect an inbox; returns the command's exit code."""
-    if workers < 1:
-        raise UsageError(f"--workers: found {workers}, expected at least 1")
     outcomes: list[Outcome] = []
     if runs_on_server(use_server):
-        from flows.prefect_inbox import run_on_server, runner
+        from flows.prefect_inbox import run_on_server
 
-        run_on_server(job, runner(kind, workers, dask_address), outcomes.append)
+        run_on_server(job, way, outcomes.append)
         for outcome in outcomes:
             _tell(outcome)
-    elif kind != "processes":
-        raise UsageError(f"--runner {kind}: found no Prefect server, expected one to be configured, or --server")
+    elif way.runner != "processes":
+        raise UsageError(f"--runner {way.runner}: found no Prefect server, expected one to be configured, or --server")
     else:
-        _run_here(job, workers, outcomes)
+        _run_here(job, way.workers, outcomes)
     print(summary(outcomes))
     bad = any(outcome.state in ("quarantined", "failed") for outcome in outcomes)
     return EXIT_SOME_FAILED if bad else EXIT_DONE
@@ -51,6 +46,8 @@ def _run_here(job: InboxJob, workers: int, outcomes: list[Outcome]) -> None:
             progress.advance(bar)
 
         run_here(job, planned.ready, workers, finish)
+        if place := write_parquet(job, outcomes):
+            print(f"tables for other engines in {place}")
 
 
 def _tell(outcome: Outcome) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from flows.inbox import Outcome, State
+from flows.inbox_job import Outcome, State
 
 _ORDER: tuple[State, ...] = ("failed", "quarantined", "waiting", "copying", "inspected", "signed off", "known")
 _WORDS: dict[State, str] = {

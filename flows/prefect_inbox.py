@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 from prefect import flow, task
@@ -14,11 +15,11 @@ from prefect.cache_policies import NO_CACHE
 from prefect.futures import as_completed
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
-from flows.inbox import InboxJob, Outcome, inspect_folder, only_run, plan
+from flows.inbox import inspect_folder, only_run, plan, write_parquet
+from flows.inbox_job import InboxJob, Outcome, Runner, Way
 from flows.inbox_report import markdown
 from storage.archive import Store
 
-Runner = Literal["threads", "processes", "dask"]
 _PICTURE_WIDTH = 800
 
 
@@ -40,6 +41,18 @@ def inspect_folder_task(job: InboxJob, folder: Path) -> Outcome:
     return outcome
 
 
+@task(
+    name="compact",
+    tags=["flushline", "store"],
+    cache_policy=NO_CACHE,
+    persist_result=False,
+    description="The tables as Parquet partitioned by aircraft, for other engines.",
+)
+def compact_task(job: InboxJob, outcomes: list[Outcome]) -> str | None:
+    """Compact the store's tables if the job asks for it and something new is in them."""
+    return write_parquet(job, outcomes)
+
+
 @flow(
     name="inspect_inbox",
     description="Inspect what is new in an inbox; put aside what is broken.",
@@ -53,37 +66,47 @@ def inspect_inbox_flow(
     panel_spec: str | None = None,
     settings: str | None = None,
     settle_s: float = 30.0,
+    compact: bool = True,
+    runner: Runner = "processes",
+    workers: int = 1,
+    dask_address: str | None = None,
 ) -> list[Outcome]:
-    """Inspect an inbox; every parameter but the last is a path.
+    """Inspect an inbox.
 
     Parameters
     ----------
     inbox, store, rig, panel_spec, settings : str
+        Paths.
     settle_s : float
         A folder whose newest change is younger than this many seconds is still being copied.
+    compact : bool
+        Write the tables as Parquet for other engines when something new was inspected.
+    runner : "processes", "threads" or "dask"
+        What runs the scenes' tasks. It is opened here and not given to the flow from outside, so that a deployment,
+        whose flow is loaded anew for each run, can say it, too.
+    workers : int
+        Scenes at a time.
+    dask_address : str, optional
+        Of the scheduler of a Dask cluster that stands already; without it `workers` processes are started here.
     """
-    job = InboxJob(Path(inbox), Path(store), _path(rig), _path(panel_spec), _path(settings), settle_s)
+    job = InboxJob(Path(inbox), Path(store), _path(rig), _path(panel_spec), _path(settings), settle_s, compact)
     with only_run(job.inbox):
         planned = plan(job)
         outcomes = list(planned.settled)
         progress: Any = create_progress_artifact(0.0, key="inbox-progress", description=f"{len(planned.ready)} scenes")
-        futures = [inspect_folder_task.submit(job, folder) for folder in planned.ready]
-        for future in as_completed(futures):
-            outcomes.append(future.result())
-            done = len(outcomes) - len(planned.settled)
-            update_progress_artifact(progress, 100.0 * done / len(futures))
+        with task_runner(runner, workers, dask_address) as running:
+            futures = [running.submit(inspect_folder_task, {"job": job, "folder": f}) for f in planned.ready]
+            for future in as_completed(futures):
+                outcomes.append(future.result())
+                done = len(outcomes) - len(planned.settled)
+                update_progress_artifact(progress, 100.0 * done / len(futures))
+        compact_task(job, outcomes)
     create_markdown_artifact(markdown(outcomes), key="inbox-summary", description=inbox)
     return outcomes
 
 
-def runner(kind: Runner, workers: int, dask_address: str | None = None) -> TaskRunner[Any]:
-    """What runs the scenes' tasks.
-
-    Parameters
-    ----------
-    dask_address : str, optional
-        Of the scheduler of a Dask cluster that stands already; without it `workers` processes are started here.
-    """
+def task_runner(kind: Runner, workers: int, dask_address: str | None = None) -> TaskRunner[Any]:
+    """What runs the scenes' tasks; see `inspect_inbox_flow`."""
     if kind == "threads":
         return ThreadPoolTaskRunner(max_workers=workers)
     if kind == "processes":
@@ -101,12 +124,15 @@ def runner(kind: Runner, workers: int, dask_address: str | None = None) -> TaskR
     return DaskTaskRunner(cluster_kwargs={"n_workers": workers, "threads_per_worker": 1})
 
 
-def run_on_server(job: InboxJob, task_runner: TaskRunner[Any], on_outcome: Callable[[Outcome], None]) -> None:
+def flow_parameters(job: InboxJob, way: Way) -> dict[str, Any]:
+    """The flow's parameters; paths are absolute, so that it can run elsewhere."""
+    paths = {field: _text(getattr(job, field)) for field in ("inbox", "store", "rig", "panel_spec", "settings")}
+    return {**paths, "settle_s": job.settle_s, "compact": job.compact, **asdict(way)}
+
+
+def run_on_server(job: InboxJob, way: Way, on_outcome: Callable[[Outcome], None]) -> None:
     """Run the flow here and now; its outcomes are told when it is done."""
-    run_flow = inspect_inbox_flow.with_options(task_runner=task_runner)
-    for outcome in run_flow(
-        str(job.inbox), str(job.store), _text(job.rig), _text(job.panel_spec), _text(job.settings), job.settle_s
-    ):
+    for outcome in inspect_inbox_flow(**flow_parameters(job, way)):
         on_outcome(outcome)
 
 
@@ -154,7 +180,7 @@ def _text(path: Path | None) -> str | None:
     return str(path.absolute()) if path else None
 
 
-def serve(job: InboxJob, task_runner: TaskRunner[Any], cron: str, timezone: str | None, name: str) -> int:
+def serve(job: InboxJob, way: Way, cron: str, timezone: str | None, name: str) -> int:
     """Serve the flow as a deployment with a schedule until the process is stopped."""
     from prefect.schedules import Cron
 
@@ -167,12 +193,7 @@ def serve(job: InboxJob, task_runner: TaskRunner[Any], cron: str, timezone: str 
         raise UsageError(
             f"--cron, --timezone: found {cron!r}, {timezone!r} ({text}), expected a cron line and a zone"
         ) from None
-    paths = {field: _text(getattr(job, field)) for field in ("inbox", "store", "rig", "panel_spec", "settings")}
-    inspect_inbox_flow.with_options(task_runner=task_runner).serve(
-        name=name,
-        schedule=schedule,
-        parameters={**paths, "settle_s": job.settle_s},
-        tags=["flushline"],
-        limit=1,
+    inspect_inbox_flow.serve(
+        name=name, schedule=schedule, parameters=flow_parameters(job, way), tags=["flushline"], limit=1
     )
     return 0

@@ -17,7 +17,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "someone starts it in Prefect's pages or by 'prefect deployment run inspect_inbox/NAME'. Needs a Prefect "
         "server.",
     )
-    add_inbox_arguments(parser)
+    add_inbox_arguments(parser, compact=True)
     parser.add_argument("--cron", default="0 2 * * *", help="when, as cron has it (default '0 2 * * *': two at night)")
     parser.add_argument("--timezone", metavar="ZONE", help="of the schedule, such as Europe/Berlin (default UTC)")
     parser.add_argument("--name", default="nightly", help="of the deployment (default nightly)")
@@ -26,16 +26,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 
 def run(options: argparse.Namespace) -> int:
     """Serve until stopped."""
-    from flows.inbox import InboxJob
+    from flows.commands.run import inbox_job, way_to_run
     from flows.prefect_server import answers, configured_api
     from metrology.errors import UsageError
 
-    job = InboxJob(options.inbox, options.store, options.rig, options.panel_spec, options.settings, options.settle)
+    job, way = inbox_job(options), way_to_run(options)
     api = configured_api()
     if not api or not answers(api):
         found = f"no answer from {api}" if api else "no Prefect server configured"
         raise UsageError(f"serve: found {found}, expected PREFECT_API_URL of a running 'prefect server start'")
-    from flows.prefect_inbox import runner, serve
+    from flows.prefect_inbox import serve
 
-    task_runner = runner(options.runner, options.workers, options.dask_address)
-    return serve(job, task_runner, options.cron, options.timezone, options.name)
+    return serve(job, way, options.cron, options.timezone, options.name)

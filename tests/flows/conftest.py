@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,8 @@ def scenes(tmp_path: Path) -> list[Path]:
     return [write_small_scene(tmp_path / name, small_key(name)) for name in ("S1", "S2")]
 
 
-@pytest.fixture
-def fake_metrology(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Every entry point of metrology gives a part of a small result; the list says which were called, in order."""
+def fake_metrology_in(put: Callable[[Any, str, Any], None]) -> list[str]:
+    """Put a part of a small result behind every entry point of metrology; the list says which were called, in order."""
     result = small_result()
     called: list[str] = []
 
@@ -61,7 +61,26 @@ def fake_metrology(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (steps.seams, "measure_seams", list(result.stations)),
         (steps.overlay, "draw_overlay", result.overlay),
     ):
-        monkeypatch.setattr(room, name, gives(name, value), raising=False)
+        put(room, name, gives(name, value))
+    return called
+
+
+@pytest.fixture
+def fake_metrology(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Metrology replaced at its door, in a process without a Prefect server."""
     monkeypatch.delenv("PREFECT_API_URL", raising=False)
     monkeypatch.setenv("PREFECT_HOME", "/nonexistent")
-    return called
+    return fake_metrology_in(monkeypatch.setattr)
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[None]:
+    """A Prefect server of the tests' own; it takes half a minute to start."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DO_NOT_TRACK", "1")
+        patch.setenv("PREFECT_SERVER_ANALYTICS_ENABLED", "false")
+        patch.setenv("PREFECT_LOGGING_LEVEL", "ERROR")
+        from prefect.testing.utilities import prefect_test_harness
+
+        with prefect_test_harness(server_startup_timeout=180):
+            yield

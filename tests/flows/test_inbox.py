@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from flows.cli import main
-from flows.inbox import InboxJob, inspect_folder, only_run, plan, scene_folders
+from flows.inbox import inspect_folder, only_run, plan, scene_folders
+from flows.inbox_job import InboxJob
 from metrology.errors import UsageError
 from storage.archive import Store
 from storage.review import ReviewLog
@@ -56,6 +57,17 @@ def test_a_second_run_does_nothing(
     fill(job.inbox, "S3")
     assert run(job) == 0
     assert capsys.readouterr().out.endswith("2 known already, 1 inspected\n")
+
+
+def test_tables_are_compacted_when_something_is_new(
+    job: InboxJob, fake_metrology: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    fill(job.inbox, "S1")
+    assert run(job, "--compact") == 0
+    assert "tables for other engines" in capsys.readouterr().out
+    compacted = os.readlink(job.store / "parquet")
+    assert run(job, "--compact") == 0
+    assert os.readlink(job.store / "parquet") == compacted
 
 
 def test_other_settings_or_another_rig_make_a_scene_new(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,18 +11,6 @@ from flows.prefect_server import answers, configured_api
 from storage.archive import Store
 from tests.flows.conftest import write_small_scene
 from tests.storage.results import small_key
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DO_NOT_TRACK", "1")
-        patch.setenv("PREFECT_SERVER_ANALYTICS_ENABLED", "false")
-        patch.setenv("PREFECT_LOGGING_LEVEL", "ERROR")
-        from prefect.testing.utilities import prefect_test_harness
-
-        with prefect_test_harness(server_startup_timeout=180):
-            yield
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -59,10 +46,11 @@ def test_an_inbox_runs_as_a_flow_with_pages_of_its_own(
         write_small_scene(inbox / station, small_key(station))
     (inbox / "S2" / "scene.json").write_text("{")
     arguments = ["run", "--inbox", str(inbox), "--store", str(store), "--rig", str(rig_file), "--settle", "0"]
-    assert main([*arguments, "--server", "--runner", "threads", "--workers", "2"]) == 1
+    assert main([*arguments, "--server", "--runner", "threads", "--workers", "2", "--compact"]) == 1
     said = capsys.readouterr()
     assert said.out.endswith("2 inspected, 1 put aside\n")
     assert "broken JSON" in said.err
+    assert len(list((store / "parquet" / "rivets").glob("*/*.parquet"))) == 1
     assert Store(store).query("SELECT count(*) FROM scenes").column(0).to_pylist() == [2]
     with get_client(sync_client=True) as client:
         pages = {artifact.key: str(artifact.data) for artifact in client.read_latest_artifacts()}
@@ -86,3 +74,18 @@ def test_a_configured_server_is_found_without_prefect(tmp_path: Path, monkeypatc
     assert not answers("http://127.0.0.1:9/api")
     monkeypatch.setenv("PREFECT_API_URL", "http://plant/api")
     assert configured_api() == "http://plant/api"
+
+
+def test_the_deployment_for_a_work_pool_fits_the_flow() -> None:
+    import inspect
+
+    import yaml
+
+    from flows.prefect_inbox import inspect_inbox_flow
+
+    root = Path(__file__).parents[2]
+    (deployment,) = yaml.safe_load((root / "prefect.yaml").read_text(encoding="utf-8"))["deployments"]
+    file, _, name = deployment["entrypoint"].partition(":")
+    assert (root / file).is_file()
+    assert name == inspect_inbox_flow.fn.__name__
+    inspect.signature(inspect_inbox_flow.fn).bind(**deployment["parameters"])

