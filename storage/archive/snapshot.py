@@ -11,13 +11,16 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import duckdb
 
 from metrology.errors import StoreError
 from storage.archive.files import copy_durably, locked, make_folders, point_to
 from storage.archive.layout import Layout
-from storage.archive.recycle import News, discard, note, recycle
+
+if TYPE_CHECKING:
+    from storage.archive.recycle import News
 
 KEPT_GENERATIONS = 3
 _ATTEMPTS = 5
@@ -38,6 +41,8 @@ def publish(layout: Layout, news: News | None = None) -> None:
     news : News, optional
         What the newest generation lacks, where that is known.
     """
+    from storage.archive.recycle import discard, note, recycle
+
     make_folders(layout.generations, layout.root)
     target = layout.generations / f"archive-{time.time_ns():020d}.duckdb"
     generations = sorted(layout.generations.glob("archive-*.duckdb"))
