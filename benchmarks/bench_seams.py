@@ -2,7 +2,7 @@
 
 python benchmarks/bench_seams.py [--images 12] [--peers PYTHON]
 
---peers names the Python of an environment with the extra "bench-seams" (ridge-detector, scikit-image). Images are
+--peers names the Python of an environment with the extra "bench". Images are
 1624 × 1234 with one or two seams 4 to 16 px wide, 12 to 55 grey levels dark, noise of 2 levels, unequal brightness on
 both sides. Times are process times: `warm` of a second call on the same image.
 """
