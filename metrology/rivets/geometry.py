@@ -136,7 +136,7 @@ def nearby_plane(reconstruction: Reconstruction, ellipse: Ellipse) -> tuple[Fram
     height, width = reconstruction.points.shape[:2]
     u0, u1 = max(0, int(ellipse.u - reach)), min(width, int(ellipse.u + reach) + 1)
     v0, v1 = max(0, int(ellipse.v - reach)), min(height, int(ellipse.v + reach) + 1)
-    stride = max(1, int(reach / 20))
+    stride = max(1, int(reach / 8))
     points = reconstruction.points[v0:v1:stride, u0:u1:stride].reshape(-1, 3)
     points = points[np.isfinite(points[:, 2])].astype(float)
     if len(points) < 50:

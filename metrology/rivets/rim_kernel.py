@@ -88,7 +88,7 @@ def _solve(matrix, right, size):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _rows(distance, at, by_gap, by_edge, level, blur, inside, outside, cosine, sine, black_levels, row):  # type: ignore[no-untyped-def]
+def _model(distance, at, by_gap, by_edge, level, blur, inside, outside, cosine, sine, black_levels, row):  # type: ignore[no-untyped-def]
     """Model at a distance from the head's edge and its derivatives by all unknowns, then by inside and outside."""
     row[:] = 0.0
     value = inside
@@ -115,15 +115,76 @@ def _rows(distance, at, by_gap, by_edge, level, blur, inside, outside, cosine, s
         row[GAP] += by_place * by_gap[j]
         row[BREAK] += by_place * by_edge[j]
         row[BLUR] += by_place * z
+        # The level before the step ends here, the one after it begins; that of the edge break is no unknown.
         if j == 0:
             row[UNKNOWNS] -= passed
-        else:
-            row[BLACK if black_levels[j] else FLOOR] -= passed if j > 1 else 0.0
+        elif j > 1:
+            row[BLACK if black_levels[j] else FLOOR] -= passed
         if j == STEPS - 1:
             row[UNKNOWNS + 1] += passed
         elif j > 0:
             row[BLACK if black_levels[j + 1] else FLOOR] += passed
     return value
+
+
+@kernel
+def _gather(
+    profile, first, spacing, blur, at, by_gap, by_edge, level, ends, normal, black_levels, noise, system, right, size
+):  # type: ignore[no-untyped-def]
+    """Normal equations of one profile; the residuals' sizes go to `size`, zero where there is no sample."""
+    row = np.empty(_ALL)
+    system[:] = 0.0
+    right[:] = 0.0
+    for m in range(len(profile)):
+        size[m] = 0.0
+        if np.isnan(profile[m]):
+            continue
+        value = _model(
+            first + m * spacing, at, by_gap, by_edge, level, blur, ends[0], ends[1], normal[0], normal[1],
+            black_levels, row,
+        )  # fmt: skip
+        residual = profile[m] - value
+        size[m] = abs(residual)
+        weight = 1.0
+        if noise > 0.0:
+            t = residual / (_TUKEY * noise)
+            weight = (1.0 - t * t) ** 2 if abs(t) < 1.0 else 0.0
+        for i in range(_ALL):
+            right[i] += weight * row[i] * residual
+            for j in range(i + 1):
+                system[i, j] += weight * row[i] * row[j]
+
+
+@kernel
+def _eliminate(system, right, ends, matrix, step):  # type: ignore[no-untyped-def]
+    """Solve for a direction's own brightness, and add what is left of its equations to those of all."""
+    h, s = UNKNOWNS, UNKNOWNS + 1
+    a, b, d = system[h, h] + 1e-9, system[s, h], system[s, s] + 1e-9
+    det = a * d - b * b
+    if det < 1e-6:
+        return
+    ends[0] += (d * right[h] - b * right[s]) / det
+    ends[1] += (a * right[s] - b * right[h]) / det
+    for i in range(UNKNOWNS):
+        p = (d * system[h, i] - b * system[s, i]) / det
+        q = (a * system[s, i] - b * system[h, i]) / det
+        step[i] += right[i] - p * right[h] - q * right[s]
+        for j in range(i + 1):
+            matrix[i, j] += system[i, j] - p * system[h, j] - q * system[s, j]
+
+
+@kernel
+def _advance(unknowns, step):  # type: ignore[no-untyped-def]
+    """Take a step of limited length, lengths staying positive; returns how far the centre moves."""
+    move = 0.0
+    for i in range(UNKNOWNS):
+        change = min(max(step[i], -_LONGEST_STEP), _LONGEST_STEP)
+        if i in (GAP, BREAK, BLUR) and unknowns[i] + change < 0.0:
+            change = -0.5 * unknowns[i]
+        unknowns[i] += change
+        if i < RADIUS:
+            move = max(move, abs(change))
+    return move
 
 
 @kernel
@@ -157,81 +218,43 @@ def fit_rim_kernel(profiles, ends, first, spacing, directions, height, slopes, l
         Whether the fit converged.
     """
     cameras, count, samples = profiles.shape
-    at, by_gap, by_edge = np.empty(STEPS), np.empty(STEPS), np.empty(STEPS)
-    level = np.zeros(STEPS + 1)
-    row = np.empty(_ALL)
-    local = np.empty((_ALL, _ALL))
-    right = np.empty(_ALL)
-    residual = np.zeros(cameras * count * samples)
+    at, by_gap, by_edge, level = np.empty(STEPS), np.empty(STEPS), np.empty(STEPS), np.zeros(STEPS + 1)
+    system, right = np.empty((_ALL, _ALL)), np.empty(_ALL)
+    size = np.zeros((cameras * count, samples))
     black_levels = np.zeros(STEPS + 1, np.bool_)
     black_levels[2 if height > 0.0 else 3] = True
     black_levels[3 if height > 0.0 else 4] = True
     unknowns = start.copy()
     noise = 0.0
+    move = 1.0
     for _ in range(iterations):
-        normal = np.zeros((UNKNOWNS, UNKNOWNS))
+        matrix = np.zeros((UNKNOWNS, UNKNOWNS))
         step = np.zeros(UNKNOWNS)
         for c in range(cameras):
             for k in range(count):
-                ex, ey = directions[k]
+                normal = directions[k]
                 rim_steps(
-                    height, slopes[c, 0] * ex + slopes[c, 1] * ey, light[0] * ex + light[1] * ey,
-                    unknowns[GAP], unknowns[BREAK], unknowns[FLOOR], unknowns[BLACK], at, by_gap, by_edge, level,
+                    height, slopes[c, 0] * normal[0] + slopes[c, 1] * normal[1],
+                    light[0] * normal[0] + light[1] * normal[1], unknowns[GAP], unknowns[BREAK], unknowns[FLOOR],
+                    unknowns[BLACK], at, by_gap, by_edge, level,
                 )  # fmt: skip
-                edge = unknowns[RADIUS] + unknowns[SHIFT] * ex + unknowns[SHIFT + 1] * ey
-                local[:] = 0.0
-                right[:] = 0.0
-                for m in range(samples):
-                    if np.isnan(profiles[c, k, m]):
-                        continue
-                    distance = first + m * spacing - edge
-                    value = _rows(
-                        distance, at, by_gap, by_edge, level, unknowns[BLUR], ends[c, k, 0], ends[c, k, 1],
-                        ex, ey, black_levels, row,
-                    )  # fmt: skip
-                    r = profiles[c, k, m] - value
-                    residual[(c * count + k) * samples + m] = abs(r)
-                    weight = 1.0
-                    if noise > 0.0:
-                        t = r / (_TUKEY * noise)
-                        weight = (1.0 - t * t) ** 2 if abs(t) < 1.0 else 0.0
-                    for i in range(_ALL):
-                        right[i] += weight * row[i] * r
-                        for j in range(i + 1):
-                            local[i, j] += weight * row[i] * row[j]
-                # The direction's own brightness inside and outside is solved for and eliminated.
-                a = local[UNKNOWNS, UNKNOWNS] + 1e-9
-                b = local[UNKNOWNS + 1, UNKNOWNS]
-                d = local[UNKNOWNS + 1, UNKNOWNS + 1] + 1e-9
-                det = a * d - b * b
-                if det < 1e-6:
-                    continue
-                ends[c, k, 0] += (d * right[UNKNOWNS] - b * right[UNKNOWNS + 1]) / det
-                ends[c, k, 1] += (a * right[UNKNOWNS + 1] - b * right[UNKNOWNS]) / det
-                for i in range(UNKNOWNS):
-                    p = (d * local[UNKNOWNS, i] - b * local[UNKNOWNS + 1, i]) / det
-                    q = (a * local[UNKNOWNS + 1, i] - b * local[UNKNOWNS, i]) / det
-                    step[i] += right[i] - p * right[UNKNOWNS] - q * right[UNKNOWNS + 1]
-                    for j in range(i + 1):
-                        normal[i, j] += local[i, j] - p * local[UNKNOWNS, j] - q * local[UNKNOWNS + 1, j]
-        noise = 1.4826 * np.median(residual) + 1e-4
+                edge = unknowns[RADIUS] + unknowns[SHIFT] * normal[0] + unknowns[SHIFT + 1] * normal[1]
+                _gather(
+                    profiles[c, k], first - edge, spacing, unknowns[BLUR], at, by_gap, by_edge, level, ends[c, k],
+                    normal, black_levels, noise, system, right, size[c * count + k],
+                )  # fmt: skip
+                _eliminate(system, right, ends[c, k], matrix, step)
+        noise = 1.4826 * np.median(size) + 1e-4
         for i in range(UNKNOWNS):
             # Neighbouring samples share pixels, and grain is broad: a sample is worth a quarter of an independent one.
             prior = 4.0 * (noise / spread[i]) ** 2
-            normal[i, i] += prior
+            matrix[i, i] += prior
             step[i] += prior * (start[i] - unknowns[i])
             for j in range(i):
-                normal[j, i] = normal[i, j]
-        if not _solve(normal, step, UNKNOWNS):
+                matrix[j, i] = matrix[i, j]
+        if not _solve(matrix, step, UNKNOWNS):
             return False
-        move = 0.0
-        for i in range(UNKNOWNS):
-            change = min(max(step[i], -_LONGEST_STEP), _LONGEST_STEP)
-            if i in (GAP, BREAK, BLUR) and unknowns[i] + change < 0.0:
-                change = -0.5 * unknowns[i]
-            unknowns[i] += change
-            if i < RADIUS:
-                move = max(move, abs(change))
+        move = _advance(unknowns, step)
         if move < _CONVERGED_MM:
             break
     out[:UNKNOWNS] = unknowns

@@ -14,7 +14,19 @@ from metrology.reconstruct import reconstruct
 from metrology.results import Rivet
 from metrology.rivets import detect_rivets, measure_rivets
 from metrology.rivets.bilinear import sample_image
-from metrology.rivets.rim_kernel import GAP, STEPS, UNKNOWNS, fit_rim_kernel, rim_steps
+from metrology.rivets.rim_kernel import (
+    BLACK,
+    BLUR,
+    BREAK,
+    FLOOR,
+    GAP,
+    RADIUS,
+    STEPS,
+    UNKNOWNS,
+    _model,
+    fit_rim_kernel,
+    rim_steps,
+)  # fmt: skip
 from simulator.panel import Panel
 from simulator.panel import Rivet as PanelRivet
 from simulator.rig import RigDesign
@@ -80,6 +92,28 @@ def test_steps_are_in_order_and_their_derivatives_right(height: float) -> None:
             d = 1e-7
             assert by_gap == pytest.approx((steps(height, camera, light, gap=0.15 + d)[0] - at) / d, abs=1e-4)
             assert by_edge == pytest.approx((steps(height, camera, light, edge=0.05 + d)[0] - at) / d, abs=1e-4)
+
+
+@pytest.mark.parametrize("height", [0.8, -0.6])
+def test_model_and_its_derivatives(height: float) -> None:
+    unknowns = np.array([0.04, -0.03, -0.05, 0.12, 0.07, 0.25, 0.15, 0.15])
+    c, k, m = 1, 7, 9
+
+    def value(u: np.ndarray) -> tuple[float, np.ndarray]:
+        at, by_gap, by_edge, level = np.empty(STEPS), np.empty(STEPS), np.empty(STEPS), np.zeros(STEPS + 1)
+        towards = SLOPES[c] @ NORMALS[k], LIGHT @ NORMALS[k]
+        rim_steps(height, *towards, *u[[GAP, BREAK, FLOOR, BLACK]], at, by_gap, by_edge, level)
+        black = np.zeros(STEPS + 1, bool)
+        black[[2, 3] if height > 0 else [3, 4]] = True
+        row = np.empty(UNKNOWNS + 2)
+        distance = DISTANCES[m] - u[RADIUS] - NORMALS[k] @ u[:2]
+        return _model(distance, at, by_gap, by_edge, level, u[BLUR], 1.02, 0.97, *NORMALS[k], black, row), row
+
+    model, row = value(unknowns)
+    assert model == pytest.approx(profiles(height, unknowns, 1.02, 0.97)[c, k, m], abs=1e-6)
+    for i in range(UNKNOWNS):
+        moved = unknowns + 1e-5 * (np.arange(UNKNOWNS) == i)
+        assert row[i] == pytest.approx((value(moved)[0] - model) / 1e-5, abs=2e-3)
 
 
 @pytest.mark.parametrize("height", [1.0, 0.5, 0.0, -0.3, -0.8])
