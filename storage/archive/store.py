@@ -103,7 +103,7 @@ class Store:
             found = read_json(self.layout.marker, StoreError).get("format")
             if found != STORE_FORMAT:
                 raise StoreError(f"{self.layout.marker}: found format {found!r}, expected {STORE_FORMAT!r}")
-        elif root.is_dir() and any(root.iterdir()):
+        elif root.is_dir() and self._holds_other_things():
             raise StoreError(f"{root}: found a folder with other things in it, expected a store or an empty folder")
 
     def existing(self) -> Layout:
@@ -272,7 +272,12 @@ class Store:
         """Make what every store has."""
         self.check_usable()
         self.root.mkdir(parents=True, exist_ok=True)
-        for folder in (self.layout.bundles, self.layout.rigs, self.layout.staging, self.layout.index):
-            folder.mkdir(exist_ok=True)
         if not self.layout.marker.exists():
             write_first(self.layout.marker, json.dumps({"format": STORE_FORMAT}).encode())
+        for folder in (self.layout.bundles, self.layout.rigs, self.layout.staging, self.layout.index):
+            folder.mkdir(exist_ok=True)
+
+    def _holds_other_things(self) -> bool:
+        """Whether the folder has something in it and is no store, not even one that another process makes just now."""
+        found = any(not entry.name.startswith(".") for entry in self.root.iterdir())
+        return found and not self.layout.marker.exists()

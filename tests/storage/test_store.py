@@ -361,6 +361,14 @@ def test_a_folder_that_is_no_store_is_left_alone(store: Store, make: Callable[[P
         store.publish(small_result())
 
 
+def test_many_writers_may_make_the_store_at_once(tmp_path: Path) -> None:
+    for attempt in range(10):
+        stores = [Store(tmp_path / f"store-{attempt}") for _ in range(8)]
+        with ThreadPoolExecutor(8) as threads:
+            list(threads.map(Store.prepare, stores))
+        stores[0].check_usable()
+
+
 def test_no_store_is_said(store: Store) -> None:
     with pytest.raises(StoreError, match="found no such folder"):
         store.query("SELECT 1")
