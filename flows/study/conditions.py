@@ -12,7 +12,7 @@ def conditions(series: Series) -> str:
     """Scans, panel, rig and noise of a series."""
     s = series.simulation
     return (
-        f"Simulated: {_count(s.repeats, 'scan')} from {_count(len(s.placements), 'placement')}, inspected with "
+        f"Simulated: {_count(s.repeats, 'scan')} from {_placements(len(s.placements))}, inspected with "
         f"{' and with '.join(f'the {rig} rig' for rig in series.rigs)}. {_skin(s)}, "
         f"{_count(len(s.panel.rivets), 'rivet')}, {_count(len(s.panel.seams), 'seam')}. {equipment(s)}"
     )
@@ -27,6 +27,10 @@ def equipment(simulation: SimulationSpec) -> str:
         f"{camera.blur_px:g} px; projector gamma {simulation.projector.gamma:g}; fringe counts "
         f"{'/'.join(str(count) for count in simulation.fringe.counts)} in {simulation.fringe.steps} steps."
     )
+
+
+def _placements(number: int) -> str:
+    return "one placement" if number == 1 else f"each of {number} placements"
 
 
 def _count(number: int, thing: str) -> str:

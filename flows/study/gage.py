@@ -104,8 +104,10 @@ class Gage:
         for table in tables:
             if (s := table.study) is not None:
                 sigmas = [1000 * sigma for sigma in (s.repeatability, s.reproducibility, s.grr, s.parts)]
-                shares = [s.percent_of_tolerance(self._tolerance), s.percent_of_variation]
-                rows.append([table.quantity, len(table.parts), *sigmas, *shares, s.distinct_categories])
+                # The tolerance is that of heights and steps.
+                of_tolerance = None if table.quantity == "width" else s.percent_of_tolerance(self._tolerance)
+                shares = [of_tolerance, s.percent_of_variation, s.distinct_categories]
+                rows.append([table.quantity, len(table.parts), *sigmas, *shares])
         return Table("gage", "Variation", columns, rows)
 
     def _bars(self, tables: Sequence[Crossed]) -> list[Bar]:
