@@ -21,6 +21,7 @@ Float32 = NDArray[np.float32]
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
+_WORTH_A_TRY_PX = 1.5  # from the first start
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -150,6 +151,8 @@ def _verified(
         # A glint or a gap in the ring has pulled the suspect aside: once more from where a whole ring shows best.
         near = np.empty(5)
         settle(image, start.parameters, _USUAL_SIGMA_PX, near)
+        if np.abs(near - start.parameters).max() < _WORTH_A_TRY_PX:
+            return None
         fit = fit_ring(image, Ellipse.of(near), _USUAL_SIGMA_PX, limits, shape)
     if fit is None or not _is_rim(fit, settings) or not _is_line(image, fit):
         return None
