@@ -144,7 +144,7 @@ def side_of_section(x: Array, y: Array, tolerance: float, angle: float) -> SideF
         return None
     # The chamfer falls away from the skin at a finite angle; a piece that drops into the gap is the wall.
     corner = skin.end - 1
-    chamfer, _ = merge_skin(x, y, rest, tolerance, angle)
+    chamfer = rest[0]
     falls = chamfer.angle < skin.angle - angle
     if falls and _is_chamfer(x, y, chamfer, skin):
         corner = chamfer.end - 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,12 @@ from metrology.seams.sections import Section, strip
 Mask = NDArray[np.bool_]
 
 
-# A corner is found to the spacing of the points; both corners' errors add up, each spread evenly over it.
-_SPREAD_OF_TWO = (2.0 / 12.0) ** 0.5
+# Points this near to an edge are mixed across it, about two blur radii, px: they round both corners the same way, by an
+# unknown part of that.
+_MIXED_PX = 1.5
+# Standard deviation of an evenly spread error, relative to its largest.
+_EVEN = 3.0**-0.5
+_MAD = 1.4826
 
 
 def point_edges(
@@ -49,10 +54,22 @@ def point_edges(
             missing = " and ".join(name for name, fit in (("A", a), ("B", b)) if fit is None)
             gaps.append(f"edge {missing} not seen in the points")
             continue
-        # The strip's rows interleave: along one row the points lie this far apart.
-        spacing = float(np.sqrt(extent * half_length * 4.0 / len(points)))
-        gaps.append(Gap(_edge(a, 1.0), _edge(b, -1.0), _SPREAD_OF_TWO * spacing))
-    return gaps
+        pixel_mm = section.frame.origin[2] / reconstruction.rig.left.K[0, 0]
+        gaps.append(Gap(_edge(a, 1.0), _edge(b, -1.0), 2 * _MIXED_PX * _EVEN * pixel_mm))
+    return _with_scatter(gaps)
+
+
+def _with_scatter(gaps: list[Gap | str]) -> list[Gap | str]:
+    """Corners jump from one piece's end to another's, station by station: the widths' scatter comes in addition."""
+    found = [gap for gap in gaps if isinstance(gap, Gap)]
+    if len(found) < 2:
+        return gaps
+    jumps = np.diff([gap.b.ideal_mm - gap.a.ideal_mm for gap in found])
+    scatter = _MAD * float(np.median(np.abs(jumps))) / np.sqrt(2.0)
+    return [
+        replace(gap, sigma_width_mm=float(np.hypot(gap.sigma_width_mm, scatter))) if isinstance(gap, Gap) else gap
+        for gap in gaps
+    ]
 
 
 def _edge(fit: SideFit, sign: float) -> GapEdge:
