@@ -35,88 +35,99 @@ def borders_at_nodes(  # type: ignore[no-untyped-def]
     grid, table : float, (2, m)
         Step, values and slopes of the blurred unit step.
     out : (n, 6)
-        Borders, variance of their sum, grey levels beside both borders, grey level between; NaN where there are none.
+        Borders (NaN where there are none), variance of their sum, grey levels beside both borders, grey level between.
     """
     size = int(2 * reach / _BIN_PX) + 1
-    xs, greys, counts = np.empty(size), np.empty(size), np.empty(size)
+    x, grey, count = np.empty(size), np.empty(size), np.empty(size)
+    # One border: its two levels, the slope of its skin and its shift are free; two borders: everything is.
+    tie_one, tie_two = np.eye(1), np.eye(2)
+    free_one, free_two = np.ones((2, 5), np.bool_), np.ones(7, np.bool_)
+    free_one[0, 3] = free_one[1, 2] = False
+    edge, edges = np.empty(1), np.empty(2)
+    found = np.empty(6)
     for node in range(nodes.shape[0]):
-        out[node] = np.nan
-        pixels = gather(image, nodes[node], normals[node], reach, half_along, xs, greys, counts)
-        if pixels < _MIN_PIXELS:
+        for k in range(6):
+            out[node, k] = np.nan
+        n = gather(image, nodes[node], normals[node], reach, half_along, x, grey, count)
+        if n == 0:
             continue
-        held = counts > 0
-        x, grey, count = xs[held], greys[held], counts[held]
         if inner < 0.0:
-            both_borders(x, grey, count, half, grid, table, out[node])
-        else:
-            each_border(x, grey, count, half, inner, grid, table, out[node])
+            edges[0], edges[1] = -half, half
+            if borders(x[:n], grey[:n], count[:n], edges, tie_two, grid, table, free_two, found):
+                out[node, 0], out[node, 1], out[node, 2] = found[0], found[1], found[2]
+                out[node, 3], out[node, 4], out[node, 5] = found[3], found[5], found[4]
+            continue
+        good, variance, inside = True, 0.0, 0.0
+        for side in range(2):
+            first, last = 0, n
+            while side == 0 and last > 0 and x[last - 1] >= -inner:
+                last -= 1
+            while side == 1 and first < n and x[first] <= inner:
+                first += 1
+            edge[0] = half if side == 1 else -half
+            part = slice(first, last)
+            good = good and borders(x[part], grey[part], count[part], edge, tie_one, grid, table, free_one[side], found)
+            out[node, side], out[node, 3 + side] = found[0], found[2 + side]
+            variance += found[1]
+            inside += 0.5 * found[3 - side]
+        out[node, 2], out[node, 5] = variance, inside
+        if not good:
+            out[node, :2] = np.nan
 
 
 @kernel
-def gather(image, node, normal, reach, half_along, xs, greys, counts):  # type: ignore[no-untyped-def]
-    """Bin the pixels of a window by their distance across; mean distance, mean grey level, number; returns how many."""
+def gather(image, node, normal, reach, half_along, x, grey, count):  # type: ignore[no-untyped-def]
+    """Bin the pixels of a window by their distance across the line.
+
+    Mean distance, mean grey level and number of pixels go into the arrays, in order, empty bins left out; returns how
+    many bins there are, none if there are too few pixels.
+    """
     height, width = image.shape
-    xs[:], greys[:], counts[:] = 0.0, 0.0, 0.0
+    x[:], grey[:], count[:] = 0.0, 0.0, 0.0
     span = reach + half_along
     total = 0
-    for v in range(max(0, int(node[1] - span)), min(height, int(node[1] + span) + 2)):
-        for u in range(max(0, int(node[0] - span)), min(width, int(node[0] + span) + 2)):
-            du, dv = u - node[0], v - node[1]
-            x = du * normal[0] + dv * normal[1]
-            if abs(x) > reach or abs(dv * normal[0] - du * normal[1]) > half_along:
+    for row in range(max(0, int(node[1] - span)), min(height, int(node[1] + span) + 2)):
+        for column in range(max(0, int(node[0] - span)), min(width, int(node[0] + span) + 2)):
+            du, dv = column - node[0], row - node[1]
+            across = du * normal[0] + dv * normal[1]
+            if abs(across) > reach or abs(dv * normal[0] - du * normal[1]) > half_along:
                 continue
-            k = int((x + reach) / _BIN_PX)
-            xs[k] += x
-            greys[k] += image[v, u]
-            counts[k] += 1.0
+            k = int((across + reach) / _BIN_PX)
+            x[k] += across
+            grey[k] += image[row, column]
+            count[k] += 1.0
             total += 1
-    for k in range(xs.size):
-        if counts[k] > 0:
-            xs[k] /= counts[k]
-            greys[k] /= counts[k]
-    return total
+    if total < _MIN_PIXELS:
+        return 0
+    n = 0
+    for k in range(x.size):
+        if count[k] > 0.0:
+            x[n], grey[n], count[n] = x[k] / count[k], grey[k] / count[k], count[k]
+            n += 1
+    return n
 
 
 @kernel
-def both_borders(x, grey, count, half, grid, table, row):  # type: ignore[no-untyped-def]
-    """A band whose borders' blurs overlap: one level between two sloping sides."""
-    free = np.ones(7, np.bool_)
+def borders(x, grey, count, edges, tie, grid, table, free, found):  # type: ignore[no-untyped-def]
+    """Fit m borders; into `found` they, the variance of their sum, and the m + 1 levels. False where the fit fails."""
+    m = edges.size
     if x.size < 2 * free.size:
-        return
-    edges = np.array([-half, half])
-    parameters, normal, cost, good = fit(x, grey, count, edges, np.eye(2), grid, table, free)
-    if not good:
-        return
-    direction, solved = np.zeros(7), np.zeros(7)
-    direction[5:] = 1.0
-    if cholesky_solve(normal, direction, solved):
-        row[:2] = edges + parameters[5:]
-        row[2] = cost / (x.size - 7) * (solved[5] + solved[6])
-        row[3], row[4], row[5] = parameters[0], parameters[2], parameters[1]
-
-
-@kernel
-def each_border(x, grey, count, half, inner, grid, table, row):  # type: ignore[no-untyped-def]
-    """Borders one by one: a sloping side and the level next to it in the band."""
-    found = np.empty(6)
-    found[2], found[5] = 0.0, 0.0
-    for k in range(2):
-        side = x < -inner if k == 0 else x > inner
-        part, free = x[side], np.ones(5, np.bool_)
-        free[3 - k] = False
-        if part.size < 2 * free.size:
-            return
-        edge = np.full(1, -half if k == 0 else half)
-        parameters, normal, cost, good = fit(part, grey[side], count[side], edge, np.eye(1), grid, table, free)
-        direction, solved = np.zeros(5), np.zeros(5)
-        direction[4] = 1.0
-        if not (good and cholesky_solve(normal, direction, solved)):
-            return
-        found[k] = edge[0] + parameters[4]
-        found[2] += cost / (part.size - 4) * solved[4]
-        found[3 + k] = parameters[k]
-        found[5] += 0.5 * parameters[1 - k]
-    row[:] = found
+        return False
+    parameters, normal, cost, good = fit(x, grey, count, edges, tie, grid, table, free)
+    direction, solved = np.zeros(free.size), np.zeros(free.size)
+    unknowns = 0
+    for i in range(free.size):
+        direction[i] = 1.0 if i >= m + 3 else 0.0
+        unknowns += 1 if free[i] else 0
+    if not good or not cholesky_solve(normal, direction, solved):
+        return False
+    found[m] = 0.0
+    for k in range(m):
+        found[k] = edges[k] + parameters[m + 3 + k]
+        found[m] += cost / (x.size - unknowns) * solved[m + 3 + k]
+    for k in range(m + 1):
+        found[m + 1 + k] = parameters[k]
+    return True
 
 
 @kernel

@@ -202,18 +202,18 @@ def test_pixels_gathered_across_a_line(rng):
     node, normal, reach, half_along = np.array([33.3, 28.7]), np.array([0.8, 0.6]), 5.1, 4.0
     size = int(2 * reach / 0.25) + 1
     xs, greys, counts = np.empty(size), np.empty(size), np.empty(size)
-    total = gather(image, node, normal, reach, half_along, xs, greys, counts)
+    n = gather(image, node, normal, reach, half_along, xs, greys, counts)
     v, u = np.indices(image.shape)
     du, dv = u - node[0], v - node[1]
     x = du * normal[0] + dv * normal[1]
     window = (np.abs(x) <= reach) & (np.abs(dv * normal[0] - du * normal[1]) <= half_along)
     bins = ((x[window] + reach) / 0.25).astype(int)
     held = np.bincount(bins, minlength=size)
-    assert total == window.sum()
-    assert np.array_equal(counts, held)
     some = held > 0
-    assert xs[some] == pytest.approx(np.bincount(bins, x[window], size)[some] / held[some])
-    assert greys[some] == pytest.approx(np.bincount(bins, image[window], size)[some] / held[some])
+    assert n == some.sum()
+    assert np.array_equal(counts[:n], held[some])
+    assert xs[:n] == pytest.approx(np.bincount(bins, x[window], size)[some] / held[some])
+    assert greys[:n] == pytest.approx(np.bincount(bins, image[window], size)[some] / held[some])
 
 
 @pytest.mark.parametrize("inner", [-1.0, 1.0])
@@ -228,14 +228,14 @@ def test_borders_at_nodes_are_those_of_single_fits(inner, rng):
     size = int(2 * 14.0 / 0.25) + 1
     for node, normal, row in zip(nodes, normals, rows, strict=True):
         x, grey, counts = np.empty(size), np.empty(size), np.empty(size)
-        gather(image, node, normal, 14.0, 8.0, x, grey, counts)
+        n = gather(image, node, normal, 14.0, 8.0, x, grey, counts)
+        x, grey, counts = x[:n], grey[:n], counts[:n]
         if inner < 0:
-            fit = fit_bands(x[counts > 0], grey[counts > 0], [-4.5, 4.5], RESPONSE, counts=counts[counts > 0])
+            fit = fit_bands(x, grey, [-4.5, 4.5], RESPONSE, counts=counts)
             assert row[:3] == pytest.approx([*fit.edges, fit.covariance.sum()], rel=1e-6)
             assert row[[3, 5, 4]] == pytest.approx(fit.levels)
             continue
-        for k, side in enumerate((x < -inner, x > inner)):
-            part = side & (counts > 0)
+        for k, part in enumerate((x < -inner, x > inner)):
             start = [(-4.5, 4.5)[k]]
             fit = fit_bands(x[part], grey[part], start, RESPONSE, slopes=(k == 0, k == 1), counts=counts[part])
             assert row[k] == pytest.approx(fit.edges[0])
