@@ -119,7 +119,7 @@ def collect(
             px_mm[row, c], scatter[row, c] = one.px_mm, one.scatter
             normals[c] += one.gradient
     # Grain is the same stuff all along the seam; a station alone tells its scatter poorly.
-    usual = np.nanmedian(scatter, axis=0)
+    usual = np.array([np.median(own[np.isfinite(own)]) if np.isfinite(own).any() else 1.0 for own in scatter.T])
     expected = np.array([half for *_, half, _ in rows])
     stations = np.array([i for i, *_ in rows])
     return Profiles(
@@ -129,7 +129,7 @@ def collect(
         x=x,
         grey=grey,
         # Grain is a share of the brightness: in the dark there is little of it.
-        variance=np.nan_to_num(usual, nan=1.0)[None, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
+        variance=usual[None, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
         sizes=sizes,
         tilts=tilts,
         eyes=eyes,

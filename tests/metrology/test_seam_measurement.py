@@ -201,6 +201,17 @@ def test_station_with_another_picture_is_not_measured_nor_does_it_harm(rng):
     assert np.abs(widths - 2.3).max() < 0.03
 
 
+@pytest.mark.parametrize(("stations", "cameras"), [(1, 2), (3, 2), (12, 1)])
+def test_few_stations_and_one_camera_are_enough_for_a_width(stations, cameras, rng):
+    some = profiles(Gap(2.3, 0.3), stations, rng)
+    sizes = some.sizes.copy()
+    sizes[:, cameras:] = 0
+    fit = fit_gap(replace(some, sizes=sizes), possible_floors(2.95))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
+    assert np.all(np.abs(widths - 2.3) < 1.5 * u95)
+
+
 def skin_points(rng, n=4000, noise=0.02, correlation=0.0):
     """Points of two skins with a gap of ±1 mm between them: the same bend, different heights and slopes."""
     x, y = rng.uniform(-12, 12, n), rng.uniform(-2, 2, n)
