@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from metrology.results import Rivet, SceneKey, SeamStation
+from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.panels import PatternTaken
-from storage.archive.schema import STEPS
 from storage.panel_spec import PanelSpecification
 from tasks import steps
 from tasks.settings import InspectionSettings
@@ -89,6 +91,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         Told the name of each step as it begins.
     """
     seconds: dict[str, float] = {}
+    began = time.perf_counter()
 
     @contextmanager
     def timed(name: str) -> Iterator[None]:
@@ -97,21 +100,32 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         yield
         seconds[name] = time.perf_counter() - start
 
+    def aside(work: Callable[..., Result], *arguments: Any) -> Future[Result]:
+        """Work on what nobody waits for yet, in the run's own context."""
+        return helper.submit(copy_context().run, work, *arguments)
+
+    def check_rig() -> RigHealth:
+        with timed("check_rig"):
+            return call(steps.check_rig, loaded, reconstruction, detections, settings)
+
     settings = job.settings
     with timed("load"):
         loaded = call(steps.load, job.folder, job.rig_path, job.store)
     with timed("reconstruct"):
         reconstruction = call(steps.reconstruct_scene, loaded, settings)
-    with timed("detect_rivets"):
-        detections = call(steps.detect_rivets, reconstruction, settings)
-    with timed("check_rig"):
-        health = call(steps.check_rig, loaded, reconstruction, detections, settings)
-    with timed("detect_seams"):
-        lines = call(steps.detect_seams, reconstruction, detections, settings)
-    with timed("measure_rivets"):
-        rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
-    with timed("measure_seams"):
-        stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
+    with ThreadPoolExecutor(1) as helper:
+        encoding = aside(steps.encode, reconstruction)
+        with timed("detect_rivets"):
+            detections = call(steps.detect_rivets, reconstruction, settings)
+        checking = aside(check_rig)
+        with timed("detect_seams"):
+            lines = call(steps.detect_seams, reconstruction, detections, settings)
+        health = checking.result()  # refused before anything is measured with a rig that does not fit
+        with timed("measure_rivets"):
+            rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
+        with timed("measure_seams"):
+            stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
+        encoded = encoding.result()
     spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
 
     def conclude() -> Inspected:
@@ -121,8 +135,10 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
             judged = call(steps.judge, registered.rivets, registered.stations, spec)
         with timed("overlay"):
             drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
-        seconds["total"] = sum(seconds[step] for step in STEPS)
-        result = steps.assemble(loaded, reconstruction, health, registered, judged, drawn, settings, spec, seconds)
+        seconds["total"] = time.perf_counter() - began
+        result = steps.assemble(
+            loaded, reconstruction, health, registered, judged, drawn, encoded, settings, spec, seconds
+        )
         with timed("publish"):
             run_id = call(steps.publish, job.store, result, loaded.rig)
         return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)

@@ -51,8 +51,8 @@ class StoredCloud:
     flags: NDArray[np.uint16]
 
 
-def write_cloud(path: Path, reconstruction: Reconstruction) -> None:
-    """Write the organised cloud of a reconstruction."""
+def encode_cloud(reconstruction: Reconstruction) -> bytes:
+    """The organised cloud of a reconstruction as the content of a Parquet file."""
     height, width = reconstruction.flags.shape
     missing = ~reconstruction.valid.ravel()
 
@@ -77,13 +77,15 @@ def write_cloud(path: Path, reconstruction: Reconstruction) -> None:
     )
     # Differences from pixel to pixel, packed into as many bits as they need, leave nothing for zstd to find.
     packed = ("u_px", "x_um", "y_um", "z_um", "sigma_z_nm")
+    content = pa.BufferOutputStream()
     pq.write_table(
         pa.table(columns, schema),
-        path,
+        content,
         compression={name: "NONE" if name in packed else "ZSTD" for name in columns},
         use_dictionary=["v_px", "flags"],
         column_encoding=dict.fromkeys(packed, "DELTA_BINARY_PACKED"),
     )
+    return bytes(content.getvalue())
 
 
 def read_cloud(path: Path) -> StoredCloud:

@@ -25,6 +25,7 @@ from metrology.rig import Rig
 from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.bundle import document_hash
+from storage.archive.bundle import encode as encode_files
 from storage.archive.signed import refuse_signed_off
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
@@ -189,6 +190,28 @@ def draw_overlay(
     return overlay.draw_overlay(judged.rivets, judged.stations, reconstruction, title, settings.overlay)
 
 
+@dataclass(frozen=True)
+class Encoded:
+    """What is stored of a scan itself.
+
+    Attributes
+    ----------
+    preview : (h, w) uint8
+        The texture as a picture.
+    files : mapping
+        Content of the bundle's largest files.
+    """
+
+    preview: NDArray[np.uint8]
+    files: Mapping[str, bytes]
+
+
+def encode(reconstruction: Reconstruction) -> Encoded:
+    """Encode what is stored of a scan itself, while other steps look for what is in it."""
+    picture = preview(reconstruction.left.texture)
+    return Encoded(picture, encode_files(reconstruction, picture))
+
+
 def assemble(
     loaded: LoadedScene,
     reconstruction: Reconstruction,
@@ -196,6 +219,7 @@ def assemble(
     registered: Registration,
     judged: Judged,
     drawn: Overlay,
+    encoded: Encoded,
     settings: InspectionSettings,
     spec: PanelSpecification,
     seconds: Mapping[str, float],
@@ -217,7 +241,8 @@ def assemble(
         rivets=judged.rivets,
         stations=judged.stations,
         overlay=drawn,
-        preview=preview(reconstruction.left.texture),
+        preview=encoded.preview,
+        encoded=encoded.files,
         rig_document=rig_document(loaded.rig),
         settings=settings.document,
         config_hash=config_hash(settings, spec),

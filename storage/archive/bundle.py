@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,12 +18,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from metrology.cloud import Reconstruction
 from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
 from metrology.results import SceneKey
 from storage.archive.files import sha256, sync, write_durably
 from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
-from storage.cloud import write_cloud
+from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
 from storage.models import Identifier, UtcTime, validate
 from storage.panel_spec import pattern_toml
@@ -72,6 +72,13 @@ def document_hash(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def encode(reconstruction: Reconstruction, preview: NDArray[np.uint8]) -> dict[str, bytes]:
+    """The largest files of a bundle, which depend on nothing that is measured in the scene."""
+    # A camera's noise repeats nothing: coding its values alone is faster, and smaller, than looking for repetitions.
+    picture = _png(preview, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+    return {CLOUD: encode_cloud(reconstruction), PREVIEW: picture}
+
+
 def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionResult) -> None:
     """Write and sync a run's files into an empty folder; manifest.json comes last.
 
@@ -81,20 +88,18 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
         Where the folder will lie, relative to the store.
     """
     tables = result_tables(result, run_id, final_path)
-    with ThreadPoolExecutor(2) as threads:
-        cloud = threads.submit(write_cloud, folder / CLOUD, result.reconstruction)
-        # A camera's noise repeats nothing, a drawing repeats its background.
-        (folder / PREVIEW).write_bytes(_png(result.preview, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY))
-        drawing = cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)
-        (folder / OVERLAY).write_bytes(_png(drawing, cv2.IMWRITE_PNG_STRATEGY_RLE))
-        (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
-        (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
-        if result.pattern:
-            text = pattern_toml(result.pattern, result.key.panel, "enrolled", result.key.scene_id)
-            (folder / PATTERN).write_text(text, encoding="utf-8")
-        for name, table in tables.items():
-            pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
-        cloud.result()
+    for name, content in (result.encoded or encode(result.reconstruction, result.preview)).items():
+        (folder / name).write_bytes(content)
+    drawing = cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)
+    # A drawing repeats its background.
+    (folder / OVERLAY).write_bytes(_png(drawing, cv2.IMWRITE_PNG_STRATEGY_RLE))
+    (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
+    (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
+    if result.pattern:
+        text = pattern_toml(result.pattern, result.key.panel, "enrolled", result.key.scene_id)
+        (folder / PATTERN).write_text(text, encoding="utf-8")
+    for name, table in tables.items():
+        pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
     files = sorted(folder.iterdir())
     for path in files:
         path.chmod(0o444)

@@ -238,7 +238,7 @@ def full_disk(*_: object) -> None:
 def test_a_full_disk_is_said_and_changes_nothing(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     store.publish(small_result())
     with monkeypatch.context() as patch:
-        patch.setattr("storage.archive.bundle.write_cloud", full_disk)
+        patch.setattr("storage.archive.bundle.encode_cloud", full_disk)
         with pytest.raises(StoreError, match=r"disk full.*as it was"):
             store.publish(small_result(small_key("S4")))
     assert list(store.layout.staging.iterdir()) == []
@@ -257,7 +257,7 @@ PATTERN = PanelLayout((NominalRivet("R1", (1.0, 2.0, 0.0)),))
 def test_a_pattern_comes_with_its_result_or_not_at_all(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     result = replace(small_result(), pattern=PATTERN)
     with monkeypatch.context() as patch:
-        patch.setattr("storage.archive.bundle.write_cloud", full_disk)
+        patch.setattr("storage.archive.bundle.encode_cloud", full_disk)
         with pytest.raises(StoreError, match="disk full"):
             store.publish(result)
     assert not store.layout.panels.exists()
