@@ -47,7 +47,7 @@ def seams_of(kind: str, number: int, of: int, rng: np.random.Generator) -> tuple
 
 
 def specification(kind: str, number: int, of: int) -> SimulationSpec:
-    rng = np.random.default_rng([11, KINDS.index(kind), number])
+    rng = np.random.default_rng([77, KINDS.index(kind), number])
     variety = Variety(rivets=(6, 12), scratches=(0, 20), stickers=1, smudges=2)
     if kind == "clutter":
         variety = Variety(rivets=(10, 24), scratches=(60, 60), stickers=3, holes=4, smudges=4, cables=2)
