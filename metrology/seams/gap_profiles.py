@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _SKIN_PX = 8.0
 # A border's blur, and the error of where it is expected, reach this far onto the skin, px.
 _BLUR_PX = 3.0
-_BIN_PX = 0.25
+_BIN_PX = 1.0 / 3.0
 _MIN_BINS = 4
 # Relative grey level below which the sensor's noise outweighs the grain.
 _DARKEST = 0.05
