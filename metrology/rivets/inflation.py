@@ -71,7 +71,17 @@ def _borne_out(squares: Sequence[float], freedom: int, blocks: float) -> float:
 
 
 def block_inflation(fits: Sequence[Fits]) -> float:
-    """Variance of means over blocks of pixels against that of independent residuals, pooled over all heads.
+    """Variance of means over large areas against that of independent residuals, pooled over all heads.
+
+    A block of b pixels a side sees all of the correlation but a share that falls as 1/b (a pixel at its border has its
+    neighbours outside), so that two sizes of blocks tell the limit.
+    """
+    small, large = _block_ratio(fits, _BLOCK_PX // 2), _block_ratio(fits, _BLOCK_PX)
+    return max(1.0, 2 * large - small)
+
+
+def _block_ratio(fits: Sequence[Fits], block_px: int) -> float:
+    """Variance of means over blocks against that of independent residuals; 1 where there are no full blocks.
 
     A surface of k coefficients takes as much from the blocks' means as from k of them.
     """
@@ -81,13 +91,13 @@ def block_inflation(fits: Sequence[Fits]) -> float:
         for members, surface in ((fit.inner, fit.head), (fit.outer, fit.skin)):
             chosen = np.flatnonzero(members)[surface.weights > 0]
             residual = (p.h[chosen] - surface.height(p.x[chosen], p.y[chosen])) / p.sigma[chosen]
-            row, column = p.v[chosen] // _BLOCK_PX, p.u[chosen] // _BLOCK_PX
+            row, column = p.v[chosen] // block_px, p.u[chosen] // block_px
             cell = (row - row.min()) * (column.max() - column.min() + 1) + column - column.min()
             sums, count = np.bincount(cell, residual), np.bincount(cell)
-            full = count > _FULL * _BLOCK_PX**2
+            full = count > _FULL * block_px**2
             points = float(count[full].sum())
-            spared = 1 - len(surface.coefficients) * _BLOCK_PX**2 / len(chosen)
+            spared = 1 - len(surface.coefficients) * block_px**2 / len(chosen)
             if spared > 0.5:
                 observed += float((sums[full] ** 2).sum())
                 expected += points * spared * float(np.mean(residual**2))
-    return max(1.0, observed / expected) if expected > 0 else 1.0
+    return observed / expected if expected > 0 else 1.0

@@ -128,9 +128,9 @@ def _model(distance, at, by_gap, by_edge, level, blur, inside, outside, cosine, 
 
 
 @kernel
-def _gather(
+def _gather(  # type: ignore[no-untyped-def]
     profile, first, spacing, blur, at, by_gap, by_edge, level, ends, normal, black_levels, noise, system, right, size
-):  # type: ignore[no-untyped-def]
+):
     """Normal equations of one profile; the residuals' sizes go to `size`, zero where there is no sample."""
     row = np.empty(_ALL)
     system[:] = 0.0
