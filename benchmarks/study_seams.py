@@ -133,7 +133,7 @@ def summary(error: np.ndarray, u95: np.ndarray) -> str:
 
 
 def scatter(runs: list[np.ndarray], column: int) -> str:
-    """Largest and usual standard deviation of one place's values over the scans."""
+    """Usual and large standard deviations of one place's values over the scans."""
     places = np.arange(2.0, max(run[:, 0].max() for run in runs) - 1.0, 2.0)
     values = []
     for run in runs:
@@ -143,7 +143,7 @@ def scatter(runs: list[np.ndarray], column: int) -> str:
             np.interp(places, run[known, 0], run[known, column]) if known.sum() > 1 else np.full(len(places), np.nan)
         )
     spread = np.nanstd(values, axis=0, ddof=1)
-    return f"median {np.nanmedian(spread):.4f} max {np.nanmax(spread):.4f}"
+    return f"median {np.nanmedian(spread):.4f} p95 {np.nanpercentile(spread, 95):.4f} max {np.nanmax(spread):.4f}"
 
 
 def main() -> None:
