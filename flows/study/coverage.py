@@ -26,7 +26,7 @@ def coverage_section(values: Sequence[Value], where: str) -> Section:
         error = np.array([value.error_mm for value in group])
         u95 = np.array([value.u95_mm for value in group], float)
         rows.append(
-            [f"{rig} rig", quantity, len(group), len({v.feature for v in group}), float(np.median(u95)),
+            [f"{rig} rig", quantity, len(group), len({(v.series, v.feature) for v in group}), float(np.median(u95)),
              float(np.median(np.abs(error))), 100 * float(np.mean(np.abs(error) <= u95))]
         )  # fmt: skip
         share = np.sort(np.abs(error) / u95)
