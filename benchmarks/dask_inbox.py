@@ -1,17 +1,16 @@
-"""An inbox on a Dask cluster of separate processes, one of them killed in the middle; then the archive goes to S3.
+"""An inbox on a Dask cluster of separate processes, one of them killed in the middle, the bundles on S3.
 
     python benchmarks/dask_inbox.py SCENE --rig RIG [--scenes 4]       (needs flushline[dask] and moto[server])
 
 Copies a scene under several station names, inspects them as the flow `inspect_inbox` on a local Dask cluster, kills a
 worker with SIGKILL as soon as the first scene is stored, and checks that every scene is stored once and the archive is
-sound. The export goes to an S3 emulator on the loopback. Exit code 1 where anything was wrong.
+sound. The bundles go to an S3 emulator on the loopback. Exit code 1 where anything was wrong.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import logging
 import os
 import shutil
 import signal
@@ -22,13 +21,13 @@ import time
 from pathlib import Path
 
 from distributed import LocalCluster
-from moto.server import ThreadedMotoServer
 from prefect.testing.utilities import prefect_test_harness
 
 from flows.inbox_job import InboxJob, Outcome, Way
 from flows.prefect_inbox import run_on_server
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance
+from tests.storage.s3 import bundles_uri, emulated_s3
 
 
 def copies(scene: Path, inbox: Path, count: int) -> None:
@@ -69,45 +68,28 @@ def main() -> int:
     job = InboxJob(root / "inbox", store.root, options.rig.absolute(), settle_s=0.0)
     start = time.perf_counter()
     with (
+        emulated_s3() as endpoint,
         prefect_test_harness(server_startup_timeout=180),
         LocalCluster(n_workers=options.workers, threads_per_worker=1, dashboard_address=None) as cluster,
     ):
+        store.create(bundles_uri(endpoint, "dask"))
         killer = threading.Thread(target=kill_one, args=(cluster, store, killed), daemon=True)
         killer.start()
         run_on_server(job, Way("dask", options.workers, cluster.scheduler_address), outcomes.append)
-    problems = list(maintenance.check(store.layout).problems)
+        problems = list(maintenance.check(store.layout).problems)
+        there = len(store.bundles.runs())
     stored = store.query("SELECT station FROM scenes ORDER BY ALL").column(0).to_pylist()
     if stored != [f"D{index}" for index in range(options.scenes)]:
         problems.append(f"found stations {stored}, expected {options.scenes}")
     if not killed:
         problems.append("no worker was killed in time")
-    print(f"{len(stored)} scenes in {time.perf_counter() - start:.0f} s, {len(killed)} worker killed")
-    problems += export_to_s3(store, options.scenes)
+    print(
+        f"{len(stored)} scenes in {time.perf_counter() - start:.0f} s, {len(killed)} worker killed, {there} runs on S3"
+    )
     for problem in (*problems, *(f"{o.folder.name}: {o.state} {o.text}" for o in outcomes if o.state != "inspected")):
         print(f"  {problem}")
     shutil.rmtree(root)
     return 1 if problems else 0
-
-
-def export_to_s3(store: Store, scenes: int) -> list[str]:
-    """Copy the archive to an S3 emulator, twice."""
-    import boto3
-
-    os.environ |= {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_EC2_METADATA_DISABLED": "true"}
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        boto3.client("s3", endpoint_url=f"http://{host}:{port}", region_name="us-east-1").create_bucket(
-            Bucket="archive"
-        )
-        target = f"s3://archive/plant?endpoint_override={host}:{port}&scheme=http&region=us-east-1"
-        first, second = maintenance.export(store.layout, target), maintenance.export(store.layout, target)
-    finally:
-        server.stop()
-    print(f"export to S3: {first[0]} runs copied, again: {second[0]} copied and {second[1]} there")
-    return [] if (first, second) == ((scenes, 0), (0, scenes)) else [f"export: found {first} and {second}"]
 
 
 if __name__ == "__main__":

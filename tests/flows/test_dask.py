@@ -1,5 +1,5 @@
-"""An inbox on a Dask cluster of separate processes, one of which is killed in the middle; benchmarks/dask_inbox.py
-does the same with full-size scans."""
+"""An inbox on a Dask cluster of separate processes, one of which is killed in the middle, its bundles on S3;
+benchmarks/dask_inbox.py does the same with full-size scans."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ import pytest
 
 from flows.inbox_job import InboxJob, Outcome, Way
 from storage.archive import Store, maintenance
+from storage.archive.remote import Remote
 from tests.flows.conftest import write_small_scene
 from tests.storage.results import small_key
+from tests.storage.s3 import bundles_uri, emulated_s3
 
 distributed = pytest.importorskip("distributed", reason="needs flushline[dask]")
 pytest.importorskip("prefect_dask", reason="needs flushline[dask]")
+pytest.importorskip("moto.server", reason="moto[server] emulates S3")
 
 SCENES = 6
 
@@ -41,7 +44,13 @@ class FakeMetrology(distributed.WorkerPlugin):  # type: ignore[misc, name-define
 
 
 @pytest.fixture
-def cluster() -> Iterator[object]:
+def s3() -> Iterator[str]:
+    with emulated_s3() as endpoint:
+        yield bundles_uri(endpoint, "dask")
+
+
+@pytest.fixture
+def cluster(s3: str) -> Iterator[object]:
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         with distributed.Client(cluster) as client:
             client.register_plugin(FakeMetrology())
@@ -54,11 +63,13 @@ def test_a_worker_killed_in_the_middle_costs_no_scene(
     rig_file: Path,
     fake_metrology: list[str],
     server: None,
+    s3: str,
     cluster: object,
 ) -> None:
     from flows.prefect_inbox import run_on_server
 
     inbox, store = tmp_path / "inbox", Store(tmp_path / "store")
+    store.create(s3)
     for index in range(SCENES):
         write_small_scene(inbox / f"scan-{index}", small_key(f"D{index}"))
     job = InboxJob(inbox, store.root, rig_file, settle_s=0.0)
@@ -77,3 +88,4 @@ def test_a_worker_killed_in_the_middle_costs_no_scene(
     stored = store.query("SELECT station FROM scenes ORDER BY ALL").column(0).to_pylist()
     assert stored == [f"D{index}" for index in range(SCENES)]
     assert maintenance.check(store.layout).problems == ()
+    assert {Path(run).parent.name for run in Remote(s3).runs()} == {small_key(f"D{k}").scene_id for k in range(SCENES)}

@@ -17,37 +17,20 @@ from storage.archive import Store, maintenance
 from storage.archive.compaction import compact
 from storage.archive.remote import Remote
 from tests.storage.results import small_key, small_result
+from tests.storage.s3 import bundles_uri, emulated_s3
 
 pytest.importorskip("moto.server", reason="moto[server] emulates S3")
 
 
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
-    """The endpoint of an emulator with a bucket."""
-    import logging
-
-    import boto3
-    from moto.server import ThreadedMotoServer
-
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("ACCESS_KEY_ID", "test"),
-            ("SECRET_ACCESS_KEY", "test"),
-            ("EC2_METADATA_DISABLED", "true"),
-        ):
-            patch.setenv(f"AWS_{name}", value)
-        server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-        server.start()
-        host, port = server.get_host_and_port()
-        boto3.client("s3", endpoint_url=f"http://{host}:{port}", region_name="us-east-1").create_bucket(Bucket="plant")
-        yield f"{host}:{port}"
-        server.stop()
+    with emulated_s3() as endpoint:
+        yield endpoint
 
 
 @pytest.fixture
 def target(s3: str, tmp_path: Path) -> str:
-    return f"s3://plant/{tmp_path.name}?endpoint_override={s3}&scheme=http&region=us-east-1"
+    return bundles_uri(s3, tmp_path.name)
 
 
 @pytest.fixture
