@@ -34,8 +34,8 @@ def borders_at_nodes(  # type: ignore[no-untyped-def]
         Each border is fitted by itself to what lies beyond this distance from the node; if negative, both at once.
     grid, table : float, (2, m)
         Step, values and slopes of the blurred unit step.
-    out : (n, 6)
-        Borders (NaN where there are none), variance of their sum, grey levels beside both borders, grey level between.
+    out : (n, 7)
+        Borders (NaN where there are none), variance of their sum, grey levels outside and inside of each border.
     """
     size = int(2 * reach / _BIN_PX) + 1
     x, grey, count = np.empty(size), np.empty(size), np.empty(size)
@@ -46,7 +46,7 @@ def borders_at_nodes(  # type: ignore[no-untyped-def]
     edge, edges = np.empty(1), np.empty(2)
     found = np.empty(6)
     for node in range(nodes.shape[0]):
-        for k in range(6):
+        for k in range(7):
             out[node, k] = np.nan
         n = gather(image, nodes[node], normals[node], reach, half_along, x, grey, count)
         if n == 0:
@@ -55,9 +55,9 @@ def borders_at_nodes(  # type: ignore[no-untyped-def]
             edges[0], edges[1] = -half, half
             if borders(x[:n], grey[:n], count[:n], edges, tie_two, grid, table, free_two, found):
                 out[node, 0], out[node, 1], out[node, 2] = found[0], found[1], found[2]
-                out[node, 3], out[node, 4], out[node, 5] = found[3], found[5], found[4]
+                out[node, 3], out[node, 4], out[node, 5], out[node, 6] = found[3], found[5], found[4], found[4]
             continue
-        good, variance, inside = True, 0.0, 0.0
+        good, variance = True, 0.0
         for side in range(2):
             first, last = 0, n
             while side == 0 and last > 0 and x[last - 1] >= -inner:
@@ -67,10 +67,9 @@ def borders_at_nodes(  # type: ignore[no-untyped-def]
             edge[0] = half if side == 1 else -half
             part = slice(first, last)
             good = good and borders(x[part], grey[part], count[part], edge, tie_one, grid, table, free_one[side], found)
-            out[node, side], out[node, 3 + side] = found[0], found[2 + side]
+            out[node, side], out[node, 3 + side], out[node, 5 + side] = found[0], found[2 + side], found[3 - side]
             variance += found[1]
-            inside += 0.5 * found[3 - side]
-        out[node, 2], out[node, 5] = variance, inside
+        out[node, 2] = variance
         if not good:
             out[node, :2] = np.nan
 

@@ -39,6 +39,8 @@ _DEPARTURE_PX = 1.5
 # Of those, nodes off the smooth line by so many standard deviations are disturbed, if by so many px.
 _DISTURBED_SIGMAS = 3.5
 _DISTURBED_PX = 0.1
+# A band with one border this much fainter than the other is a border alone: of a sticker, of a repair in another paint.
+_ONE_SIDED = 0.2
 # A node sees the same line where its contrast is at least this share of the usual, and its width at most so many times.
 _LEAST_CONTRAST = 0.3
 _MOST_WIDTH = 2.0
@@ -176,12 +178,15 @@ def _fit(relative: Float32, nodes: Array, width_px: float) -> _Fits:
     inner = half - min(half, _INNER_PX) if half > _APART_PX else -1.0
     response = EdgeResponse.along(_DIRECTION, _BLUR)
     table = np.stack([response.values, response.slopes])
-    rows = np.empty((len(nodes), 6))
+    rows = np.empty((len(nodes), 7))
     borders_at_nodes(relative, nodes, normals(nodes), half, reach, _HALF_PX, inner, response.step, table, rows)
-    near, far, variance, near_skin, far_skin, band = rows.T
-    skin = 0.5 * (near_skin + far_skin)
+    near, far, variance, near_skin, far_skin, near_band, far_band = rows.T
+    skin, band = 0.5 * (near_skin + far_skin), 0.5 * (near_band + far_band)
+    near_jump, far_jump = near_band - near_skin, far_band - far_skin
     with np.errstate(invalid="ignore"):
-        sound = (skin > 0) & (far > near) & (np.abs(near_skin - far_skin) < 2 * np.abs(band - skin))
+        larger = np.maximum(np.abs(near_jump), np.abs(far_jump))
+        two_sided = (near_jump * far_jump > 0) & (np.minimum(np.abs(near_jump), np.abs(far_jump)) > _ONE_SIDED * larger)
+        sound = (skin > 0) & (far > near) & two_sided
     offset, width = 0.5 * (near + far), far - near
     sigma = np.maximum(0.5 * np.sqrt(np.maximum(variance, 0.0)), _LEAST_SIGMA_PX)
     contrast = band / np.where(sound, skin, 1.0) - 1.0

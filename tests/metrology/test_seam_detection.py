@@ -110,6 +110,12 @@ def test_no_line_in_noise_nor_of_short_scratches(rng):
     assert detect_lines(paint(scratches, IMAGE, rng)) == []
 
 
+def test_border_of_a_patch_is_no_line(rng):
+    u = np.arange(IMAGE[1])
+    patch = 50 + 45 * np.clip(0.5 + (u - 400) / 3, 0, 1)
+    assert detect_lines(patch + rng.normal(0, 2, IMAGE)) == []
+
+
 def test_pieces_are_straight_and_joined_across_a_gap(rng):
     t = np.arange(0.0, 400.0)
     line = np.stack([t, 0.1 * t + rng.normal(0, 0.2, t.size), np.ones_like(t)], axis=-1)

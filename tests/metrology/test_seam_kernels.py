@@ -223,7 +223,7 @@ def test_borders_at_nodes_are_those_of_single_fits(inner, rng):
     along = np.array([np.cos(np.deg2rad(35)), np.sin(np.deg2rad(35))])
     nodes = np.array(band.through) + np.array([[-20.0], [0.0], [22.5]]) * along
     normals = np.repeat([[-along[1], along[0]]], 3, axis=0)
-    table, rows = np.stack([RESPONSE.values, RESPONSE.slopes]), np.empty((3, 6))
+    table, rows = np.stack([RESPONSE.values, RESPONSE.slopes]), np.empty((3, 7))
     borders_at_nodes(image, nodes, normals, 4.5, 14.0, 8.0, inner, RESPONSE.step, table, rows)
     size = int(2 * 14.0 / 0.25) + 1
     for node, normal, row in zip(nodes, normals, rows, strict=True):
@@ -234,11 +234,13 @@ def test_borders_at_nodes_are_those_of_single_fits(inner, rng):
             fit = fit_bands(x, grey, [-4.5, 4.5], RESPONSE, counts=counts)
             assert row[:3] == pytest.approx([*fit.edges, fit.covariance.sum()], rel=1e-6)
             assert row[[3, 5, 4]] == pytest.approx(fit.levels)
+            assert row[6] == row[5]
             continue
         for k, part in enumerate((x < -inner, x > inner)):
             start = [(-4.5, 4.5)[k]]
             fit = fit_bands(x[part], grey[part], start, RESPONSE, slopes=(k == 0, k == 1), counts=counts[part])
             assert row[k] == pytest.approx(fit.edges[0])
             assert row[3 + k] == pytest.approx(fit.levels[k])
+            assert row[5 + k] == pytest.approx(fit.levels[1 - k])
     # Borders are where they were painted.
     assert np.abs(rows[:, :2] - (-4.5, 4.5)).max() < 0.3
