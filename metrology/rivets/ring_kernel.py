@@ -427,7 +427,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     ratio = 0.0
     for j in range(5):
         ratio += (gradients[:, j] ** 2).sum() / (normal[GEOMETRY + j, GEOMETRY + j] * variance + 1e-30)
-    inflation = max(1.0, ratio / 5.0)
+    # The fit has taken five degrees of freedom from the sectors' sums.
+    inflation = max(1.0, ratio / 5.0 * SECTORS / (SECTORS - 5.0))
     variance *= inflation
     noise = math.sqrt(variance)
     if shape_sd > 0.0:
