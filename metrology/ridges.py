@@ -1,8 +1,7 @@
 """Dark or bright lines of an image to a fraction of a pixel: Steger's detector (paper §3.2).
 
 C. Steger, "An unbiased detector of curvilinear structures", IEEE Trans. PAMI 20 (1998) 113–125: a point lies on a line
-where the first derivative across the line vanishes and the second is strong. Rivet rims and seams are both dark
-lines, so
+where the first derivative across the line vanishes and the second is strong. Rivet rims and seams are both lines, so
 both rooms start here.
 """
 
