@@ -42,7 +42,7 @@ _BLUR_SPREAD = 0.1  # relative
 _BREAK_DARKNESS = 1 - np.sqrt(0.5)  # of an edge broken at 45°
 _LEAST_DARKNESS = 0.05  # of a gap that can be seen
 _FAR_MM = 1.0  # spread of centre and radius: free
-_MOST_SHIFT = 0.15  # of the radius, from where the ring alone puts the rim
+_MOST_SHIFT_PX = 1.0  # from where the ring alone puts the rim, beyond half of what the head hides
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def head_circle(
     if not good or not np.isfinite(found).all():
         return None
     x, y, outwards = found[SHIFT], found[SHIFT + 1], found[RADIUS] + _ridge(found)
-    if max(abs(x), abs(y), abs(outwards)) > _MOST_SHIFT * start.radius:
+    if max(abs(x), abs(y), abs(outwards)) > 0.5 * hidden + _MOST_SHIFT_PX * pixel:
         return None
     return Circle(start.x + float(x), start.y + float(y), start.radius + float(outwards))
 
