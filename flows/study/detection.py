@@ -97,7 +97,7 @@ class Detection:
             ]
         )
         figure.update_layout(xaxis_title="contrast of the rings, grey levels", yaxis_title="%", height=340)
-        figure.update_xaxes(type="log")
+        figure.update_xaxes(type="log", tickvals=self._levels, ticktext=[f"{level:g}" for level in self._levels])
         values = [value for series in self.series for value in rivet_values(store, series, _RIG)]
         text = (
             f"Simulated: {panels} random panels of each contrast, one scan of each, inspected with the calibrated rig: "
