@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 WIDTH_A, WIDTH_B, DEPTH, LEAN, LEAN_CHANGE, SPILL, LENSES = range(7)
 
 # Means and standard deviations. Broken edges are tenths of a millimetre wide, substructure lies a few millimetres down,
-# edges are cut square to the skin within two degrees, lenses blur by half a pixel, and a little light goes to a pixel's neighbours.
+# edges are cut square to the skin within two degrees, lenses blur by half a pixel, and a little light goes to a pixel's
+# neighbours.
 _BROKEN_EDGE_MM = (0.3, 0.5)
 _GAP_DEPTH_MM = (2.0, 3.0)
 _SQUARE = (0.0, 0.03)
