@@ -77,7 +77,8 @@ def block_inflation(fits: Sequence[Fits]) -> float:
     neighbours outside), so that two sizes of blocks tell the limit.
     """
     small, large = _block_ratio(fits, _BLOCK_PX // 2), _block_ratio(fits, _BLOCK_PX)
-    return max(1.0, 2 * large - small)
+    # Slots and scratches are small: they raise the small blocks alone, which must not lower the limit.
+    return max(1.0, large, 2 * large - small)
 
 
 def _block_ratio(fits: Sequence[Fits], block_px: int) -> float:
