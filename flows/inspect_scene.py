@@ -124,7 +124,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         with timed("measure_rivets"):
             rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
         with timed("measure_seams"):
-            stations = call(steps.measure_seams, lines, reconstruction, rivets, settings)
+            stations = call(steps.measure_seams, lines, reconstruction, detections, settings)
         encoded = encoding.result()
     spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
 

@@ -127,10 +127,13 @@ def measure_rivets(
 
 
 def measure_seams(
-    lines: list[SeamLine], reconstruction: Reconstruction, measured: list[Rivet], settings: InspectionSettings
+    lines: list[SeamLine],
+    reconstruction: Reconstruction,
+    detections: list[RivetDetection],
+    settings: InspectionSettings,
 ) -> list[SeamStation]:
     """Step and width along each seam."""
-    return seams.measure_seams(lines, reconstruction, measured, settings.seams)
+    return seams.measure_seams(lines, reconstruction, detections, settings.seams)
 
 
 def specification(given: PanelSpecification | None, panel: str, store: Store) -> PanelSpecification:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
-from metrology.results import Rivet, SeamLine, SeamStation
+from metrology.results import RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
+from metrology.seams.places import head_mask
 from metrology.seams.plates import coarse_course, gap_mask
 from metrology.seams.point_edges import point_edges
 from metrology.seams.sections import Section, section_at, usable_points
@@ -64,7 +64,7 @@ class _Ground:
 def measure_seams(
     lines: Sequence[SeamLine],
     reconstruction: Reconstruction,
-    rivets: Sequence[Rivet],
+    rivets: Sequence[RivetDetection],
     settings: SeamSettings | None = None,
 ) -> list[SeamStation]:
     """Stations of all seams that have relief.
@@ -73,7 +73,7 @@ def measure_seams(
     ----------
     lines : sequence of SeamLine
     reconstruction : Reconstruction
-    rivets : sequence of Rivet
+    rivets : sequence of RivetDetection
         Skin lines keep clear of them, and a station over one says so.
     settings : SeamSettings, optional
 
@@ -84,7 +84,7 @@ def measure_seams(
     """
     settings = settings or SeamSettings()
     usable = usable_points(reconstruction)
-    heads = rivet_mask(rivets, usable.shape)
+    heads = head_mask(rivets, usable.shape, _RIVET_GUARD_PX)
     usable &= ~heads
     seams = [line for line in lines if line.relief]
     stations = []
@@ -98,16 +98,6 @@ def measure_seams(
             ground = _Ground(reconstruction, clear, heads, [coarse_course(other) for other in others], settings)
             stations += _measure_seam(seam.seam_id, track, ground)
     return stations
-
-
-def rivet_mask(rivets: Sequence[Rivet], shape: tuple[int, ...]) -> Mask:
-    """(h, w) pixels on rivet heads and close around them."""
-    mask = np.zeros(shape, np.uint8)
-    for rivet in rivets:
-        axes = (rivet.major_px / 2 + _RIVET_GUARD_PX, rivet.minor_px / 2 + _RIVET_GUARD_PX)
-        centre = (round(rivet.u_px), round(rivet.v_px))
-        cv2.ellipse(mask, centre, (round(axes[0]), round(axes[1])), rivet.angle_deg, 0, 360, 1, -1)
-    return mask.astype(bool)
 
 
 def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStation]:
