@@ -159,11 +159,11 @@ class ReviewLog:
         return self._append(who, scene_id, run_id, comment, wanted)
 
     def sign_off(self, who: str, scene_id: str, run_id: str, comment: str, shown: Mapping[str, Any]) -> Entry:
-        """Close a scene: from now on its dispositions and the run that was signed off stay as they are."""
-        from storage.archive.signed import signing
+        """Close a scene: from now on its dispositions and the run that was signed off stay as they are.
 
-        with signing(self.path.parent.parent, scene_id, run_id):
-            return self._append(who, scene_id, run_id, comment, [{"action": "sign-off", "shown": dict(shown)}])[0]
+        `storage.archive.sign_off` also sees to it that the archive still shows that run.
+        """
+        return self._append(who, scene_id, run_id, comment, [{"action": "sign-off", "shown": dict(shown)}])[0]
 
     def _append(self, who: str, scene_id: str, run_id: str, comment: str, wanted: list[dict[str, Any]]) -> list[Entry]:
         if not who.strip():

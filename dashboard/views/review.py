@@ -25,6 +25,7 @@ from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import show_table
 from dashboard.views.scene import close_up
 from metrology.errors import FlushlineError
+from storage.archive.sign_off import sign_off
 from storage.review import DISPOSITIONS, MAX_COMMENT, Disposition, Feature, FeatureKind, ReviewLog
 
 TITLE = "Tolerance review"
@@ -282,7 +283,7 @@ def _sign_off(desk: Desk, scene: Any) -> None:
                 "software_version": str(scene.software_version),
             }
             try:
-                ReviewLog(desk.archive.root).sign_off(who, scene.scene_id, scene.run_id, "", shown)
+                sign_off(desk.archive.root, who, scene.scene_id, scene.run_id, "", shown)
             except FlushlineError as problem:
                 st.error(plain(problem))
             else:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
-from metrology.errors import StoreError, UsageError
-from storage.archive.files import locked
-from storage.archive.layout import Layout
+from metrology.errors import StoreError
 from storage.documents import utc_text
 from storage.review import Review, ReviewLog
 
@@ -31,23 +28,3 @@ def refuse_signed_off(root: Path, scene_id: str, run_id: str | None = None) -> N
             f"{scene_id}: found it signed off by {entry.who} at {utc_text(entry.at)}, expected an open scene; the "
             f"result that was signed off stays (run {entry.run_id})"
         )
-
-
-@contextlib.contextmanager
-def signing(root: Path, scene_id: str, run_id: str) -> Iterator[None]:
-    """Hold the archive while a scene is signed off on a run; refused where a newer one has taken its place."""
-    from storage.archive import snapshot
-
-    layout = Layout(root)
-    if not layout.archive.exists():
-        yield
-        return
-    with locked(layout.lock):
-        with contextlib.closing(snapshot.connect(layout)) as connection:
-            shown = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [scene_id]).fetchone()
-        if shown and shown[0] > run_id:
-            raise UsageError(
-                f"{scene_id}: found that it was inspected again (run {shown[0]}), expected run {run_id}; "
-                "look at the new result first"
-            )
-        yield

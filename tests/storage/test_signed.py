@@ -8,6 +8,7 @@ import pytest
 
 from metrology.errors import StoreError, UsageError
 from storage.archive import Store, maintenance
+from storage.archive.sign_off import sign_off
 from storage.review import ReviewLog
 from tests.storage.results import small_key, small_result
 
@@ -20,7 +21,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def sign(store: Store, run: str) -> None:
-    ReviewLog(store.root).sign_off("k.ito", SCENE, run, "", {})
+    sign_off(store.root, "k.ito", SCENE, run, "", {})
 
 
 def shown(store: Store) -> list[str]:
