@@ -3,9 +3,10 @@
     python benchmarks/make_large_store.py STORE
     python benchmarks/bench_dashboard.py STORE
 
-Starts a server, then opens every page in headless Chromium with the server's caches cold (first content: the first
-number, table or figure is visible; complete: the page is at rest), and changes a filter on the pages that have one
-(until the page is at rest again). Needs chromium and the extra `test`.
+Starts a server and opens the SQL page in headless Chromium, then every other one through the menu; nothing of the store
+is in the server's caches. First content: a number, table or figure of the page is visible; complete: the page is at
+rest. Then changes the period on the pages that have one (until the page is at rest again). The SQL page's own figures
+are those of loading the whole application by its address. Needs chromium and the extra `test`.
 """
 
 from __future__ import annotations
@@ -20,20 +21,15 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "dashboard"))
 
 from browser import browser, new_page, served
 
-PAGES = {
-    "Overview": "/",
-    "Archive": "/archive",
-    "Scene": "/scene",
-    "Tolerance review": "/review",
-    "Trends": "/trends",
-    "Runs and rigs": "/runs",
-    "SQL": "/sql",
-}
-FILTERS = {"Overview": "period=last+7+days", "Archive": "period=last+7+days", "Tolerance review": "period=last+7+days"}
+START = "SQL"
+PAGES = ("Overview", "Archive", "Scene", "Tolerance review", "Trends", "Runs and rigs")
+FILTERED = ("Overview", "Archive", "Tolerance review")
 FIRST = ", ".join(
     f'[data-testid="{name}"]'
     for name in ("stMetricValue", "stDataFrame", "stPlotlyChart", "stImage", "stAlert", "stCode", "stTextArea")
 )
+SHOWN = """([title, selector]) => document.querySelector('h5')?.innerText.endsWith(title)
+    && [...document.querySelectorAll(selector)].some(e => e.offsetParent && !e.closest('[data-stale="true"]'))"""
 REST = """() => document.querySelector('[data-testid="stApp"][data-test-script-state="notRunning"]')
     && !document.querySelector('[data-testid="stSkeleton"]') && !document.querySelector('[data-stale="true"]')"""
 
@@ -44,13 +40,16 @@ def main() -> None:
     parser.add_argument("store", type=Path)
     parser.add_argument("--rounds", type=int, default=3, help="servers started, each with cold caches")
     arguments = parser.parse_args()
-    figures: dict[str, list[tuple[float, float, float | None]]] = {name: [] for name in PAGES}
+    figures: dict[str, list[tuple[float, float, float | None]]] = {name: [] for name in (START, *PAGES)}
     with browser() as chromium:
         for _ in range(arguments.rounds):
             with served(arguments.store.resolve()) as address:
-                _warm_up(chromium, address)
                 for name in PAGES:
-                    figures[name].append(time_page(chromium, address, name))
+                    page = new_page(chromium)
+                    loading = time_loading(page, address)
+                    figures[name].append(time_page(page, name))
+                    page.context.close()
+                figures[START].append(loading)
     print(f"{'page':18s} first content   complete   another period   (s, median of {arguments.rounds})")
     for name, rows in figures.items():
         first, complete = (_median([row[i] for row in rows]) for i in (0, 1))
@@ -58,33 +57,33 @@ def main() -> None:
         print(f"{name:18s} {first:13.2f} {complete:10.2f}   {f'{_median(changed):14.2f}' if changed else '':>14s}")
 
 
-def time_page(chromium: Any, address: str, name: str) -> tuple[float, float, float | None]:
-    """Seconds to the first content and to rest, and to rest after a change of the period where the page has one."""
-    page = new_page(chromium)
+def time_loading(page: Any, address: str) -> tuple[float, float, None]:
+    """Seconds to the first content and to rest of the page that asks nothing of the store."""
     start = time.perf_counter()
-    page.goto(address + PAGES[name], wait_until="commit")
-    page.wait_for_selector(FIRST, state="visible")
+    page.goto(f"{address}/sql", wait_until="commit")
+    page.wait_for_function(SHOWN, arg=[START, FIRST])
+    first = time.perf_counter() - start
+    page.wait_for_function(REST)
+    return first, time.perf_counter() - start, None
+
+
+def time_page(page: Any, name: str) -> tuple[float, float, float | None]:
+    """Seconds to the first content and to rest, and to rest after a change of the period where the page has one."""
+    start = time.perf_counter()
+    page.get_by_role("link", name=name).click()
+    page.wait_for_function(SHOWN, arg=[name, FIRST])
     first = time.perf_counter() - start
     page.wait_for_function(REST)
     complete = time.perf_counter() - start
     changed = None
-    if name in FILTERS:
+    if name in FILTERED:
         start = time.perf_counter()
         page.get_by_role("combobox", name="Scanned").click()
         page.get_by_role("option", name="last 7 days").click()
         page.wait_for_function("() => location.search.includes('period')")
         page.wait_for_function(REST)
         changed = time.perf_counter() - start
-    page.context.close()
     return first, complete, changed
-
-
-def _warm_up(chromium: Any, address: str) -> None:
-    """Let the server import what it needs once, on the page that asks least of the store."""
-    page = new_page(chromium)
-    page.goto(address + PAGES["SQL"])
-    page.wait_for_function(REST)
-    page.context.close()
 
 
 def _median(values: list[float]) -> float:
