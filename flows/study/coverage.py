@@ -11,7 +11,6 @@ from flows.study.document import Cell, Column, Section, Table
 from flows.study.values import Quantity, Value
 
 _QUANTITIES: tuple[Quantity, ...] = ("height", "step", "width")
-_K = 1.96  # U95 in standard deviations
 
 
 def coverage_section(values: Sequence[Value], where: str) -> Section:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -50,6 +49,3 @@ class BoardFrames:
     def saturated(self) -> NDArray[np.bool_]:
         """(h, w) pixels of the white frame at the top of the camera's range."""
         return np.asarray(self.white >= np.iinfo(self.white.dtype).max)
-
-
-PoseFrames = Mapping[CameraName, BoardFrames]
