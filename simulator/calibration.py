@@ -102,12 +102,6 @@ class CaptureSettings:
     sensor: Sensor = field(default_factory=Sensor)
     projector: Beamer = field(default_factory=Beamer)
 
-    def __post_init__(self) -> None:
-        if self.poses < 1:
-            raise SpecError(f"poses: found {self.poses}, expected at least 1")
-        if not 0 <= self.tilt_deg <= 45:
-            raise SpecError(f"tilt_deg: found {self.tilt_deg}, expected 0 to 45")
-
 
 @dataclass(frozen=True)
 class BoardPose:

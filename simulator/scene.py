@@ -171,28 +171,6 @@ def make_rig(spec: SimulationSpec) -> Rig:
     return virtual_rig(np.random.default_rng(spec.rig.seed), spec.rig.design, spec.rig.id, spec.rig.calibrated_at)
 
 
-def render_projection(
-    spec: SimulationSpec, image: NDArray[np.generic], rig: Rig | None = None, progress: Progress | None = None
-) -> tuple[Stage, dict[str, Float32]]:
-    """Show an image on the panel at the specification's first placement and look at it with both cameras.
-
-    Parameters
-    ----------
-    image : as in `look_at_image`
-    rig : Rig, optional
-        As it really is; the specification's own if None.
-
-    Returns
-    -------
-    Stage
-        With the truth: where each rivet and seam is.
-    dict
-        As `look_at_image` returns it.
-    """
-    stage = set_up(spec, rig or make_rig(spec), spec.placements[0], progress)
-    return stage, look_at_image(stage, spec, image)
-
-
 def simulate(
     spec: SimulationSpec, progress: Progress | None = None, rig: Rig | None = None
 ) -> Iterator[SimulatedScene]:
