@@ -133,17 +133,16 @@ def summary(error: np.ndarray, u95: np.ndarray) -> str:
 
 
 def scatter(runs: list[np.ndarray], column: int) -> str:
-    """Usual and large standard deviations of one place's values over the scans."""
-    places = np.arange(2.0, max(run[:, 0].max() for run in runs) - 1.0, 2.0)
+    """Usual and large standard deviations of one place's values over the scans, where all of them have one."""
+    measured = [run[np.isfinite(run[:, column])] for run in runs]
+    first, last = max(run[:, 0].min() for run in measured), min(run[:, 0].max() for run in measured)
+    places = np.arange(first, last, 2.0)
     values = []
-    for run in runs:
+    for run in measured:
         run = run[np.argsort(run[:, 0])]
-        known = np.isfinite(run[:, column])
-        values.append(
-            np.interp(places, run[known, 0], run[known, column]) if known.sum() > 1 else np.full(len(places), np.nan)
-        )
-    spread = np.nanstd(values, axis=0, ddof=1)
-    return f"median {np.nanmedian(spread):.4f} p95 {np.nanpercentile(spread, 95):.4f} max {np.nanmax(spread):.4f}"
+        values.append(np.interp(places, run[:, 0], run[:, column]))
+    spread = np.std(values, axis=0, ddof=1)
+    return f"median {np.median(spread):.4f} p95 {np.percentile(spread, 95):.4f} max {spread.max():.4f}"
 
 
 def main() -> None:

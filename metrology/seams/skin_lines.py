@@ -24,6 +24,8 @@ _MIN_SIDE_POINTS = 10
 # the seven coefficients are as coarse as that and take the stretches' common part with them.
 _STRETCHES = 4
 _COARSE = 5
+# Median of a χ² variable of as many degrees of freedom as are left, over its mean: of many sections' clumping.
+CLUMPING_MEDIAN = 0.789
 
 
 class SkinFit(NamedTuple):

@@ -12,11 +12,13 @@ from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
+from metrology.seams.leaning import steadied
 from metrology.seams.places import head_mask
 from metrology.seams.plates import coarse_course, gap_mask
 from metrology.seams.point_edges import point_edges
 from metrology.seams.sections import Section, section_at, usable_points
 from metrology.seams.settings import SeamSettings
+from metrology.seams.skin_lines import CLUMPING_MEDIAN
 from metrology.seams.tracks import Track, lay_on_skin, oriented
 
 Array = NDArray[np.float64]
@@ -104,7 +106,7 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
     settings, reconstruction = ground.settings, ground.reconstruction
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
     stations = [_place(track, float(s), ground) for s in places]
-    sections = [station.section if isinstance(station.section, Section) else None for station in stations]
+    sections = _sections(stations, places, settings.half_length_mm)
     half_widths = [station.half_width_mm for station in stations]
     if settings.edges == "points":
         gaps = point_edges(
@@ -118,9 +120,21 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
         )
     else:
         gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
-    # How neighbouring points' errors go together is the same all along; one section tells it poorly.
-    clumping = max(1.0, float(np.mean([section.clumping for section in sections if section is not None] or [1.0])))
-    return [_row(seam_id, station, gap, reconstruction, clumping) for station, gap in zip(stations, gaps, strict=True)]
+    return [
+        _row(seam_id, station, section, gap, reconstruction)
+        for station, section, gap in zip(stations, sections, gaps, strict=True)
+    ]
+
+
+def _sections(stations: Sequence[_Station], s_mm: Array, half_length: float) -> list[Section | None]:
+    """The stations' sections, steadied by one another; None where there is none."""
+    sections = [station.section if isinstance(station.section, Section) else None for station in stations]
+    # How neighbouring points' errors go together is the same all along; one section tells it poorly, and one with dirt
+    # in it wrongly.
+    clumpings = [section.clumping for section in sections if section is not None]
+    clumping = max(1.0, float(np.median(clumpings or [1.0])) / CLUMPING_MEDIAN)
+    scaled = [replace(section, covariance=clumping * section.covariance) if section else None for section in sections]
+    return steadied(scaled, s_mm, half_length)
 
 
 def _place(track: Track, s: float, ground: _Ground) -> _Station:
@@ -162,12 +176,11 @@ def _towards_b(track: Track, origin: Array, direction: Array) -> Array:
 
 
 def _row(
-    seam_id: str, station: _Station, gap: Gap | str, reconstruction: Reconstruction, clumping: float
+    seam_id: str, station: _Station, section: Section | None, gap: Gap | str, reconstruction: Reconstruction
 ) -> SeamStation:
-    section = station.section
     u, v = (float(x) for x in station.pixel)
-    if not isinstance(section, Section):
-        return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=section)
+    if section is None:
+        return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=str(station.section))
     # Without its edges a gap still has a step, which hardly depends on where exactly they are.
     half = station.half_width_mm
     a, b = (gap.a.ideal_mm, gap.b.ideal_mm) if isinstance(gap, Gap) else (-half, half)
@@ -182,7 +195,7 @@ def _row(
         float(pixel[0]),
         float(pixel[1]),
         step_mm=step_height(section, a, b),
-        step_u95_mm=_step_u95(section, a, b, clumping),
+        step_u95_mm=_step_u95(section, a, b),
         n_left=section.a.n,
         n_right=section.b.n,
         reason=gap if isinstance(gap, str) else None,
@@ -196,7 +209,7 @@ def _row(
     return replace(row, width_mm=width, width_u95_mm=u95)
 
 
-def _step_u95(section: Section, a: float, b: float, clumping: float) -> float:
+def _step_u95(section: Section, a: float, b: float) -> float:
     """Expanded uncertainty of the step, from the skin lines' covariance."""
     gradient = step_gradient(a, b)
-    return _COVERAGE_95 * float(np.sqrt(clumping * (gradient @ section.covariance @ gradient)))
+    return _COVERAGE_95 * float(np.sqrt(gradient @ section.covariance @ gradient))
