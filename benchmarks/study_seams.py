@@ -135,6 +135,8 @@ def summary(error: np.ndarray, u95: np.ndarray) -> str:
 def scatter(runs: list[np.ndarray], column: int) -> str:
     """Usual and large standard deviations of one place's values over the scans, where all of them have one."""
     measured = [run[np.isfinite(run[:, column])] for run in runs]
+    if min(map(len, measured)) < 2:
+        return "not measured in every scan"
     first, last = max(run[:, 0].min() for run in measured), min(run[:, 0].max() for run in measured)
     places = np.arange(first, last, 2.0)
     values = []

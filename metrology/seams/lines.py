@@ -115,7 +115,9 @@ def _with_ends(relative: Float32, nodes: Nodes) -> Array:
 
 def _to_end(relative: Float32, centre: Array, width: float) -> Array:
     """The same with its last point where the band ends, if that can be told."""
-    outward = centre[-1] - centre[-_END_NODES]
+    # Where the parabola through the last nodes points to at the last one.
+    last, middle, first = centre[-1], centre[-1 - _END_NODES // 2], centre[-1 - _END_NODES // 2 * 2]
+    outward = 3 * last - 4 * middle + first
     outward = outward / np.linalg.norm(outward)
     beyond = end_of_band(relative, centre[-1], outward, width)
     if beyond is None:

@@ -12,6 +12,10 @@ Mask = NDArray[np.bool_]
 
 # An entry of no weight still holds the curve where nothing else does: between far nodes, beyond the last.
 _LEAST_WEIGHT = 1e-4
+# Third differences: parabolas are free. Their penalties tried lie within a factor of two of any, from none (points as
+# they are) to all (a parabola).
+_PENALTY_ORDER = 3
+_STIFFNESSES = 4.0 ** np.arange(-3.0, 18.0)
 
 
 def arc_length(points: Array) -> Array:
@@ -76,6 +80,35 @@ def smoothed(points: Array, scale_px: float, weights: ArrayLike | None = None) -
     first = np.linalg.solve(normal, np.broadcast_to([[1.0], [0.0], [0.0]], (len(points), 3, 1)))[..., 0]
     influence = kernel * (first[:, :1] + first[:, 1:2] * d + first[:, 2:] * d2)
     return np.asarray(influence @ points)
+
+
+def smoothest(points: Array, weights: ArrayLike) -> Array:
+    """The curve through evenly spaced points that their own scatter asks for, as smooth or as bent as that may be.
+
+    Least squares with the third differences' squares as penalty, which leaves parabolas free; how much they count is
+    what makes the points likeliest (restricted maximum likelihood of the mixed model; G. Wahba, Ann. Stat. 13 (1985)
+    1378–1402), told by the coordinate across the chord. The noise's size comes out of the same likelihood.
+
+    Parameters
+    ----------
+    points : (n, 2) ndarray
+        u, v.
+    weights : (n,) array
+        Inverse variances, up to a factor; 0 where a point could not be measured.
+    """
+    root = np.sqrt(np.maximum(np.asarray(weights, float), _LEAST_WEIGHT))
+    differences = np.diff(np.eye(len(points)), _PENALTY_ORDER, axis=0) / root
+    strength, modes = np.linalg.eigh(differences.T @ differences)
+    # Parabolas cost nothing.
+    strength[:_PENALTY_ORDER] = 0.0
+    parts = modes.T @ (root[:, None] * points)
+    along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
+    energy = (parts @ np.array([-along[1], along[0]]))[_PENALTY_ORDER:] ** 2
+    stiff = _STIFFNESSES[:, None] * strength[_PENALTY_ORDER:]
+    taken = stiff / (1.0 + stiff)
+    unlikelihood = len(energy) * np.log(taken @ energy + 1e-300) - np.log(taken + 1e-300).sum(axis=1)
+    stiffness = _STIFFNESSES[int(unlikelihood.argmin())]
+    return np.asarray((modes @ (parts / (1.0 + stiffness * strength)[:, None])) / root[:, None])
 
 
 class Course:

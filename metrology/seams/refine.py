@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from metrology.seams.band_kernel import borders_at_nodes
 from metrology.seams.blur import EdgeResponse, PixelBlur
-from metrology.seams.polyline import Array, normals, resample, smoothed
+from metrology.seams.polyline import Array, normals, resample, smoothed, smoothest
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -136,7 +136,7 @@ def _smooth_line(points: Array, weights: Array) -> Array:
     limit = max(_DISTURBED_SIGMAS * 1.4826 * float(np.median(away[good])), _DISTURBED_PX)
     # What disturbs a node reaches into the next one's window.
     disturbed = np.convolve(good & (away > limit), [1, 1, 1], "same") > 0
-    return smoothed(points, _SMOOTH_PX, np.where(disturbed, 0.0, weights))
+    return smoothest(points, np.where(disturbed, 0.0, weights))
 
 
 def _grown(relative: Float32, nodes: Array, width_px: float) -> Array:
