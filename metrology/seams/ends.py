@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from metrology.seams.bands import fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
@@ -21,11 +22,16 @@ Mask = NDArray[np.bool_]
 # The step is sought this far both ways, px, and must leave so much on each side of it.
 _REACH_PX = 24.0
 _LEAST_PX = 4.0
-# Beside the band: past the blur of its borders, and so wide, px.
+# Beside the band: past the blur of its borders, and so wide on each side that the skin's noise counts for less than that
+# of most bands, px. Much wider, and a line that is met at a slant would be seen on one side long before the other.
 _GUARD_PX = 1.5
-_BESIDE_PX = 4.0
+_BESIDE_PX = 8.0
 _BIN_PX = 0.5
 _BLUR = PixelBlur(lens_px=0.6, spill=0.0)
+# Of a border across the line: lens and pixel.
+_BORDER_PX = float(np.hypot(_BLUR.lens_px, 12**-0.5))
+# A bin that holds less of the band tells nothing.
+_LEAST_COVER = 0.1
 # What is left of the contrast beyond the end.
 _MOST_LEFT = 0.35
 _WORST_SIGMA_PX = 0.5
@@ -45,9 +51,9 @@ def end_of_band(relative: Float32, end: Array, outward: Array, width_px: float) 
     local = LocalMap.in_image(end, outward)
     beside = width_px / 2 + _GUARD_PX
     along, across, grey = sample(relative, local, -_REACH_PX, _REACH_PX, beside + _BESIDE_PX)
-    inside = np.abs(across) < max(width_px / 2 - 1.0, 0.6)
-    outside = np.abs(across) > beside
-    difference, position, counts = _difference(along, grey, inside, outside)
+    # How much of each pixel the band covers.
+    cover = ndtr((across + width_px / 2) / _BORDER_PX) - ndtr((across - width_px / 2) / _BORDER_PX)
+    difference, position, counts = _difference(along, grey, cover, np.abs(across) > beside)
     if len(position) < 2 * _LEAST_PX / _BIN_PX:
         return None
     first = np.sign(difference[: len(difference) // 4].mean())
@@ -63,18 +69,23 @@ def end_of_band(relative: Float32, end: Array, outward: Array, width_px: float) 
     return place if clear and within else None
 
 
-def _difference(along: Array, grey: Array, inside: Mask, outside: Mask) -> tuple[Array, Array, Array]:
-    """Brightness beside the band less that in it per bin along the line, where the bins are, and pixels' weight."""
+def _difference(along: Array, grey: Array, cover: Array, outside: Mask) -> tuple[Array, Array, Array]:
+    """The band's contrast (least squares on the pixels it covers) per bin along the line, where the bins are, and their
+    weights in pixels."""
     bins = np.floor((along + _REACH_PX) / _BIN_PX).astype(np.int64)
     size = int(bins.max()) + 1 if len(bins) else 0
-    n_in, n_out = (np.bincount(bins[part], minlength=size) for part in (inside, outside))
-    both = (n_in > 0) & (n_out > 0)
-    with np.errstate(invalid="ignore"):
-        dark = np.bincount(bins[inside], grey[inside], size) / n_in
-        light = np.bincount(bins[outside], grey[outside], size) / n_out
-        place = np.bincount(bins[inside], along[inside], size) / n_in
-    weight = 1.0 / (1.0 / np.maximum(n_in, 1) + 1.0 / np.maximum(n_out, 1))
-    return (light - dark)[both], place[both], weight[both]
+    covered = np.where(outside, 0.0, cover)
+
+    def total(values: Array) -> Array:
+        return np.bincount(bins, values, size)
+
+    n_out, first, second = total(outside.astype(float)), total(covered), total(covered**2)
+    both = (n_out > 0) & (second > _LEAST_COVER)
+    n_out, first, second = n_out[both], first[both], second[both]
+    light = total(np.where(outside, grey, 0.0))[both] / n_out
+    contrast = (first * light - total(covered * grey)[both]) / second
+    place = total(covered**2 * along)[both] / second
+    return contrast, place, 1.0 / (1.0 / second + (first / second) ** 2 / n_out)
 
 
 def _best_split(values: Array) -> int:
