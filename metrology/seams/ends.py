@@ -22,8 +22,8 @@ Mask = NDArray[np.bool_]
 # The step is sought this far both ways, px, and must leave so much on each side of it.
 _REACH_PX = 24.0
 _LEAST_PX = 4.0
-# Beside the band: past the blur of its borders, and so wide on each side that the skin's noise counts for less than that
-# of most bands, px. Much wider, and a line that is met at a slant would be seen on one side long before the other.
+# Beside the band: past the blur of its borders, and so wide on each side that the skin's noise counts for less than
+# that of most bands, px.
 _GUARD_PX = 1.5
 _BESIDE_PX = 8.0
 _BIN_PX = 0.5
@@ -53,12 +53,20 @@ def end_of_band(relative: Float32, end: Array, outward: Array, width_px: float) 
     along, across, grey = sample(relative, local, -_REACH_PX, _REACH_PX, beside + _BESIDE_PX)
     # How much of each pixel the band covers.
     cover = ndtr((across + width_px / 2) / _BORDER_PX) - ndtr((across - width_px / 2) / _BORDER_PX)
-    difference, position, counts = _difference(along, grey, cover, np.abs(across) > beside)
+    response = EdgeResponse.along(local.gradient, _BLUR)
+    # A line met at a slant is seen on one side as much too early as too late on the other.
+    sides = [_last_place(along, grey, cover, side, response) for side in (across < -beside, across > beside)]
+    found = [place for place in sides if place is not None]
+    return float(np.mean(found)) if found else None
+
+
+def _last_place(along: Array, grey: Array, cover: Array, outside: Mask, response: EdgeResponse) -> float | None:
+    """Where along the line the contrast against what lies outside ends, px; None where that is not clear."""
+    difference, position, counts = _difference(along, grey, cover, outside)
     if len(position) < 2 * _LEAST_PX / _BIN_PX:
         return None
     first = np.sign(difference[: len(difference) // 4].mean())
     guess = position[_best_split(difference * first)]
-    response = EdgeResponse.along(local.gradient, _BLUR)
     fit = fit_bands(position, difference, [guess], response, slopes=(False, False), counts=counts)
     if fit is None:
         return None
@@ -74,17 +82,16 @@ def _difference(along: Array, grey: Array, cover: Array, outside: Mask) -> tuple
     weights in pixels."""
     bins = np.floor((along + _REACH_PX) / _BIN_PX).astype(np.int64)
     size = int(bins.max()) + 1 if len(bins) else 0
-    covered = np.where(outside, 0.0, cover)
 
     def total(values: Array) -> Array:
-        return np.bincount(bins, values, size)
+        return np.asarray(np.bincount(bins, values, size), float)
 
-    n_out, first, second = total(outside.astype(float)), total(covered), total(covered**2)
+    n_out, first, second = total(outside.astype(float)), total(cover), total(cover**2)
     both = (n_out > 0) & (second > _LEAST_COVER)
     n_out, first, second = n_out[both], first[both], second[both]
     light = total(np.where(outside, grey, 0.0))[both] / n_out
-    contrast = (first * light - total(covered * grey)[both]) / second
-    place = total(covered**2 * along)[both] / second
+    contrast = (first * light - total(cover * grey)[both]) / second
+    place = total(cover**2 * along)[both] / second
     return contrast, place, 1.0 / (1.0 / second + (first / second) ** 2 / n_out)
 
 

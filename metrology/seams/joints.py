@@ -13,8 +13,9 @@ import numpy as np
 from metrology.seams.image_line import ImageLine
 from metrology.seams.polyline import Array, Course, arc_length, resample
 
-# An end this near to another line's border is at it, px: the ends of `ends.end_of_band` are off by less at a joint.
-_REACH_PX = 12.0
+# An end this near to another line's border is at it, px: met at 40°, what lies 16 px beside a line (`ends`) reaches
+# that border 19 px before or after the line itself does.
+_REACH_PX = 20.0
 # Lines that meet at a smaller angle than about 20° run along each other.
 _LEAST_SINE = 0.35
 # The last so many points tell the direction in which a line leaves.

@@ -91,7 +91,8 @@ def _shares_border(points: Array, width_px: float, courses: list[tuple[Course, f
 def _measured(relative: Float32, rough: RoughLine, settings: LineSettings) -> ImageLine | None:
     """The line with its borders fitted and its ends found, if it is one."""
     nodes = fit_nodes(relative, rough.points, rough.width_px)
-    if nodes is None or abs(nodes.contrast) < settings.min_contrast:
+    # A line may fade: it goes on as far as its borders can be followed.
+    if nodes is None or nodes.length_px(settings.min_contrast) < settings.min_length_px:
         return None
     centre = _with_ends(relative, nodes)
     if polyline_length(centre) < settings.min_length_px:

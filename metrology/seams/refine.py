@@ -18,10 +18,11 @@ from metrology.seams.polyline import Array, normals, resample, smoothed, smoothe
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Nodes px apart, first to centre the windows, then for good; each looks so far along the line both ways.
+# Nodes px apart, first to centre the windows, then for good; each looks so far along the line both ways that no two of
+# them share pixels: their errors must not pass for the line's own shape.
 _FIRST_STEP_PX = 24.0
 _STEP_PX = 12.0
-_HALF_PX = 9.0
+_HALF_PX = 6.0
 # The window across reaches this far beyond the band, in line widths and px.
 _REACH_WIDTHS = 0.5
 _MOST_REACH_PX = 6.0
@@ -65,16 +66,25 @@ class Nodes:
         u, v of the smooth middle.
     width_px : (n,) ndarray
         NaN where the borders could not be told.
-    contrast : float
-        Brightness of the band relative to its surroundings, less one: negative for a dark line.
+    contrasts : (n,) ndarray
+        Brightness of the band relative to its surroundings, less one: negative for a dark line; NaN likewise.
     good : (n,) ndarray of bool
         Where the borders were found and agree with their neighbours'.
     """
 
     centre: Array
     width_px: Array
-    contrast: float
+    contrasts: Array
     good: Mask
+
+    @property
+    def contrast(self) -> float:
+        """The line's usual one."""
+        return float(np.nanmedian(self.contrasts))
+
+    def length_px(self, least_contrast: float) -> float:
+        """Over how much of the line the contrast is at least so large."""
+        return _STEP_PX * float(np.sum(np.abs(self.contrasts[self.good]) >= least_contrast))
 
 
 @dataclass(frozen=True)
@@ -125,8 +135,8 @@ def fit_nodes(relative: Float32, points: Array, width_px: float) -> Nodes | None
     centre = _smooth_line(_moved(nodes, fits, good), fits.weights(good))
     first, last = np.flatnonzero(good)[[0, -1]]
     part = slice(first, last + 1)
-    width = np.where(good, fits.width, np.nan)[part]
-    return Nodes(centre[part], width, float(np.median(fits.contrast[good])), good[part])
+    width, contrast = (np.where(good, values, np.nan)[part] for values in (fits.width, fits.contrast))
+    return Nodes(centre[part], width, contrast, good[part])
 
 
 def _smooth_line(points: Array, weights: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
+from metrology.seams.medians import row_medians
 from metrology.seams.polyline import Array
 from metrology.seams.settings import SeamSettings
 from metrology.seams.shade import black_level, projected_share
@@ -119,15 +120,15 @@ def examine_relief(
     if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
         return Relief(float(both.sum() / max(evident.sum(), _FEWEST_PIECES)))
     pieces, skin = pieces.some(both), skin[both]
-    z = np.where(pieces.inside, reconstruction.points[pieces.v, pieces.u, 2], np.nan).astype(float)
-    sides = _fit_sides(pieces.x, pieces.y, z, skin)
+    inverse = 1.0 / np.where(pieces.inside, reconstruction.points[pieces.v, pieces.u, 2], np.nan).astype(float)
+    sides = _fit_sides(pieces, inverse, skin)
     joined = np.abs(sides.step_mm) < _MAX_STEP_MM
     skin_share = float(joined.sum() / evident.sum())
     if skin_share < _SKIN_SHARE:
         return Relief(skin_share)
     texture = reconstruction.left.texture[pieces.v, pieces.u].astype(float)
     half = max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
-    depth, depth_sigma = _depth(pieces, half, z, texture, skin, sides)
+    depth, depth_sigma = _depth(pieces, half, sides.at_places(pieces, inverse), texture, skin, sides)
     if width_px < _NARROW_PX:
         modulation = reconstruction.left.modulation[pieces.v, pieces.u].astype(float)
         black = black_level(reconstruction.left)
@@ -156,6 +157,9 @@ class _Pieces:
         Places across and along the line, from a piece's middle, px.
     v, u : (p, n) ndarray of int
         Their pixels.
+    beside_x, beside_y : (p, n) ndarray
+        How far those lie from the places. All rows of a piece may round alike, and on a tilted panel half a pixel is
+        0.02 mm of depth.
     inside : (p, n) ndarray of bool
         Whether they lie in the image.
     """
@@ -164,6 +168,8 @@ class _Pieces:
     y: Array
     v: NDArray[np.intp]
     u: NDArray[np.intp]
+    beside_x: Array
+    beside_y: Array
     inside: Mask
 
     @classmethod
@@ -175,15 +181,22 @@ class _Pieces:
             return None
         chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PIECES)).round().astype(int))
         rows = (chosen[:, None] * _PIECE_ROWS + np.arange(_PIECE_ROWS)).ravel()
-        v, u, inside = strip.rows(rows).pixels(shape)
+        strip = strip.rows(rows)
+        v, u, inside = strip.pixels(shape)
+        off_u, off_v = u - strip.u, v - strip.v
+        normal_u, normal_v = strip.normals[:, :1], strip.normals[:, 1:]
+        # Along the line is the normal turned back from v towards u.
+        beside_x, beside_y = off_u * normal_u + off_v * normal_v, off_u * normal_v - off_v * normal_u
         x = np.tile(strip.x, _PIECE_ROWS)
         y = np.repeat(_STEP_PX * (np.arange(_PIECE_ROWS) - (_PIECE_ROWS - 1) / 2), len(strip.x))
         size = (len(chosen), -1)
-        return cls(x, y, v.reshape(size), u.reshape(size), inside.reshape(size))
+        offsets = beside_x.reshape(size), beside_y.reshape(size)
+        return cls(x, y, v.reshape(size), u.reshape(size), *offsets, inside.reshape(size))
 
     def some(self, which: Mask) -> _Pieces:
         """Some of the pieces."""
-        return _Pieces(self.x, self.y, self.v[which], self.u[which], self.inside[which])
+        offsets = self.beside_x[which], self.beside_y[which]
+        return _Pieces(self.x, self.y, self.v[which], self.u[which], *offsets, self.inside[which])
 
 
 def _evidence(x: Array, skin: Mask, saturated: Mask) -> tuple[Mask, Mask]:
@@ -205,26 +218,37 @@ class _Sides:
     sigma_mm: Array
     spread_mm: Array
 
+    def at_places(self, pieces: _Pieces, inverse: Array) -> Array:
+        """(p, n) 1/z at the places themselves, from what their pixels have."""
+        return _moved(pieces, inverse, self.coefficients[:, 2], self.coefficients[:, 3])
+
+
+def _moved(pieces: _Pieces, inverse: Array, across: Array, along: Array) -> Array:
+    """1/z (p, n) of pixels carried to their places by the slopes (p,) of 1/z."""
+    return inverse - across[:, None] * pieces.beside_x - along[:, None] * pieces.beside_y
+
 
 def _design(x: Array, y: Array) -> Array:
     """(n, 5) derivatives of 1/z by the offsets of both sides, b, c and d."""
     return np.stack([x < 0, x > 0, x, y, x * x], axis=-1).astype(float)
 
 
-def _fit_sides(x: Array, y: Array, z: Array, skin: Mask) -> _Sides:
+def _fit_sides(pieces: _Pieces, inverse: Array, skin: Mask) -> _Sides:
     """Least squares in all pieces at once, outliers clipped."""
+    x, y = pieces.x, pieces.y
     # In units of the strip's half-width the normal equations are well conditioned.
     unit = np.array([1.0, 1.0, 1 / x.max(), 1 / x.max(), 1 / x.max() ** 2])
     design = _design(x, y) * unit
     products = (design[:, :, None] * design[:, None, :]).reshape(len(x), 25)
-    depth = np.array([np.median(row[keep]) for row, keep in zip(z, skin, strict=True)])
-    inverse = np.where(skin, 1.0 / np.where(skin, z, 1.0), 0.0)
-    keep = skin.astype(float)
+    depth = 1.0 / row_medians(inverse, skin)
+    inverse = np.where(skin, inverse, 0.0)
+    at_places, keep = inverse, skin.astype(float)
     for _ in range(_ROUNDS):
         normal = (keep @ products).reshape(-1, 5, 5) + 1e-9 * np.eye(5)
-        solution = np.linalg.solve(normal, ((keep * inverse) @ design)[..., None])[..., 0]
-        residual = np.abs(inverse - solution @ design.T)
-        spread = np.array([1.4826 * np.median(row[on > 0]) for row, on in zip(residual, keep, strict=True)]) + 1e-12
+        solution = np.linalg.solve(normal, ((keep * at_places) @ design)[..., None])[..., 0]
+        at_places = _moved(pieces, inverse, solution[:, 2] * unit[2], solution[:, 3] * unit[3])
+        residual = np.abs(at_places - solution @ design.T)
+        spread = 1.4826 * row_medians(residual, keep > 0) + 1e-12
         clipped = skin & (residual < _CLIP_SIGMAS * spread[:, None])
         # A side that the clipping would empty is kept: its step is too large for one common fit to begin with.
         enough = np.minimum(clipped[:, x < 0].sum(axis=1), clipped[:, x > 0].sum(axis=1)) >= _MIN_SIDE_PLACES // 2
@@ -236,17 +260,19 @@ def _fit_sides(x: Array, y: Array, z: Array, skin: Mask) -> _Sides:
     return _Sides(solution * unit, step, spread_mm * _CORRELATION * np.sqrt(variance), spread_mm)
 
 
-def _depth(pieces: _Pieces, half_px: float, z: Array, texture: Array, skin: Mask, sides: _Sides) -> tuple[Array, Array]:
+def _depth(
+    pieces: _Pieces, half_px: float, inverse: Array, texture: Array, skin: Mask, sides: _Sides
+) -> tuple[Array, Array]:
     """Median depth below both skins (p,) of the places in the band, negative above both, 0 in between; and its σ."""
-    brightness = np.array([np.median(row[on]) for row, on in zip(texture, skin, strict=True)])
+    brightness = row_medians(texture, skin)
     between = np.abs(pieces.x) <= half_px
-    x, y, z, texture = pieces.x[between], pieces.y[between], z[:, between], texture[:, between]
+    x, y, texture = pieces.x[between], pieces.y[between], texture[:, between]
+    z = 1.0 / inverse[:, between]
     offsets, rest = sides.coefficients[:, :2], sides.coefficients[:, 2:] @ _design(x, y)[:, 2:].T
     far, near = 1.0 / (offsets.min(axis=1)[:, None] + rest), 1.0 / (offsets.max(axis=1)[:, None] + rest)
     depth = np.maximum(z - far, 0.0) + np.minimum(z - near, 0.0)
     shadow = ~np.isfinite(z) & (texture < _SHADOW * brightness[:, None])
     depth = np.where(shadow, _SHADOW_DEPTH_MM, depth)
     known = np.isfinite(depth)
-    median = np.array([np.median(row[on]) if on.any() else 0.0 for row, on in zip(depth, known, strict=True)])
     sigma = sides.spread_mm * _MEDIAN * _CORRELATION / np.sqrt(np.maximum(known.sum(axis=1), 1))
-    return median, sigma
+    return np.nan_to_num(row_medians(depth, known)), sigma

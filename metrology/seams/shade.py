@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView
+from metrology.seams.medians import row_medians
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,10 +47,8 @@ def projected_share(texture: Array, modulation: Array, band: Mask, skin: Mask, b
     (p,) ndarray
         NaN where the band is black.
     """
-    shares = np.full(len(texture), np.nan)
-    for k, (a, b, beside) in enumerate(zip(texture, modulation, skin, strict=True)):
-        level = np.median(a[band]) - black
-        if level > 0:
-            dark = level / (np.median(a[beside]) - black)
-            shares[k] = np.median(b[band]) / np.median(b[beside]) / dark
-    return shares
+    level = row_medians(texture, band) - black
+    dark = level / (row_medians(texture, skin) - black)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = row_medians(modulation, band) / row_medians(modulation, skin) / dark
+    return np.where(level > 0, shares, np.nan)

@@ -30,6 +30,7 @@ def seam_scan(
     generator: np.random.Generator,
     sigma_z: float = 0.02,
     radius_mm: float = 1500.0,
+    tilt: float = 0.05,
     saturated: Mask | None = None,
     lit: Mask | None = None,
     discs: Sequence[tuple[float, float, float, float]] = (),
@@ -42,6 +43,8 @@ def seam_scan(
         Noise of the points, mm.
     radius_mm : float
         Of the skin's curvature along u.
+    tilt : float
+        Slope of the skin along u.
     saturated : (h, w) bool, optional
         Where a highlight leaves no points.
     lit : (h, w) bool, optional
@@ -54,7 +57,7 @@ def seam_scan(
     texture = paint(bands, SHAPE, generator, discs=discs)
     px_mm = rig.left.K[0, 0] / 700.0
     x = (u - u.mean()) / px_mm
-    z = 700.0 + 0.05 * x + 0.03 * (v - v.mean()) / px_mm + x**2 / (2 * radius_mm)
+    z = 700.0 + tilt * x + 0.03 * (v - v.mean()) / px_mm + x**2 / (2 * radius_mm)
     for band, relief in zip(bands, reliefs, strict=True):
         along, across = band.local(u, v)
         inside = (np.abs(across) < band.width_px / 2) & (along > band.reach[0]) & (along < band.reach[1])

@@ -11,7 +11,10 @@ from seam_textures import Band, paint
 
 from metrology.errors import UsageError
 from metrology.results import RivetDetection
-from metrology.seams import ImageLine, LineSettings, detect_lines, detect_seams
+from metrology.seams import ImageLine, LineSettings, SeamSettings, detect_lines, detect_seams
+from metrology.seams.polyline import smoothest
+from metrology.seams.relief import examine_relief
+from metrology.seams.sections import usable_points
 from metrology.seams.segments import join_pieces, straight_pieces
 from metrology.seams.shade import projected_share
 
@@ -99,6 +102,37 @@ def test_heads_and_highlights_interrupt_no_seam(rng):
     assert line.length_px > 0.97 * chord_length(band)
     assert np.sqrt(np.mean(offset**2)) < 0.06
     assert line.support < 0.95
+
+
+def test_smoothest_curve_follows_bends_and_nothing_else(rng):
+    s = np.linspace(0, 1600, 134)
+    noise = 0.1 * rng.normal(size=s.size)
+    for bend, least_gain in ((0.0, 4.5), (3e-6, 4.5), (1e-8, 1.0)):
+        # A straight line, a parabola, and waves of 5 px in 800 px.
+        true = bend * s**2 if bend != 1e-8 else 5 * np.sin(2 * np.pi * s / 800)
+        curve = smoothest(np.stack([s, true + noise], axis=1), np.ones(s.size))
+        error = curve[:, 1] - true
+        assert 0.1 / np.sqrt(np.mean(error**2)) > least_gain
+        assert np.abs(error).max() < 0.1
+        assert curve[:, 0] == pytest.approx(s, abs=1e-3)
+    # What could not be measured does not count.
+    true = 2 * np.sin(2 * np.pi * s / 1200)
+    points = np.stack([s, true + noise], axis=1)
+    points[60:66, 1] += 5.0
+    weights = np.where((np.arange(s.size) >= 60) & (np.arange(s.size) < 66), 0.0, 1.0)
+    assert np.abs(smoothest(points, weights)[:, 1] - true).max() < 0.1
+
+
+def test_a_line_that_fades_is_one_line(rng):
+    # Half of its length only is as dark as a line must be.
+    band = Band((410, 310), 12, 6.0, 14.0)
+    u = np.arange(IMAGE[1])
+    fading = np.where(u < 380, 0.4, 1.0)
+    image = paint([], IMAGE, rng)
+    image += fading * (paint([band], IMAGE, np.random.default_rng(5)) - paint([], IMAGE, np.random.default_rng(5)))
+    lines = detect_lines(image)
+    assert len(lines) == 1
+    assert lines[0].length_px > 0.8 * chord_length(band)
 
 
 def test_no_line_in_noise_nor_of_short_scratches(rng):
@@ -239,3 +273,18 @@ def test_reference_scans(shared, name, seams):
         distance, _ = cKDTree(line.centre_px).query(visible)
         # The image's dark band and the ideal edges have different middles.
         assert np.quantile(distance, 0.98) < 0.5 * np.median(line.width_px)
+
+
+@pytest.mark.parametrize("angle", [0.8, 1.5, 3.0, 90.8])
+def test_paint_on_a_tilted_skin_has_no_step(angle, rng):
+    # Places beside the line all round to their pixels alike, and half a pixel is 0.03 mm of depth.
+    band = Band((450, 350), angle, 8.0, 40.0)
+    scan = seam_scan([band], [Relief()], rng, sigma_z=0.01, radius_mm=4000.0, tilt=0.3)
+    line = np.array([band.through]) + np.linspace(-330, 330, 661)[:, None] * [
+        np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    ]  # fmt: skip
+    relief = examine_relief(line, band.width_px, scan, usable_points(scan), SeamSettings())
+    assert relief.skin_share == 1.0
+    assert abs(relief.step_mm) < 0.004
+    assert relief.step_share < 0.1
+    assert relief.groove_share < 0.1

@@ -13,6 +13,7 @@ from metrology.seams.band_kernel import borders_at_nodes, cholesky_solve, gather
 from metrology.seams.bands import fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.linking import link
+from metrology.seams.medians import row_medians
 
 
 def test_line_points(rng):
@@ -244,3 +245,16 @@ def test_borders_at_nodes_are_those_of_single_fits(inner, rng):
             assert row[5 + k] == pytest.approx(fit.levels[1 - k])
     # Borders are where they were painted.
     assert np.abs(rows[:, :2] - (-4.5, 4.5)).max() < 0.3
+
+
+def test_row_medians(rng):
+    values, kept = rng.normal(size=(40, 31)), rng.random((40, 31)) < 0.4
+    values[rng.random(values.shape) < 0.1] = np.nan
+    kept &= np.isfinite(values)
+    kept[7] = False
+    medians = row_medians(values, kept)
+    assert np.isnan(medians[7])
+    for row, on, median in zip(values, kept, medians, strict=True):
+        if on.any():
+            assert median == np.median(row[on])
+    assert row_medians(values, kept[0])[3:5] == pytest.approx(np.median(values[3:5][:, kept[0]], axis=1), nan_ok=True)
