@@ -12,7 +12,7 @@ from metrology.results import RivetDetection, SeamLine
 from metrology.seams.image_line import ImageLine
 from metrology.seams.lines import detect_lines
 from metrology.seams.places import head_mask, panel_mask
-from metrology.seams.relief import Relief, examine_relief
+from metrology.seams.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.rough import RoughLine
 from metrology.seams.sections import usable_points
 from metrology.seams.settings import SeamSettings
@@ -49,7 +49,7 @@ def detect_seams(
     hidden = heads | ~panel_mask(reconstruction.valid | saturated)
 
     def worth(rough: RoughLine) -> bool:
-        relief = examine_relief(rough.points, rough.width_px, reconstruction, usable, settings)
+        relief = examine_relief(rough.points, rough.width_px, reconstruction, usable, settings, MOST_PIECES // 2)
         return relief.between_skins and (relief.share >= _PROMISING_SHARE or _is_shown(rough))
 
     seams, others = [], []

@@ -52,16 +52,16 @@ def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float
     covariance = np.array([section.covariance for section in own])
     lean, scatter = lines @ _LEAN.T, _LEAN @ covariance @ _LEAN.T
     predicted, variance = _predictions(own, s_mm[index], lean, scatter, 2 * half_length)
-    for i in np.flatnonzero(np.isfinite(variance).all(axis=1)):
-        # Kalman's gain.
-        gain = covariance[i] @ _LEAN.T @ np.linalg.inv(scatter[i] + np.diag(variance[i]))
-        line = lines[i] + gain @ (predicted[i] - lean[i])
-        result[index[i]] = replace(
-            own[i],
-            a=SkinLine(line[[0, 1, 4]], own[i].a.n),
-            b=SkinLine(line[2:], own[i].b.n),
-            covariance=covariance[i] - gain @ _LEAN @ covariance[i],
-        )
+    told = np.isfinite(variance).all(axis=1)
+    index, own = index[told], [section for section, known in zip(own, told, strict=True) if known]
+    lines, covariance = lines[told], covariance[told]
+    # Kalman's gain.
+    gain = covariance @ _LEAN.T @ np.linalg.inv(scatter[told] + variance[told][..., None] * np.eye(3))
+    lines = lines + (gain @ (predicted - lean)[told][..., None])[..., 0]
+    covariance = covariance - gain @ _LEAN @ covariance
+    for k, section, line, left in zip(index, own, lines, covariance, strict=True):
+        a, b = SkinLine(line[[0, 1, 4]], section.a.n), SkinLine(line[2:], section.b.n)
+        result[k] = replace(section, a=a, b=b, covariance=left)
     return result
 
 

@@ -25,8 +25,8 @@ Mask = NDArray[np.bool_]
 # Places are 1 px apart across and this much along; so many rows make a piece, which is about 5 mm long.
 _STEP_PX = 2.0
 _PIECE_ROWS = 12
-# No more pieces than this are looked at: shares to better than a tenth.
-_MOST_PIECES = 40
+# No more pieces than this are looked at: shares to better than a tenth; a first look is content with half of them.
+MOST_PIECES = 40
 # Skin beside the line: 6 mm on each side tell a step from curvature.
 _SKIN_PX = 30.0
 _MIN_SIDE_PLACES = 40
@@ -96,8 +96,9 @@ class Relief:
 
 
 def examine_relief(
-    points: Array, width_px: float, reconstruction: Reconstruction, usable: Mask, settings: SeamSettings
-) -> Relief:
+    points: Array, width_px: float, reconstruction: Reconstruction, usable: Mask, settings: SeamSettings,
+    most_pieces: int = MOST_PIECES,
+) -> Relief:  # fmt: skip
     """Look at the points on both sides of a line and between them.
 
     Parameters
@@ -108,9 +109,11 @@ def examine_relief(
         The line's.
     usable : (h, w) ndarray of bool
         Pixels with a point that is not mixed across an edge.
+    most_pieces : int
+        So many pieces of the line, evenly spread, are looked at.
     """
     inner = width_px / 2 + settings.guard_px
-    pieces = _Pieces.along(points, inner + _SKIN_PX, usable.shape)
+    pieces = _Pieces.along(points, inner + _SKIN_PX, usable.shape, most_pieces)
     if pieces is None:
         return Relief()
     beside = pieces.inside & (np.abs(pieces.x) > inner)
@@ -173,13 +176,13 @@ class _Pieces:
     inside: Mask
 
     @classmethod
-    def along(cls, points: Array, reach_px: float, shape: tuple[int, ...]) -> _Pieces | None:
+    def along(cls, points: Array, reach_px: float, shape: tuple[int, ...], most: int) -> _Pieces | None:
         """Pieces evenly spread along a polyline; None if it is shorter than one."""
         strip = Strip.along(points, reach_px, _STEP_PX)
         count = len(strip.line) // _PIECE_ROWS
         if count == 0:
             return None
-        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_PIECES)).round().astype(int))
+        chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
         rows = (chosen[:, None] * _PIECE_ROWS + np.arange(_PIECE_ROWS)).ravel()
         strip = strip.rows(rows)
         v, u, inside = strip.pixels(shape)

@@ -85,8 +85,9 @@ def usable_points(reconstruction: Reconstruction) -> Mask:
 
 
 def strip(
-    reconstruction: Reconstruction, usable: Mask, centre_px: Array, frame: Frame, half_length: float, extent: float
-) -> Array:
+    reconstruction: Reconstruction, usable: Mask, centre_px: Array, frame: Frame, half_length: float, extent: float,
+    every: int = 1,
+) -> Array:  # fmt: skip
     """Points near a section plane.
 
     Parameters
@@ -98,6 +99,8 @@ def strip(
         ε_d, mm.
     extent : float
         Largest |x|, mm.
+    every : int
+        Only pixels on every so many diagonals (u + v) are taken.
 
     Returns
     -------
@@ -118,11 +121,12 @@ def strip(
         np.ascontiguousarray(frame.axes),
         half_length,
         extent,
+        every,
     )
 
 
 @kernel
-def _strip(points, sigma_z, usable, centre, radius, origin, axes, half_length, extent):  # type: ignore[no-untyped-def]
+def _strip(points, sigma_z, usable, centre, radius, origin, axes, half_length, extent, every):  # type: ignore[no-untyped-def]
     """Collect points with |x| ≤ extent and |y| ≤ half_length from the pixels around the station."""
     height, width = usable.shape
     u0, u1 = max(0, int(centre[0]) - radius[0]), min(width, int(centre[0]) + radius[0] + 1)
@@ -130,7 +134,7 @@ def _strip(points, sigma_z, usable, centre, radius, origin, axes, half_length, e
     out = np.empty((max(0, u1 - u0) * max(0, v1 - v0), 5))
     count = 0
     for v in range(v0, v1):
-        for u in range(u0, u1):
+        for u in range(u0 + (-(u0 + v)) % every, u1, every):
             if not usable[v, u]:
                 continue
             px, py, pz = points[v, u, 0], points[v, u, 1], points[v, u, 2]
@@ -184,7 +188,7 @@ def section_at(
     """
 
     def fitted(frame: Frame, band: float, every: int) -> SkinFit | None:
-        points = strip(reconstruction, usable, centre_px, frame, half_length, max(outer))[::every]
+        points = strip(reconstruction, usable, centre_px, frame, half_length, max(outer), every)
         points = points[np.where(points[:, 0] < 0, -points[:, 0] <= outer[0], points[:, 0] <= outer[1])]
         if other_courses:
             v, u = np.divmod(points[:, 4], usable.shape[1])
