@@ -52,8 +52,8 @@ def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float
     covariance = np.array([section.covariance for section in own])
     lean, scatter = lines @ _LEAN.T, _LEAN @ covariance @ _LEAN.T
     predicted, variance = _predictions(own, s_mm[index], lean, scatter, 2 * half_length)
-    told = np.isfinite(variance).all(axis=1)
-    index, own = index[told], [section for section, known in zip(own, told, strict=True) if known]
+    told = np.flatnonzero(np.isfinite(variance).all(axis=1))
+    index, own = index[told], [own[i] for i in told]
     lines, covariance = lines[told], covariance[told]
     # Kalman's gain.
     gain = covariance @ _LEAN.T @ np.linalg.inv(scatter[told] + variance[told][..., None] * np.eye(3))

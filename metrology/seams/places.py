@@ -37,8 +37,9 @@ def panel_mask(seen: Mask) -> Mask:
         Pixels with a point, or with too much light for one.
     """
     height, width = seen.shape
-    cells = cv2.resize(seen.astype(np.float32), (width // _CELL_PX, height // _CELL_PX), interpolation=cv2.INTER_AREA)
-    covered = (cells > 0.5).astype(np.uint8)
+    # Means of zeros and ones round to what more than half of a cell is.
+    cells = width // _CELL_PX, height // _CELL_PX
+    covered = cv2.resize(seen.astype(np.uint8), cells, interpolation=cv2.INTER_AREA)
     panel = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((_HOLE_PX // _CELL_PX,) * 2, np.uint8))
     rim = 2 * _RIM_PX // _CELL_PX + 1
     inside = cv2.erode(panel, np.ones((rim, rim), np.uint8))
