@@ -83,7 +83,7 @@ def specification(kind: str, number: int, of: int) -> SimulationSpec:
     brightness = (200, 330)
     if kind == "crowded":
         variety = Variety(rivets=(4, 8), scratches=(60, 60), stickers=3, smudges=3, cables=1, specular=(0.8, 1.5))
-        brightness = (300, 420)
+        brightness = (130, 190)
     panel = random_panel(rng, variety, seams_of(kind, number, of, rng))
     return SimulationSpec(
         "flushline-simulation/1",

@@ -44,9 +44,9 @@ def detect_seams(
     settings = settings or SeamSettings()
     heads = head_mask(rivets, reconstruction.flags.shape, _HEAD_MARGIN_PX)
     usable = usable_points(reconstruction) & ~heads
-    # A highlight hides points, not the panel.
-    saturated = (reconstruction.flags & np.uint16(PixelFlag.SATURATED)) != 0
-    hidden = heads | ~panel_mask(reconstruction.valid | saturated)
+    # A highlight in either camera hides points, not the panel.
+    lit = (reconstruction.flags & np.uint16(PixelFlag.LOW_MODULATION)) == 0
+    hidden = heads | ~panel_mask(lit)
 
     def worth(rough: RoughLine) -> bool:
         relief = examine_relief(rough.points, rough.width_px, reconstruction, usable, settings, MOST_PIECES // 2)

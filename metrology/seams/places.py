@@ -28,18 +28,18 @@ def head_mask(rivets: Sequence[RivetDetection], shape: tuple[int, ...], margin_p
     return mask.astype(bool)
 
 
-def panel_mask(seen: Mask) -> Mask:
+def panel_mask(lit: Mask) -> Mask:
     """(h, w) pixels on the panel and clear of its outline and that of the projected field.
 
     Parameters
     ----------
-    seen : (h, w) ndarray of bool
-        Pixels with a point, or with too much light for one.
+    lit : (h, w) ndarray of bool
+        Pixels that the fringes reach, with a point or without.
     """
-    height, width = seen.shape
+    height, width = lit.shape
     # Means of zeros and ones round to what more than half of a cell is.
     cells = width // _CELL_PX, height // _CELL_PX
-    covered = cv2.resize(seen.astype(np.uint8), cells, interpolation=cv2.INTER_AREA)
+    covered = cv2.resize(lit.astype(np.uint8), cells, interpolation=cv2.INTER_AREA)
     panel = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((_HOLE_PX // _CELL_PX,) * 2, np.uint8))
     rim = 2 * _RIM_PX // _CELL_PX + 1
     inside = cv2.erode(panel, np.ones((rim, rim), np.uint8))

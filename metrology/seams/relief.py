@@ -117,9 +117,9 @@ def examine_relief(
     if pieces is None:
         return Relief()
     beside = pieces.inside & (np.abs(pieces.x) > inner)
-    saturated = (reconstruction.flags[pieces.v, pieces.u] & np.uint16(PixelFlag.SATURATED)) != 0
+    dark = (reconstruction.flags[pieces.v, pieces.u] & np.uint16(PixelFlag.LOW_MODULATION)) != 0
     skin = beside & usable[pieces.v, pieces.u]
-    both, evident = _evidence(pieces.x, skin, beside & saturated)
+    both, evident = _evidence(pieces.x, skin, beside & ~skin & ~dark)
     if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
         return Relief(float(both.sum() / max(evident.sum(), _FEWEST_PIECES)))
     pieces, skin = pieces.some(both), skin[both]
@@ -202,12 +202,13 @@ class _Pieces:
         return _Pieces(self.x, self.y, self.v[which], self.u[which], *offsets, self.inside[which])
 
 
-def _evidence(x: Array, skin: Mask, saturated: Mask) -> tuple[Mask, Mask]:
-    """Pieces with skin on both sides, and pieces that tell whether there is: not those where a highlight hides it."""
+def _evidence(x: Array, skin: Mask, dazzled: Mask) -> tuple[Mask, Mask]:
+    """Pieces with skin on both sides, and pieces that tell whether there is: not those where one side is lit and yet
+    has no good points, as a highlight in either camera makes it."""
     enough, hidden = [], []
     for side in (x < 0, x > 0):
         enough.append(skin[:, side].sum(axis=1) >= _MIN_SIDE_PLACES)
-        hidden.append(saturated[:, side].sum(axis=1) >= _MIN_SIDE_PLACES)
+        hidden.append(dazzled[:, side].sum(axis=1) >= _MIN_SIDE_PLACES)
     both = enough[0] & enough[1]
     return both, both | (enough[0] | ~hidden[0]) & (enough[1] | ~hidden[1])
 
