@@ -14,7 +14,6 @@ from metrology.seams.lines import detect_lines
 from metrology.seams.places import head_mask, panel_mask
 from metrology.seams.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.rough import RoughLine
-from metrology.seams.sections import usable_points
 from metrology.seams.settings import SeamSettings
 
 Array = NDArray[np.float64]
@@ -43,7 +42,9 @@ def detect_seams(
     """
     settings = settings or SeamSettings()
     heads = head_mask(rivets, reconstruction.flags.shape, _HEAD_MARGIN_PX)
-    usable = usable_points(reconstruction) & ~heads
+    # Points that an edge or a highlight may have mixed are good enough to tell skin by: nothing nearer to the line itself
+    # than the guard is looked at, and outliers are left out.
+    usable = reconstruction.valid & ~heads
     # A highlight in either camera hides points, not the panel.
     lit = (reconstruction.flags & np.uint16(PixelFlag.LOW_MODULATION)) == 0
     hidden = heads | ~panel_mask(lit)

@@ -108,7 +108,7 @@ def examine_relief(
     width_px : float
         The line's.
     usable : (h, w) ndarray of bool
-        Pixels with a point that is not mixed across an edge.
+        Pixels with a point, off the rivets.
     most_pieces : int
         So many pieces of the line, evenly spread, are looked at.
     """

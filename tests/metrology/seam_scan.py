@@ -32,6 +32,7 @@ def seam_scan(
     radius_mm: float = 1500.0,
     tilt: float = 0.05,
     saturated: Mask | None = None,
+    unmatched: Mask | None = None,
     lit: Mask | None = None,
     discs: Sequence[tuple[float, float, float, float]] = (),
 ) -> Reconstruction:
@@ -47,6 +48,8 @@ def seam_scan(
         Slope of the skin along u.
     saturated : (h, w) bool, optional
         Where a highlight leaves no points.
+    unmatched : (h, w) bool, optional
+        Where a highlight in the other camera leaves none.
     lit : (h, w) bool, optional
         The projected field; everywhere by default.
     discs : as `seam_textures.paint` takes them
@@ -70,6 +73,9 @@ def seam_scan(
         texture = np.where(saturated, 255.0, texture)
         flags[saturated] |= np.uint16(PixelFlag.SATURATED)
         missing |= saturated
+    if unmatched is not None:
+        flags[unmatched] |= np.uint16(PixelFlag.UNMATCHED)
+        missing |= unmatched
     if lit is not None:
         texture = np.where(lit, texture, 4.0)
         flags[~lit] |= np.uint16(PixelFlag.LOW_MODULATION)

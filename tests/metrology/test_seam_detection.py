@@ -288,3 +288,14 @@ def test_paint_on_a_tilted_skin_has_no_step(angle, rng):
     assert abs(relief.step_mm) < 0.004
     assert relief.step_share < 0.1
     assert relief.groove_share < 0.1
+
+
+def test_highlight_in_the_other_camera_is_no_evidence(rng):
+    band = Band((450, 350), 80, 8.0, 45.0)
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    # Two thirds of the length have points on one side only.
+    unmatched = (band.local(u, v)[1] > 0) & (v > 240)
+    (seam,) = detect_seams(seam_scan([band], [Relief(1.5, 0.2)], rng, unmatched=unmatched), [])
+    assert seam.relief
+    assert np.abs(band.offsets(seam.centre_px)).max() < 0.15
+    assert len(seam.centre_px) > 0.9 * SHAPE[0]
