@@ -42,8 +42,8 @@ def detect_seams(
     """
     settings = settings or SeamSettings()
     heads = head_mask(rivets, reconstruction.flags.shape, _HEAD_MARGIN_PX)
-    # Points that an edge or a highlight may have mixed are good enough to tell skin by: nothing nearer to the line itself
-    # than the guard is looked at, and outliers are left out.
+    # Points that an edge or a highlight may have mixed are good enough to tell skin by: nothing nearer to the line than
+    # the guard is looked at, and outliers are left out.
     usable = reconstruction.valid & ~heads
     # A highlight in either camera hides points, not the panel.
     lit = (reconstruction.flags & np.uint16(PixelFlag.LOW_MODULATION)) == 0

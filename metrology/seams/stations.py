@@ -120,9 +120,27 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
         )
     else:
         gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
-    return [
+    rows = [
         _row(seam_id, station, section, gap, reconstruction)
         for station, section, gap in zip(stations, sections, gaps, strict=True)
+    ]
+    return _with_unevenness(rows, settings.station_step_mm, settings.half_length_mm)
+
+
+def _with_unevenness(rows: list[SeamStation], station_step: float, half_length: float) -> list[SeamStation]:
+    """What a station's strip does not resolve, added to the step's uncertainty.
+
+    The mean over ±ε_d of a step that bends along the seam by h″ is off by ``h″ ε_d²/6``; the nearest stations before
+    and behind that share no point with it tell h″.
+    """
+    apart = int(np.ceil(2 * half_length / station_step))
+    step = np.array([np.nan if row.step_mm is None else row.step_mm for row in rows])
+    bend = np.zeros(len(rows))
+    bend[apart:-apart] = step[2 * apart :] - 2 * step[apart:-apart] + step[: -2 * apart]
+    missed = np.nan_to_num(bend) / (apart * station_step) ** 2 * half_length**2 / 6
+    return [
+        replace(row, step_u95_mm=float(np.hypot(row.step_u95_mm, _COVERAGE_95 * off))) if row.step_u95_mm else row
+        for row, off in zip(rows, missed, strict=True)
     ]
 
 

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metrology.results import SeamStation
 from metrology.seams.gap import step_gradient, step_height
 from metrology.seams.leaning import steadied
 from metrology.seams.sections import Section, SkinLine
+from metrology.seams.stations import _with_unevenness
 from metrology.surfaces import Frame
 
 HALF_LENGTH = 2.0
@@ -116,3 +118,20 @@ def test_an_end_without_much_skin_takes_its_slopes_from_the_seam(rng):
         before.append(steps(own[:1])[0])
         after.append(steps(steadied(own, S, HALF_LENGTH)[:1])[0])
     assert np.std(after) < 0.6 * np.std(before)
+
+
+def test_a_bent_step_is_uncertain_by_what_the_strip_s_mean_misses():
+    s = 2.0 * np.arange(9)
+    # Its mean over ±2 mm misses nothing of a slope, and ε_d²/3 of a parabola's factor.
+    for step, off in ((0.1 + 0.01 * s, 0.0), (0.1 + 0.002 * s**2, 0.002 * HALF_LENGTH**2 / 3)):
+        rows = [
+            SeamStation("S01", place, 0, 0, 0, 0, 0, step_mm=value, step_u95_mm=0.001)
+            for place, value in zip(s, step, strict=True)
+        ]
+        rows[0] = replace(rows[0], step_mm=None, step_u95_mm=None)
+        u95 = [row.step_u95_mm for row in _with_unevenness(rows, 2.0, HALF_LENGTH)]
+        assert u95[0] is None
+        assert u95[3:7] == pytest.approx([np.hypot(0.001, 1.96 * off)] * 4)
+        # Nothing is known of the bend where a neighbour is missing.
+        assert u95[1:3] == [0.001, 0.001]
+        assert u95[7:] == [0.001, 0.001]
