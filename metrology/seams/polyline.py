@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
@@ -12,8 +15,8 @@ Mask = NDArray[np.bool_]
 
 # An entry of no weight still holds the curve where nothing else does: between far nodes, beyond the last.
 _LEAST_WEIGHT = 1e-4
-# Third differences: parabolas are free. Their penalties tried lie within a factor of two of any, from none (points as
-# they are) to all (a parabola).
+# Third differences: parabolas are free. Their penalties tried lie within a factor of two of any, from nearly none
+# (points stay) to nearly all (a parabola).
 _PENALTY_ORDER = 3
 _STIFFNESSES = 4.0 ** np.arange(-3.0, 18.0)
 
@@ -96,19 +99,37 @@ def smoothest(points: Array, weights: ArrayLike) -> Array:
     weights : (n,) array
         Inverse variances, up to a factor; 0 where a point could not be measured.
     """
-    root = np.sqrt(np.maximum(np.asarray(weights, float), _LEAST_WEIGHT))
-    differences = np.diff(np.eye(len(points)), _PENALTY_ORDER, axis=0) / root
-    strength, modes = np.linalg.eigh(differences.T @ differences)
-    # Parabolas cost nothing.
-    strength[:_PENALTY_ORDER] = 0.0
-    parts = modes.T @ (root[:, None] * points)
+    w = np.maximum(np.asarray(weights, float), _LEAST_WEIGHT)
+    free = len(points) - _PENALTY_ORDER
     along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
-    energy = (parts @ np.array([-along[1], along[0]]))[_PENALTY_ORDER:] ** 2
-    stiff = _STIFFNESSES[:, None] * strength[_PENALTY_ORDER:]
-    taken = stiff / (1.0 + stiff)
-    unlikelihood = len(energy) * np.log(taken @ energy + 1e-300) - np.log(taken + 1e-300).sum(axis=1)
-    stiffness = _STIFFNESSES[int(unlikelihood.argmin())]
-    return np.asarray((modes @ (parts / (1.0 + stiffness * strength)[:, None])) / root[:, None])
+    across = np.array([-along[1], along[0]])
+    # The chord is free of penalty; without it little is left to lose digits on.
+    chord = np.linspace(points[0], points[-1], len(points))
+    points = points - chord
+    best, curve = np.inf, points
+    for stiffness in _STIFFNESSES:
+        system = stiffness * _penalty(len(points))
+        system[-1] += w
+        factor = cholesky_banded(system)
+        smooth = cho_solve_banded((factor, False), w[:, None] * points)
+        bends = np.diff(smooth @ across, _PENALTY_ORDER)
+        residual = float(w @ ((points - smooth) @ across) ** 2 + stiffness * bends @ bends)
+        determinant = 2 * float(np.log(factor[-1]).sum()) - free * np.log(stiffness)
+        unlikelihood = free * np.log(residual + 1e-300) + determinant
+        if unlikelihood < best:
+            best, curve = unlikelihood, smooth
+    return np.asarray(chord + curve)
+
+
+@cache
+def _penalty(n: int) -> Array:
+    """(4, n) bands of the matrix of third differences' squares, upper form of LAPACK: the diagonal is the last row."""
+    weights = (-1.0, 3.0, -3.0, 1.0)
+    bands = np.zeros((4, n))
+    for i, first in enumerate(weights):
+        for j in range(i, 4):
+            bands[3 - (j - i), j : n - 3 + j] += first * weights[j]
+    return bands
 
 
 class Course:
