@@ -110,7 +110,11 @@ def smoothest(points: Array, weights: ArrayLike) -> Array:
     for stiffness in _STIFFNESSES:
         system = stiffness * _penalty(len(points))
         system[-1] += w
-        factor = cholesky_banded(system)
+        try:
+            factor = cholesky_banded(system)
+        except np.linalg.LinAlgError:
+            # Stiffer than the weights have digits for.
+            break
         smooth = cho_solve_banded((factor, False), w[:, None] * points)
         bends = np.diff(smooth @ across, _PENALTY_ORDER)
         residual = float(w @ ((points - smooth) @ across) ** 2 + stiffness * bends @ bends)
