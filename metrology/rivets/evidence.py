@@ -124,13 +124,32 @@ def ring_evidence(image, ellipses, polarity, sectors, result):  # type: ignore[n
 
 
 @kernel
-def _template_mean(image, ellipse, du, dv, sigma, angles):  # type: ignore[no-untyped-def]
-    """Amplitude of a ring on the ellipse shifted by (du, dv): trimmed mean over it of the ring's matched filter.
+def _room(angles):  # type: ignore[no-untyped-def]
+    """Empty arrays for `_template`."""
+    across = 2 * _FLANK + 1
+    return np.empty((angles, across), np.int64), np.empty((angles, 2)), np.empty((angles, across, 4))
 
-    The filter is the ring's profile across the ellipse less its mean over ±4 px. NaN where less than half of it lies on
-    the image.
+
+@kernel
+def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-untyped-def]
+    """The matched filter of a ring as weights of pixels: in each direction of the ellipse nine places across it.
+
+    The filter is the ring's profile across the ellipse less its mean over ±4 px. Moved by whole pixels, the ring asks
+    for the same weights of other pixels.
+
+    Parameters
+    ----------
+    ellipse : (5,) float64
+    sigma : float
+    width : int
+        Of the image.
+    place : (n, 9) int64, output
+        Upper left of the four pixels between which each place lies, as an index into the flat image.
+    reach : (n, 2) float64, output
+        u, v of the directions' places on the ellipse.
+    share : (n, 9, 4) float64, output
+        Weights of the four pixels.
     """
-    height, width = image.shape
     a, b = ellipse[2], ellipse[3]
     ca = math.cos(ellipse[4])
     sa = math.sin(ellipse[4])
@@ -140,8 +159,7 @@ def _template_mean(image, ellipse, du, dv, sigma, angles):  # type: ignore[no-un
     norm = 0.0
     for o in range(-_FLANK, _FLANK + 1):
         norm += (math.exp(-0.5 * (o / sigma) ** 2) - mean) ** 2
-    response = np.empty(angles)
-    count = 0
+    angles = len(place)
     for k in range(angles):
         t = 2.0 * math.pi * k / angles
         c = math.cos(t)
@@ -151,25 +169,53 @@ def _template_mean(image, ellipse, du, dv, sigma, angles):  # type: ignore[no-un
         length = math.sqrt(nx * nx + ny * ny)
         gx = (ca * nx - sa * ny) / length
         gy = (sa * nx + ca * ny) / length
-        x = ellipse[0] + du + ca * a * c - sa * b * s
-        y = ellipse[1] + dv + sa * a * c + ca * b * s
+        x = ellipse[0] + ca * a * c - sa * b * s
+        y = ellipse[1] + sa * a * c + ca * b * s
+        reach[k, 0] = x
+        reach[k, 1] = y
+        for o in range(-_FLANK, _FLANK + 1):
+            weight = (math.exp(-0.5 * (o / sigma) ** 2) - mean) / norm
+            px = x + o * gx
+            py = y + o * gy
+            ix = math.floor(px)
+            iy = math.floor(py)
+            fx = px - ix
+            fy = py - iy
+            i = o + _FLANK
+            place[k, i] = iy * width + ix
+            share[k, i, 0] = weight * (1.0 - fy) * (1.0 - fx)
+            share[k, i, 1] = weight * (1.0 - fy) * fx
+            share[k, i, 2] = weight * fy * (1.0 - fx)
+            share[k, i, 3] = weight * fy * fx
+
+
+@kernel
+def _template_mean(image, place, reach, share, du, dv, response):  # type: ignore[no-untyped-def]
+    """Amplitude of a ring moved by whole pixels (du, dv): mean over the middle half of its directions' responses.
+
+    NaN where less than half of it lies on the image. See `_template`; `response` is room for one value per direction.
+    """
+    height, width = image.shape
+    flat = image.ravel()
+    away = dv * width + du
+    count = 0
+    for k in range(len(place)):
+        x = reach[k, 0] + du
+        y = reach[k, 1] + dv
         if x < _FLANK + 1 or y < _FLANK + 1 or x > width - _FLANK - 3 or y > height - _FLANK - 3:
             continue
         total = 0.0
-        for o in range(-_FLANK, _FLANK + 1):
-            px = x + o * gx
-            py = y + o * gy
-            ix = int(px)
-            iy = int(py)
-            fx = px - ix
-            fy = py - iy
-            value = (1.0 - fy) * ((1.0 - fx) * image[iy, ix] + fx * image[iy, ix + 1]) + fy * (
-                (1.0 - fx) * image[iy + 1, ix] + fx * image[iy + 1, ix + 1]
+        for i in range(2 * _FLANK + 1):
+            at = place[k, i] + away
+            total += (
+                share[k, i, 0] * flat[at]
+                + share[k, i, 1] * flat[at + 1]
+                + share[k, i, 2] * flat[at + width]
+                + share[k, i, 3] * flat[at + width + 1]
             )
-            total += value * (math.exp(-0.5 * (o / sigma) ** 2) - mean)
-        response[count] = total / norm
+        response[count] = total
         count += 1
-    if count < angles // 2:
+    if count < len(place) // 2:
         return np.nan
     # The middle half: a glint or a crossing seam fills some directions.
     ordered = np.sort(response[:count])
@@ -184,18 +230,21 @@ def distinction(image, ellipse, sigma):  # type: ignore[no-untyped-def]
     holds grain, shading and clutter, whatever their correlation.
     """
     places = 64
-    angles = 64
+    place, reach, share = _room(64)
+    response = np.empty(64)
+    _template(ellipse, sigma, image.shape[1], place, reach, share)
     away = max(ellipse[2], ellipse[3]) + 8.0
     values = np.empty(places)
     n = 0
     for k in range(places):
         r = away * (1.2 + 1.3 * k / places)
         t = 2.399963 * k  # golden angle: no direction is preferred
-        value = _template_mean(image, ellipse, r * math.cos(t), r * math.sin(t), sigma, angles)
+        du, dv = round(r * math.cos(t)), round(r * math.sin(t))
+        value = _template_mean(image, place, reach, share, du, dv, response)
         if not np.isnan(value):
             values[n] = value
             n += 1
-    own = _template_mean(image, ellipse, 0.0, 0.0, sigma, angles)
+    own = _template_mean(image, place, reach, share, 0, 0, response)
     if n < 12 or np.isnan(own):
         return 0.0
     middle = np.median(values[:n])
@@ -217,22 +266,38 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
         Half-width of the ring looked for, px.
     found : (5,) float64, output
     """
+    angles = 48
+    place, reach, share = _room(angles)
+    response = np.empty(angles)
+    width = image.shape[1]
     found[:] = ellipse
     best = -1.0
     for _ in range(2):
-        for which in range(3):
-            start = found.copy()
-            for k in range(-_SEARCH, _SEARCH + 1):
-                trial = start.copy()
-                if which == 0:
-                    trial[2] += k
-                    trial[3] += k * start[3] / start[2]
-                else:
-                    trial[which - 1] += k
-                value = abs(_template_mean(image, trial, 0.0, 0.0, sigma, 48))
-                if value > best:
-                    best = value
-                    found[:] = trial
+        trial = found.copy()
+        grown = found.copy()
+        for k in range(-_SEARCH, _SEARCH + 1):
+            trial[2] = grown[2] + k
+            trial[3] = grown[3] + k * grown[3] / grown[2]
+            _template(trial, sigma, width, place, reach, share)
+            value = abs(_template_mean(image, place, reach, share, 0, 0, response))
+            if value > best:
+                best = value
+                found[:] = trial
+        _template(found, sigma, width, place, reach, share)
+        du = 0
+        dv = 0
+        for k in range(-_SEARCH, _SEARCH + 1):
+            value = abs(_template_mean(image, place, reach, share, k, 0, response))
+            if value > best:
+                best = value
+                du = k
+        for k in range(-_SEARCH, _SEARCH + 1):
+            value = abs(_template_mean(image, place, reach, share, du, k, response))
+            if value > best:
+                best = value
+                dv = k
+        found[0] += du
+        found[1] += dv
 
 
 @kernel

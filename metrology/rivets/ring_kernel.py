@@ -15,13 +15,15 @@ GEOMETRY = SIGMA + 1  # u, v and the three entries of the inverse shape matrix
 DENSE = GEOMETRY + 5  # unknowns that every pixel depends on
 KNOTS = 16  # of the amplitude over the angle; a pixel depends on two
 UNKNOWNS = DENSE + KNOTS
+LANES = 64  # pixels of one direction that are worked on together: loops of this fixed length become vector instructions
+RESIDUAL = DENSE  # a pixel's row: derivatives by the dense unknowns, residual, shares of the ring of its two knots
+ROW = DENSE + 3
 SECTORS = 24  # in which the ring must show itself
 _LINEAR_STEPS = 2  # iterations for the brightness alone
 _SETTLED = 5  # iteration by which the ring is in place
 # Least median of the amplitude over its standard deviation from the scatter of the knots, by iteration.
 _STEADY = np.array([0.0, 1.0, 1.0, 1.2, 1.5, 2.0])
 _CONVERGED_PX = 0.01
-_ENOUGH_PIXELS = 450  # to get near the solution
 _SIGMA_PRIOR_PX = 0.3  # how much rings of one image differ in σ from where the fit starts
 TUKEY = 5.0  # residuals beyond this many sigmas count nothing
 # For normal noise of variance 1 and Tukey's weights w with that limit: 1 / (Σ w r² / Σ w), and the estimate's variance
@@ -34,8 +36,8 @@ _WEIGHTED_COVARIANCE = 0.962
 def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
     """Pixels within `reach` of the ellipse, in an order of which every beginning is spread evenly.
 
-    One colour of a chessboard first, of each colour one row in two. Returns how many are enough to begin with, how many
-    there are in all, and the share of the ellipse on the image.
+    One colour of a chessboard first. Returns how many that are, how many there are in all, and the share of the ellipse
+    on the image.
     """
     height, width = image.shape
     size = max(e[2], e[3]) + reach + 1.0
@@ -45,23 +47,26 @@ def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
     v1 = min(height, int(e[1] + size) + 2)
     c = math.cos(e[4])
     s = math.sin(e[4])
+    far = (1.0 + reach / min(e[2], e[3])) ** 2
     n = 0
-    enough = 0
-    for turn in range(4):
-        colour = turn // 2
-        for v in range(v0 + (v0 + turn) % 2, v1, 2):
+    half = 0
+    for colour in range(2):
+        for v in range(v0, v1):
             for u in range(u0 + (u0 + v + colour) % 2, u1, 2):
                 p = (c * (u - e[0]) + s * (v - e[1])) / e[2]
                 q = (c * (v - e[1]) - s * (u - e[0])) / e[3]
-                f = math.sqrt(p * p + q * q)
+                square = p * p + q * q
+                if square > far or n == len(x):
+                    continue
+                f = math.sqrt(square)
                 slope = math.sqrt((p / e[2]) ** 2 + (q / e[3]) ** 2) / max(f, 1e-9)
-                if abs(f - 1.0) < reach * slope and not np.isnan(image[v, u]) and n < len(x):
+                if abs(f - 1.0) < reach * slope and not np.isnan(image[v, u]):
                     x[n] = u
                     y[n] = v
                     value[n] = image[v, u]
                     n += 1
-        if enough == 0 and (n >= _ENOUGH_PIXELS or turn == 1):
-            enough = n
+        if colour == 0:
+            half = n
     seen = 0
     for k in range(72):
         t = k * (2.0 * math.pi / 72.0)
@@ -69,7 +74,7 @@ def _collect(image, e, reach, x, y, value):  # type: ignore[no-untyped-def]
         v = e[1] + s * e[2] * math.cos(t) + c * e[3] * math.sin(t)
         if 0.0 <= u <= width - 1 and 0.0 <= v <= height - 1:
             seen += 1
-    return enough, n, seen / 72.0
+    return half, n, seen / 72.0
 
 
 @kernel
@@ -115,55 +120,70 @@ def _scaled(normal, size, damping, work, scale):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _row(x, y, knot, part, geometry, scale, sigma, params, row):  # type: ignore[no-untyped-def]
-    """Model value at a pixel; its derivatives by the dense unknowns in `row`.
+def _decay(t):  # type: ignore[no-untyped-def]
+    """exp(−t) for t ≥ 0 to 1e-9, as a series for t/256 and eight squarings: the library's cannot be vectorised."""
+    s = min(t, 60.0) * (1.0 / 256.0)
+    e = 1.0 - s * (1.0 - s * (0.5 - s * (1.0 / 6.0 - s * (1.0 / 24.0 - s * (1.0 / 120.0)))))
+    for _ in range(8):
+        e *= e
+    return e
 
-    The amplitude comes from `knot` and, by the share `part`, from the one after it. Also returns the ring's profile and
-    the amplitude.
+
+@kernel
+def _rows(x, y, value, part, knot, geometry, scale, sigma, params, rows):  # type: ignore[no-untyped-def]
+    """The rows of a block's pixels, one unknown after the other: entry j of pixel i is rows[j * LANES + i].
+
+    Their amplitude comes from `knot` and, by their shares `part`, from the one after it.
     """
-    dx = x - geometry[0]
-    dy = y - geometry[1]
-    A = geometry[2]
-    B = geometry[3]
-    C = geometry[4]
-    f = math.sqrt(A * dx * dx + B * dy * dy + 2.0 * C * dx * dy) + 1e-12
-    gx = (A * dx + C * dy) / f
-    gy = (B * dy + C * dx) / f
-    slope = math.sqrt(gx * gx + gy * gy) + 1e-12
-    z = (f - 1.0) / slope / sigma
-    ring = math.exp(-0.5 * z * z)
-    # Φ(−z) from the same exponential (Abramowitz and Stegun 7.1.26, error below 1e-7).
-    t = 1.0 / (1.0 + 0.23164191 * abs(z))
-    tail = (
-        0.5 * ring * t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
-    )
-    inside = tail if z > 0.0 else 1.0 - tail
-    xs = dx / scale
-    ys = dy / scale
-    row[0] = 1.0
-    row[1] = xs
-    row[2] = ys
-    row[3] = xs * xs
-    row[4] = xs * ys
-    row[5] = ys * ys
-    row[6] = inside
-    row[7] = inside * xs
-    row[8] = inside * ys
-    model = 0.0
-    for j in range(BACKGROUND + STEP):
-        model += params[j] * row[j]
-    amplitude = params[DENSE + knot] * (1.0 - part) + params[DENSE + (knot + 1) % KNOTS] * part
-    step = params[6] + params[7] * xs + params[8] * ys
-    model += amplitude * ring
-    by_rho = -ring * (amplitude * z + step * 0.3989422804014327) / sigma
-    by_f = by_rho / slope
-    row[SIGMA] = -by_rho * z
-    row[GEOMETRY] = -by_f * gx
-    row[GEOMETRY + 1] = -by_f * gy
-    row[GEOMETRY + 2] = by_f * dx * dx / (2.0 * f)
-    row[GEOMETRY + 3] = by_f * dy * dy / (2.0 * f)
-    row[GEOMETRY + 4] = by_f * dx * dy / f
-    return model, ring, amplitude
+    u0, v0, A, B, C = geometry[0], geometry[1], geometry[2], geometry[3], geometry[4]
+    q0, q1, q2, q3, q4, q5 = params[0], params[1], params[2], params[3], params[4], params[5]
+    s0, s1, s2 = params[6], params[7], params[8]
+    here = params[DENSE + knot]
+    after = params[DENSE + (knot + 1) % KNOTS]
+    for i in range(LANES):
+        dx = x[i] - u0
+        dy = y[i] - v0
+        f = math.sqrt(A * dx * dx + B * dy * dy + 2.0 * C * dx * dy) + 1e-12
+        gx = (A * dx + C * dy) / f
+        gy = (B * dy + C * dx) / f
+        slope = math.sqrt(gx * gx + gy * gy) + 1e-12
+        z = (f - 1.0) / (slope * sigma)
+        ring = _decay(0.5 * z * z)
+        # Φ(−z) from the same exponential (Abramowitz and Stegun 7.1.26, error below 1e-7).
+        t = 1.0 / (1.0 + 0.23164191 * abs(z))
+        tail = (
+            0.5
+            * ring
+            * t
+            * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+        )
+        inside = tail if z > 0.0 else 1.0 - tail
+        xs = dx / scale
+        ys = dy / scale
+        share = part[i]
+        amplitude = here * (1.0 - share) + after * share
+        step = s0 + s1 * xs + s2 * ys
+        model = q0 + q1 * xs + q2 * ys + q3 * xs * xs + q4 * xs * ys + q5 * ys * ys + step * inside + amplitude * ring
+        by_rho = -ring * (amplitude * z + step * 0.3989422804014327) / sigma
+        by_f = by_rho / slope
+        rows[i] = 1.0
+        rows[LANES + i] = xs
+        rows[2 * LANES + i] = ys
+        rows[3 * LANES + i] = xs * xs
+        rows[4 * LANES + i] = xs * ys
+        rows[5 * LANES + i] = ys * ys
+        rows[6 * LANES + i] = inside
+        rows[7 * LANES + i] = inside * xs
+        rows[8 * LANES + i] = inside * ys
+        rows[SIGMA * LANES + i] = -by_rho * z
+        rows[GEOMETRY * LANES + i] = -by_f * gx
+        rows[(GEOMETRY + 1) * LANES + i] = -by_f * gy
+        rows[(GEOMETRY + 2) * LANES + i] = by_f * dx * dx / (2.0 * f)
+        rows[(GEOMETRY + 3) * LANES + i] = by_f * dy * dy / (2.0 * f)
+        rows[(GEOMETRY + 4) * LANES + i] = by_f * dx * dy / f
+        rows[RESIDUAL * LANES + i] = value[i] - model
+        rows[(RESIDUAL + 1) * LANES + i] = ring * (1.0 - share)
+        rows[(RESIDUAL + 2) * LANES + i] = ring * share
 
 
 @kernel
@@ -193,39 +213,103 @@ def _hide_clusters(x, y, magnitude, limit, reach, hidden):  # type: ignore[no-un
 
 
 @kernel
-def _glint_limit(knot, magnitude):  # type: ignore[no-untyped-def]
+def _glint_limit(direction, magnitude):  # type: ignore[no-untyped-def]
     """Departure from the band's median beyond which a pixel is a glint.
 
     Twice what the median direction reaches: a ring departs all round, a glint in a few directions.
     """
     largest = np.zeros(KNOTS)
-    for i in range(len(knot)):
-        largest[knot[i]] = max(largest[knot[i]], magnitude[i])
+    for i in range(len(direction)):
+        k = min(int(direction[i]), KNOTS - 1)
+        largest[k] = max(largest[k], magnitude[i])
     return 2.0 * np.median(largest)
 
 
 @kernel
-def _accumulate(weight, residual, row, ring, knot, part, normal, right):  # type: ignore[no-untyped-def]
-    """Add one pixel to the normal equations (lower triangle)."""
-    for j in range(DENSE):
-        wj = row[j] * weight
-        right[j] += wj * residual
+def _arrange(x, y, ellipse, half, slot, knot):  # type: ignore[no-untyped-def]
+    """Places for pixels in blocks of one direction each: of the first `half` pixels, then of the others.
+
+    `slot` gets a pixel's place, `knot` the knot of each block; returns the number of blocks of the first ones, and of
+    all. A pixel's place between its knot and the next is left in the fraction of `direction`.
+    """
+    n = len(x)
+    direction = np.empty(n)
+    for i in range(n):
+        direction[i] = (math.atan2(y[i] - ellipse[1], x[i] - ellipse[0]) + math.pi) / (2.0 * math.pi) * KNOTS
+    blocks = 0
+    few = 0
+    for turn in range(2):
+        first = 0 if turn == 0 else half
+        end = half if turn == 0 else n
+        fill = np.full(KNOTS, LANES, np.int64)
+        block = np.empty(KNOTS, np.int64)
+        for i in range(first, end):
+            k = min(int(direction[i]), KNOTS - 1)
+            if fill[k] == LANES:
+                fill[k] = 0
+                block[k] = blocks
+                knot[blocks] = k
+                blocks += 1
+            slot[i] = block[k] * LANES + fill[k]
+            fill[k] += 1
+        if turn == 0:
+            few = blocks
+    return few, blocks, direction
+
+
+@kernel
+def _accumulate(rows, weight, knot, weighted, dense, knots, pairs):  # type: ignore[no-untyped-def]
+    """Add a block's weighted products to the sums of which the normal equations are made (see `_assemble`)."""
+    for j in range(RESIDUAL + 1):
+        for i in range(LANES):
+            weighted[i] = weight[i] * rows[j * LANES + i]
         for k in range(j + 1):
-            normal[j, k] += wj * row[k]
-    first = DENSE + knot
-    second = DENSE + (knot + 1) % KNOTS
-    a = ring * (1.0 - part)
-    b = ring * part
-    wa = weight * a
-    wb = weight * b
-    right[first] += wa * residual
-    right[second] += wb * residual
-    for k in range(DENSE):
-        normal[first, k] += wa * row[k]
-        normal[second, k] += wb * row[k]
-    normal[first, first] += wa * a
-    normal[second, second] += wb * b
-    normal[max(first, second), min(first, second)] += wa * b
+            total = 0.0
+            for i in range(LANES):
+                total += weighted[i] * rows[k * LANES + i]
+            dense[j, k] += total
+    after = (knot + 1) % KNOTS
+    for i in range(LANES):
+        weighted[i] = weight[i] * rows[(RESIDUAL + 1) * LANES + i]
+    for k in range(RESIDUAL + 1):
+        total = 0.0
+        for i in range(LANES):
+            total += weighted[i] * rows[k * LANES + i]
+        knots[knot, k] += total
+    own = 0.0
+    both = 0.0
+    others = 0.0
+    for i in range(LANES):
+        own += weighted[i] * rows[(RESIDUAL + 1) * LANES + i]
+        both += weighted[i] * rows[(RESIDUAL + 2) * LANES + i]
+    for i in range(LANES):
+        weighted[i] = weight[i] * rows[(RESIDUAL + 2) * LANES + i]
+        others += weighted[i] * rows[(RESIDUAL + 2) * LANES + i]
+    for k in range(RESIDUAL + 1):
+        total = 0.0
+        for i in range(LANES):
+            total += weighted[i] * rows[k * LANES + i]
+        knots[after, k] += total
+    pairs[knot, 0] += own
+    pairs[knot, 1] += both
+    pairs[after, 0] += others
+
+
+@kernel
+def _assemble(dense, knots, pairs, normal, right):  # type: ignore[no-untyped-def]
+    """The normal equations (lower triangle) from the sums over the pixels."""
+    normal[:] = 0.0
+    for j in range(DENSE):
+        right[j] = dense[RESIDUAL, j]
+        for k in range(j + 1):
+            normal[j, k] = dense[j, k]
+    for i in range(KNOTS):
+        right[DENSE + i] = knots[i, RESIDUAL]
+        for k in range(DENSE):
+            normal[DENSE + i, k] = knots[i, k]
+        normal[DENSE + i, DENSE + i] = pairs[i, 0]
+        after = (i + 1) % KNOTS
+        normal[DENSE + max(i, after), DENSE + min(i, after)] = pairs[i, 1]
 
 
 @kernel
@@ -291,8 +375,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     x = np.empty(room)
     y = np.empty(room)
     value = np.empty(room)
-    few, n, share = _collect(image, ellipse, reach, x, y, value)
-    if few < 3 * UNKNOWNS or share < 0.5:
+    half, n, share = _collect(image, ellipse, reach, x, y, value)
+    if n < 3 * UNKNOWNS or share < 0.5:
         return False
     x = x[:n]
     y = y[:n]
@@ -312,37 +396,66 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     residual = np.empty(n)
     magnitude = np.empty(n)
     hidden = np.zeros(n, np.bool_)
-    row = np.empty(DENSE)
     step = np.zeros(UNKNOWNS)
     diagonal = np.empty(UNKNOWNS)
     work = np.empty((UNKNOWNS, UNKNOWNS))
     normal = np.zeros((UNKNOWNS, UNKNOWNS))
     start_sigma = sigma
-    # Which knots a pixel depends on, by its direction from the starting centre.
-    knot = np.empty(n, np.int64)
-    part = np.empty(n)
+    slot = np.empty(n, np.int64)
+    most = n // LANES + 2 * KNOTS
+    knot = np.empty(most, np.int64)
+    few, blocks, direction = _arrange(x, y, ellipse, half, slot, knot)
+    px = np.full((blocks, LANES), ellipse[0] + ellipse[2])
+    py = np.full((blocks, LANES), ellipse[1])
+    level = np.zeros((blocks, LANES))
+    part = np.zeros((blocks, LANES))
+    weight = np.zeros((blocks, LANES))
     for i in range(n):
-        position = (math.atan2(y[i] - ellipse[1], x[i] - ellipse[0]) + math.pi) / (2.0 * math.pi) * KNOTS
-        knot[i] = min(int(position), KNOTS - 1)
-        part[i] = position - knot[i]
+        block = slot[i] // LANES
+        lane = slot[i] % LANES
+        px[block, lane] = x[i]
+        py[block, lane] = y[i]
+        level[block, lane] = value[i]
+        part[block, lane] = direction[i] - knot[block]
+    rows = np.empty((blocks, ROW * LANES))
+    weighted = np.empty(LANES)
+    dense = np.empty((RESIDUAL + 1, RESIDUAL + 1))
+    knots = np.empty((KNOTS, RESIDUAL + 1))
+    pairs = np.empty((KNOTS, 2))
     middle = np.median(value)
     for i in range(n):
         magnitude[i] = abs(value[i] - middle)
-    _hide_clusters(x, y, magnitude, _glint_limit(knot, magnitude), 3, hidden)
+    _hide_clusters(x, y, magnitude, _glint_limit(direction, magnitude), 3, hidden)
     noise = 0.0
     for iteration in range(iterations):
         # First the brightness alone on the starting ellipse, then everything; few pixels will do to get there.
         linear = iteration < _LINEAR_STEPS
-        pixels = few if iteration < _SETTLED else n
-        normal[:] = 0.0
-        step[:] = 0.0
+        pixels = half if iteration < _SETTLED else n
+        for block in range(few if iteration < _SETTLED else blocks):
+            _rows(
+                px[block],
+                py[block],
+                level[block],
+                part[block],
+                knot[block],
+                geometry,
+                scale,
+                sigma,
+                params,
+                rows[block],
+            )
         for i in range(pixels):
-            model, ring, amplitude = _row(x[i], y[i], knot[i], part[i], geometry, scale, sigma, params, row)
-            residual[i] = value[i] - model
+            block = slot[i] // LANES
+            lane = slot[i] % LANES
+            residual[i] = rows[block, RESIDUAL * LANES + lane]
             magnitude[i] = abs(residual[i])
-            weight = 1.0 if iteration == 0 else _tukey(residual[i], noise)
-            if weight > 0.0 and not hidden[i]:
-                _accumulate(weight, residual[i], row, ring, knot[i], part[i], normal, step)
+            weight[block, lane] = 0.0 if hidden[i] else 1.0 if iteration == 0 else _tukey(residual[i], noise)
+        dense[:] = 0.0
+        knots[:] = 0.0
+        pairs[:] = 0.0
+        for block in range(few if iteration < _SETTLED else blocks):
+            _accumulate(rows[block], weight[block], knot[block], weighted, dense, knots, pairs)
+        _assemble(dense, knots, pairs, normal, step)
         if linear:
             for j in range(SIGMA, DENSE):
                 step[j] = 0.0
@@ -388,9 +501,9 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
             d = min(max(step[GEOMETRY + j], -limit), limit)
             geometry[j] += d
             move = max(move, abs(d) if j < 2 else 0.5 * abs(d) / size * scale)
-        half = math.sqrt(0.25 * (geometry[2] - geometry[3]) ** 2 + geometry[4] ** 2)
-        low = 0.5 * (geometry[2] + geometry[3]) - half
-        high = 0.5 * (geometry[2] + geometry[3]) + half
+        gap = math.sqrt(0.25 * (geometry[2] - geometry[3]) ** 2 + geometry[4] ** 2)
+        low = 0.5 * (geometry[2] + geometry[3]) - gap
+        high = 0.5 * (geometry[2] + geometry[3]) + gap
         if low <= 0.0 or low < high * flattest**2 or low * largest**2 < 1.0 or high * least**2 > 1.0:
             return False
         if abs(geometry[0] - ellipse[0]) + abs(geometry[1] - ellipse[1]) > 0.5 * scale + 2.0:
@@ -402,22 +515,32 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     gradients = np.zeros((SECTORS, 5))
     total = 0.0
     used = 0.0
-    normal[:] = 0.0
-    step[:] = 0.0
+    for block in range(blocks):
+        _rows(px[block], py[block], level[block], part[block], knot[block], geometry, scale, sigma, params, rows[block])
+    dense[:] = 0.0
+    knots[:] = 0.0
+    pairs[:] = 0.0
     for i in range(n):
-        model, ring, amplitude = _row(x[i], y[i], knot[i], part[i], geometry, scale, sigma, params, row)
-        residual[i] = value[i] - model
-        weight = _tukey(residual[i], noise)
-        if hidden[i] or weight == 0.0:
-            continue
-        sector = min(int((knot[i] + part[i]) / KNOTS * SECTORS), SECTORS - 1)
-        scores[sector] += weight * (residual[i] + amplitude * ring) * ring
-        norms[sector] += weight * ring * ring
-        total += weight * residual[i] ** 2
-        used += weight
+        block = slot[i] // LANES
+        lane = slot[i] % LANES
+        residual[i] = rows[block, RESIDUAL * LANES + lane]
+        w = 0.0 if hidden[i] else _tukey(residual[i], noise)
+        weight[block, lane] = w
+        k = knot[block]
+        own = rows[block, (RESIDUAL + 1) * LANES + lane]
+        others = rows[block, (RESIDUAL + 2) * LANES + lane]
+        ring = own + others
+        shown = params[DENSE + k] * own + params[DENSE + (k + 1) % KNOTS] * others
+        sector = min(int(direction[i] / KNOTS * SECTORS), SECTORS - 1)
+        scores[sector] += w * (residual[i] + shown) * ring
+        norms[sector] += w * ring * ring
+        total += w * residual[i] ** 2
+        used += w
         for j in range(5):
-            gradients[sector, j] += weight * residual[i] * row[GEOMETRY + j]
-        _accumulate(weight, residual[i], row, ring, knot[i], part[i], normal, step)
+            gradients[sector, j] += w * residual[i] * rows[block, (GEOMETRY + j) * LANES + lane]
+    for block in range(blocks):
+        _accumulate(rows[block], weight[block], knot[block], weighted, dense, knots, pairs)
+    _assemble(dense, knots, pairs, normal, step)
     norm = norms.sum()
     if used < 0.35 * n or norm <= 0.0:
         return False

@@ -11,7 +11,21 @@ from metrology.rivets.arc_fit import fit_conic
 from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_evidence, ring_profile, settle
-from metrology.rivets.ring_kernel import DENSE, KNOTS, UNKNOWNS, _factor, _row, _substitute
+from metrology.rivets.ring_kernel import (
+    DENSE,
+    GEOMETRY,
+    KNOTS,
+    LANES,
+    RESIDUAL,
+    ROW,
+    SIGMA,
+    UNKNOWNS,
+    _accumulate,
+    _assemble,
+    _factor,
+    _rows,
+    _substitute,
+)
 
 ELLIPSE = Ellipse(61.3, 57.8, 22.0, 17.0, 0.7)
 
@@ -58,13 +72,18 @@ def model_in_numpy(x: float, y: float, geometry: np.ndarray, scale: float, sigma
 def test_ring_model_and_its_derivatives(rng: np.random.Generator) -> None:
     inverse = np.linalg.inv(ELLIPSE.shape)
     geometry = np.array([ELLIPSE.u, ELLIPSE.v, inverse[0, 0], inverse[1, 1], inverse[0, 1]])
-    params, row, scale, sigma = rng.normal(0, 10, UNKNOWNS), np.zeros(DENSE), 19.0, 1.1
+    params, rows, scale, sigma = rng.normal(0, 10, UNKNOWNS), np.zeros(ROW * LANES), 19.0, 1.1
     for u, v in ELLIPSE.points(9) + rng.normal(0, 1.2, (9, 2)):
         position = (np.arctan2(v - geometry[1], u - geometry[0]) + np.pi) / (2 * np.pi) * KNOTS
         knot, part = int(position), position % 1
 
-        def value(g: np.ndarray, s: float, u: float = u, v: float = v, k: int = knot, p: float = part) -> float:
-            return _row(u, v, k, p, g, scale, s, params, row)[0]
+        def row(g: np.ndarray, s: float, u: float = u, v: float = v, k: int = knot, p: float = part) -> np.ndarray:
+            pixels = [np.full(LANES, value) for value in (u, v, 0.0, p)]
+            _rows(*pixels, k, g, scale, s, params, rows)
+            return rows.reshape(ROW, LANES)[:, LANES // 2].copy()
+
+        def value(g: np.ndarray, s: float) -> float:
+            return -row(g, s)[RESIDUAL]
 
         assert value(geometry, sigma) == pytest.approx(
             model_in_numpy(u, v, geometry, scale, sigma, params), rel=1e-6, abs=1e-5
@@ -75,11 +94,32 @@ def test_ring_model_and_its_derivatives(rng: np.random.Generator) -> None:
             step = np.zeros(5)
             step[j] = 1e-4
             by_u.append((value(geometry + step, sigma) - value(geometry - step, sigma)) / 2e-4)
-        value(geometry, sigma)
-        assert row[9] == pytest.approx(by_sigma, rel=1e-3, abs=1e-3)
+        found = row(geometry, sigma)
+        assert found[SIGMA] == pytest.approx(by_sigma, rel=1e-3, abs=1e-3)
         # Derivatives by place leave out how the slope |∇f| and the background's frame change: a few per cent.
         background = params[1:3] / scale
-        assert row[10:12] == pytest.approx(np.array(by_u) + background, rel=0.15, abs=4.0)
+        assert found[GEOMETRY : GEOMETRY + 2] == pytest.approx(np.array(by_u) + background, rel=0.15, abs=4.0)
+
+
+def test_normal_equations_are_those_of_all_rows(rng: np.random.Generator) -> None:
+    """Sums over blocks of one direction each, against the whole matrix of derivatives in numpy."""
+    knots = [0, 3, KNOTS - 1]
+    rows, weight = rng.normal(size=(3, ROW * LANES)), rng.uniform(0, 1, (3, LANES))
+    dense, by_knot, pairs = np.zeros((RESIDUAL + 1,) * 2), np.zeros((KNOTS, RESIDUAL + 1)), np.zeros((KNOTS, 2))
+    matrix, residual = [], []
+    for block, knot in enumerate(knots):
+        _accumulate(rows[block], weight[block], knot, np.empty(LANES), dense, by_knot, pairs)
+        entries = rows[block].reshape(ROW, LANES)
+        full = np.zeros((LANES, UNKNOWNS))
+        full[:, :DENSE] = entries[:DENSE].T
+        full[:, DENSE + knot], full[:, DENSE + (knot + 1) % KNOTS] = entries[RESIDUAL + 1 :]
+        matrix.append(full)
+        residual.append(entries[RESIDUAL])
+    jacobian, w = np.concatenate(matrix), weight.ravel()
+    normal, right = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
+    _assemble(dense, by_knot, pairs, normal, right)
+    assert normal == pytest.approx(np.tril(jacobian.T @ (w[:, None] * jacobian)))
+    assert right == pytest.approx(jacobian.T @ (w * np.concatenate(residual)))
 
 
 def test_cholesky_solves(rng: np.random.Generator) -> None:
