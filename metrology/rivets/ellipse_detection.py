@@ -20,9 +20,10 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
+_APART = 0.85  # of the sum of two rings' radii, at least, between their centres
 _TELLING = 12  # confident rings: their mean elongation is told to a third of what one ring's is
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
-_WORTH_A_TRY_PX = 1.5  # from the first start
+_WORTH_A_TRY_PX = 0.7  # from the first start: the fit leads back from less
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -129,13 +130,15 @@ def _same(ellipse: Ellipse, other: Ellipse) -> bool:
 
 
 def _shadowed(ellipse: Ellipse, other: Ellipse) -> bool:
-    """Whether a suspect lies about the centre of another ring and is smaller or little larger.
+    """Whether a suspect cannot be another head beside a clear ring: heads do not overlap.
 
-    The flanks of a clear ring, its highlights and its recess make such; a head round a recess is larger than this.
+    The flanks of a clear ring, its highlights and its recess make such, and curves that share a part of it. Larger ones
+    about the same centre may be heads round a recess.
     """
-    return (
-        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.3 * other.b and ellipse.radius < _SHADOW * other.radius
-    )
+    distance = math.hypot(ellipse.u - other.u, ellipse.v - other.v)
+    if distance < 0.3 * other.b:
+        return ellipse.radius < _SHADOW * other.radius
+    return distance < _APART * (ellipse.radius + other.radius)
 
 
 def _within(ellipse: Ellipse, other: Ellipse) -> bool:
@@ -147,16 +150,18 @@ def _verified(
 ) -> Ring | None:
     """The ring at a suspect, if it is one."""
     reach = float(np.clip(0.6 * start.b, 4.5, 7.5))
-    limits = np.array([reach, 0.85 * radii[0], 1.15 * radii[1], 0.55, 0.5, 3.0])
+    limits = np.array([reach, 0.85 * radii[0], 1.15 * radii[1], 0.55, 0.5, 2.0])
     shape = None
     if shapes is not None:
         start = shapes.ellipse(start.u, start.v, start.radius)
         shape = start.shape
+    near = np.empty(5)
+    settle(image, start.parameters, _USUAL_SIGMA_PX, near)
+    if max(_line_contrast(image, e, _USUAL_SIGMA_PX) for e in (start.parameters, near)) <= 0:
+        return None
     fit = fit_ring(image, start, _USUAL_SIGMA_PX, limits, shape)
     if fit is None or not _is_rim(fit, settings):
         # A glint or a gap in the ring has pulled the suspect aside: once more from where a whole ring shows best.
-        near = np.empty(5)
-        settle(image, start.parameters, _USUAL_SIGMA_PX, near)
         if np.abs(near - start.parameters).max() < _WORTH_A_TRY_PX:
             return None
         fit = fit_ring(image, Ellipse.of(near), _USUAL_SIGMA_PX, limits, shape)
@@ -186,11 +191,17 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
 
 def _is_line(image: Float32, ring: RingFit) -> bool:
     """Whether the image itself is darker (or brighter) on the ellipse than on both sides of it."""
-    beside = max(2.5, 2.5 * ring.sigma_px)
+    contrast = _line_contrast(image, ring.ellipse.parameters, ring.sigma_px)
+    return contrast > _LEAST_CONTRAST * abs(ring.amplitude)
+
+
+def _line_contrast(image: Float32, ellipse: Array, sigma_px: float) -> float:
+    """How much darker than both sides of it, or brighter, an ellipse is (grey levels); negative at an edge."""
+    beside = max(2.5, 2.5 * sigma_px)
     levels = np.empty(3)
-    ring_profile(image, ring.ellipse.parameters, np.array([-beside, 0.0, beside]), levels)
-    contrasts = np.sign(ring.amplitude) * (levels[1] - levels[::2])
-    return bool(np.min(contrasts) > _LEAST_CONTRAST * abs(ring.amplitude))
+    ring_profile(image, ellipse, np.array([-beside, 0.0, beside]), levels)
+    inside, outside = levels[1] - levels[0], levels[1] - levels[2]
+    return float(min(abs(inside), abs(outside)) * np.sign(inside * outside))
 
 
 def suppress_repeats(rings: list[Ring]) -> list[Ring]:

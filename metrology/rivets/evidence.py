@@ -12,7 +12,8 @@ _FLANK = 4  # px from the ridge at which skin and head are taken
 _SLACK = 2  # px by which a sector's ridge may lie beside the candidate
 _AWAY = 7  # px from the ridge at which the same measure must find nothing
 _REACH = _AWAY + _SLACK + _FLANK
-_SEARCH = 3  # px by which a suspect may lie beside its ring
+_SEARCH = 3  # steps by which a suspect's radius may be wrong, of half a pixel
+_STEP_SHARE = 0.04  # of the radius, at most: beyond a quarter in all it is another ring
 
 
 @kernel
@@ -256,7 +257,10 @@ def distinction(image, ellipse, sigma):  # type: ignore[no-untyped-def]
 
 @kernel
 def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
-    """Move an ellipse to where a ring of its shape shows best nearby: size first, then centre, twice.
+    """Move an ellipse to where a ring of its shape shows best nearby.
+
+    The size first, then centres two pixels apart, then both in finer steps: a glint may have pulled a suspect aside
+    by several. The middle half of the directions counts, which a glint does not reach.
 
     Parameters
     ----------
@@ -272,12 +276,13 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
     width = image.shape[1]
     found[:] = ellipse
     best = -1.0
-    for _ in range(2):
-        trial = found.copy()
+    unit = min(0.5, _STEP_SHARE * ellipse[2])
+    for step in (2, 1):
         grown = found.copy()
+        trial = found.copy()
         for k in range(-_SEARCH, _SEARCH + 1):
-            trial[2] = grown[2] + k
-            trial[3] = grown[3] + k * grown[3] / grown[2]
+            trial[2] = grown[2] + k * step * unit
+            trial[3] = trial[2] * grown[3] / grown[2]
             _template(trial, sigma, width, place, reach, share)
             value = abs(_template_mean(image, place, reach, share, 0, 0, response))
             if value > best:
@@ -286,16 +291,13 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
         _template(found, sigma, width, place, reach, share)
         du = 0
         dv = 0
-        for k in range(-_SEARCH, _SEARCH + 1):
-            value = abs(_template_mean(image, place, reach, share, k, 0, response))
-            if value > best:
-                best = value
-                du = k
-        for k in range(-_SEARCH, _SEARCH + 1):
-            value = abs(_template_mean(image, place, reach, share, du, k, response))
-            if value > best:
-                best = value
-                dv = k
+        for p in range(-2, 3):
+            for q in range(-2, 3):
+                value = abs(_template_mean(image, place, reach, share, step * p, step * q, response))
+                if value > best:
+                    best = value
+                    du = step * p
+                    dv = step * q
         found[0] += du
         found[1] += dv
 

@@ -26,6 +26,7 @@ _RADIUS_STEP = 0.5  # between radii that are voted for, px of the level
 _PLANE_RATIO = 1.35  # of the radii that share an accumulator
 _PEAKS = 150  # kept per accumulator
 _LEAST_COVERAGE = 0.38  # of a suspect by ridge points
+_LEAST_TRACE = 0.25  # the same where the image shows the ring plainly
 _SECTORS = 24
 
 
@@ -98,12 +99,14 @@ def suspects(
     found = []
     for polarity, arcs in ((1.0, traces.dark), (-1.0, traces.bright)):
         candidates = _candidates(arcs, traces.size, traces.level, shapes, settings)
-        candidates = candidates[candidates[:, 5] >= _LEAST_COVERAGE]
+        candidates = candidates[candidates[:, 5] >= _LEAST_TRACE]
         candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
         candidates[:, 2:4] *= k
         shown = np.zeros((len(candidates), 2))
         ring_evidence(image, candidates[:, :5], np.full(len(candidates), polarity), _SECTORS, shown)
-        found.append(candidates[(shown[:, 0] > evidence.score) & (shown[:, 1] >= evidence.hits)])
+        traced = candidates[:, 5] >= _LEAST_COVERAGE
+        plain = (shown[:, 0] > STRONG.score / 1.5) & (shown[:, 1] >= STRONG.hits)
+        found.append(candidates[(traced | plain) & (shown[:, 0] > evidence.score) & (shown[:, 1] >= evidence.hits)])
     return [Ellipse.of(c[:5]) for c in _distinct(np.concatenate(found))]
 
 
