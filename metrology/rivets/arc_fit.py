@@ -279,3 +279,17 @@ def fit_candidates(candidates, u, v, nu, nv, rows, shapes, ellipses, coverage, a
         coverage[i], agreement[i] = fit_candidate(
             candidates[i, 0], candidates[i, 1], candidates[i, 2], u, v, nu, nv, rows, shapes[i], ellipses[i]
         )
+
+
+@kernel
+def strike_repeats(ellipses, alive):  # type: ignore[no-untyped-def]
+    """Clear `alive` of the ellipses (u, v, semi-axes, …) that nearly repeat one before them."""
+    for k in range(len(ellipses)):
+        if not alive[k]:
+            continue
+        radius = math.sqrt(ellipses[k, 2] * ellipses[k, 3])
+        near = 0.1 * ellipses[k, 3] + 1.0
+        for i in range(k + 1, len(ellipses)):
+            if alive[i] and math.hypot(ellipses[i, 0] - ellipses[k, 0], ellipses[i, 1] - ellipses[k, 1]) < near:
+                other = math.sqrt(ellipses[i, 2] * ellipses[i, 3])
+                alive[i] = abs(other - radius) >= 0.04 * radius + 1.0

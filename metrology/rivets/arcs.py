@@ -48,6 +48,11 @@ class Arcs:
     chain: NDArray[np.int64]
     strength: Array
 
+    def stronger(self, least: float) -> Arcs:
+        """The points of at least this strength."""
+        keep = self.strength >= least
+        return Arcs(**{name: values[keep] for name, values in vars(self).items()})
+
 
 def curvature_noise(guu: Float32, gvv: Float32, blocks: int = 14) -> Float32:
     """Local standard deviation of the second derivatives, (h, w) float32.

@@ -10,20 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.evidence import distinction, ring_profile, settle
+from metrology.rivets.evidence import distinction, ring_steps, settle
 from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
-from metrology.rivets.shapes import CircleShapes, shapes_of
-from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, levels_for, suspects, trace
+from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
+from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, Traces, levels_for, suspects, trace
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
 _APART = 0.85  # of the sum of two rings' radii, at least, between their centres
+_CLEAR = 2.0  # ridges of this many times the least strength are of clear rings
 _TELLING = 12  # confident rings: their mean elongation is told to a third of what one ring's is
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
 _WORTH_A_TRY_PX = 0.7  # from the first start: the fit leads back from less
+_SHAPE_TOLERANCE = 0.15  # of a ring's elongation: five standard deviations of what is expected (see `fit_ring`)
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -85,20 +87,23 @@ def detect_ellipses(
     traces = [trace(image, level, settings) for level in levels_for(*bounds)]
 
     def rings(
-        known: CircleShapes | None, evidence: Evidence, likely: Sequence[Ring] = (), enough: int = 0
+        known: CircleShapes | None, evidence: Evidence, arcs: Sequence[Traces], likely: Sequence[Ring] = ()
     ) -> list[Ring]:
         starts = [r.ellipse for r in likely]
-        for t in traces:
+        for t in arcs:
             starts += suspects(image, t, known or CircleShapes.round(), settings, evidence)
-        return _verified_rings(image, starts, known, bounds, settings, enough)
+        return _verified_rings(image, starts, known, bounds, settings, enough=_TELLING if evidence is STRONG else None)
 
     if shapes is not None:
-        return suppress_repeats(rings(shapes, KNOWN_SHAPE))
-    strong = rings(None, STRONG, enough=_TELLING)
-    learnt = shapes_of([r.ellipse for r in suppress_repeats(strong) if r.confident], image.shape)
-    if learnt is None:
-        return suppress_repeats(rings(None, ANY_SHAPE))
-    return suppress_repeats(rings(learnt, ANY_SHAPE, likely=strong))
+        return suppress_repeats(rings(shapes, KNOWN_SHAPE, traces))
+    # The clearest rings tell what circles look like; where they are too few, all that are beyond doubt.
+    clear = [t.stronger(_CLEAR * settings.ridge_low) for t in traces]
+    for arcs in (clear, traces):
+        strong = rings(None, STRONG, arcs)
+        learnt = shapes_of([r.ellipse for r in suppress_repeats(strong) if r.confident], image.shape)
+        if learnt is not None:
+            return suppress_repeats(rings(learnt, ANY_SHAPE, traces, likely=strong))
+    return suppress_repeats(rings(None, ANY_SHAPE, traces))
 
 
 def _verified_rings(
@@ -107,29 +112,35 @@ def _verified_rings(
     shapes: CircleShapes | None,
     radii: tuple[float, float],
     settings: RivetSettings,
-    enough: int,
+    enough: int | None,
 ) -> list[Ring]:
-    """The rings that suspects lead to, some more than once; no more than until `enough` are confident, unless 0."""
+    """The rings that suspects lead to, some more than once, until `enough` are confident."""
     rings: list[Ring] = []
+    found: list[tuple[Ellipse, float, bool]] = []
     for start in starts:
-        if enough and sum(r.confident for r in rings) >= enough:
+        if enough is not None and sum(confident for _, _, confident in found) >= enough:
             break
-        if not any(_same(start, r.ellipse) or (r.confident and _shadowed(start, r.ellipse)) for r in rings):
+        size = start.radius
+        if not any(
+            _same(start, size, e, radius) or (confident and _shadowed(start, size, e, radius))
+            for e, radius, confident in found
+        ):
             ring = _verified(image, start, shapes, radii, settings)
             if ring is not None:
                 rings.append(ring)
+                found.append((ring.ellipse, ring.ellipse.radius, ring.confident))
     return rings
 
 
-def _same(ellipse: Ellipse, other: Ellipse) -> bool:
+def _same(ellipse: Ellipse, radius: float, other: Ellipse, other_radius: float) -> bool:
     """Whether a suspect would only lead to a ring that has been found."""
     return (
         math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
-        and abs(ellipse.radius - other.radius) < 0.15 * other.radius
+        and abs(radius - other_radius) < 0.15 * other_radius
     )
 
 
-def _shadowed(ellipse: Ellipse, other: Ellipse) -> bool:
+def _shadowed(ellipse: Ellipse, radius: float, other: Ellipse, other_radius: float) -> bool:
     """Whether a suspect cannot be another head beside a clear ring: heads do not overlap.
 
     The flanks of a clear ring, its highlights and its recess make such, and curves that share a part of it. Larger ones
@@ -137,8 +148,8 @@ def _shadowed(ellipse: Ellipse, other: Ellipse) -> bool:
     """
     distance = math.hypot(ellipse.u - other.u, ellipse.v - other.v)
     if distance < 0.3 * other.b:
-        return ellipse.radius < _SHADOW * other.radius
-    return distance < _APART * (ellipse.radius + other.radius)
+        return radius < _SHADOW * other_radius
+    return distance < _APART * (radius + other_radius)
 
 
 def _within(ellipse: Ellipse, other: Ellipse) -> bool:
@@ -155,22 +166,32 @@ def _verified(
     if shapes is not None:
         start = shapes.ellipse(start.u, start.v, start.radius)
         shape = start.shape
-    near = np.empty(5)
-    settle(image, start.parameters, _USUAL_SIGMA_PX, near)
-    if max(_line_contrast(image, e, _USUAL_SIGMA_PX) for e in (start.parameters, near)) <= 0:
-        return None
-    fit = fit_ring(image, start, _USUAL_SIGMA_PX, limits, shape)
-    if fit is None or not _is_rim(fit, settings):
+    fit = _fitted(image, start, shape, limits, settings)
+    if fit is None:
         # A glint or a gap in the ring has pulled the suspect aside: once more from where a whole ring shows best.
+        near = np.empty(5)
+        settle(image, start.parameters, _USUAL_SIGMA_PX, near)
         if np.abs(near - start.parameters).max() < _WORTH_A_TRY_PX:
             return None
-        fit = fit_ring(image, Ellipse.of(near), _USUAL_SIGMA_PX, limits, shape)
-    if fit is None or not _is_rim(fit, settings) or not _is_line(image, fit):
+        fit = _fitted(image, Ellipse.of(near), shape, limits, settings)
+    if fit is None:
         return None
     if shape is None and fit.coverage < settings.min_coverage_alone:
         return None
+    if shape is not None and np.linalg.norm(log_shape(fit.ellipse) - log_shape(start)) > _SHAPE_TOLERANCE:
+        return None
     ring = Ring(fit, float(distinction(image, fit.ellipse.parameters, fit.sigma_px)))
     return ring if ring.quality >= settings.min_quality else None
+
+
+def _fitted(
+    image: Float32, start: Ellipse, shape: Array | None, limits: Array, settings: RivetSettings
+) -> RingFit | None:
+    """The rim that the joint fit finds at a suspect; it is not tried where no line shows, as along a sticker's edge."""
+    if _line_contrast(image, start.parameters, _USUAL_SIGMA_PX) <= 0:
+        return None
+    fit = fit_ring(image, start, _USUAL_SIGMA_PX, limits, shape)
+    return fit if fit is not None and _is_rim(fit, settings) and _is_line(image, fit) else None
 
 
 def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
@@ -198,9 +219,9 @@ def _is_line(image: Float32, ring: RingFit) -> bool:
 def _line_contrast(image: Float32, ellipse: Array, sigma_px: float) -> float:
     """How much darker than both sides of it, or brighter, an ellipse is (grey levels); negative at an edge."""
     beside = max(2.5, 2.5 * sigma_px)
-    levels = np.empty(3)
-    ring_profile(image, ellipse, np.array([-beside, 0.0, beside]), levels)
-    inside, outside = levels[1] - levels[0], levels[1] - levels[2]
+    steps = np.empty(2)
+    ring_steps(image, ellipse, np.array([-beside, beside]), steps)
+    inside, outside = steps
     return float(min(abs(inside), abs(outside)) * np.sign(inside * outside))
 
 

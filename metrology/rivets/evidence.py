@@ -303,8 +303,25 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def ring_profile(image, ellipse, offsets, result):  # type: ignore[no-untyped-def]
-    """Median level round the ellipse at distances from it along its normal; NaN where less than half is on the image.
+def _level(image, x, y):  # type: ignore[no-untyped-def]
+    """Bilinear value of an image; NaN beyond its border."""
+    height, width = image.shape
+    if x < 0.0 or y < 0.0 or x > width - 2.0 or y > height - 2.0:
+        return np.nan
+    ix = int(x)
+    iy = int(y)
+    fx = x - ix
+    fy = y - iy
+    return (1.0 - fy) * ((1.0 - fx) * image[iy, ix] + fx * image[iy, ix + 1]) + fy * (
+        (1.0 - fx) * image[iy + 1, ix] + fx * image[iy + 1, ix + 1]
+    )
+
+
+@kernel
+def ring_steps(image, ellipse, offsets, result):  # type: ignore[no-untyped-def]
+    """Median step from the ellipse to distances from it along its normal; NaN where less than half is on the image.
+
+    The median of each direction's own step: uneven light round the ring is in none of them.
 
     Parameters
     ----------
@@ -313,32 +330,26 @@ def ring_profile(image, ellipse, offsets, result):  # type: ignore[no-untyped-de
     offsets : (n,) float64
         px, negative inside.
     result : (n,) float64, output
+        Grey levels there less those on the ellipse.
     """
-    height, width = image.shape
     angles = 64
     a, b = ellipse[2], ellipse[3]
     ca = math.cos(ellipse[4])
     sa = math.sin(ellipse[4])
-    values = np.empty(angles)
-    for o in range(len(offsets)):
-        count = 0
-        for k in range(angles):
-            t = 2.0 * math.pi * k / angles
-            c = math.cos(t)
-            s = math.sin(t)
-            length = math.sqrt((c / a) ** 2 + (s / b) ** 2)
+    values = np.empty((len(offsets), angles))
+    count = np.zeros(len(offsets), np.int64)
+    for k in range(angles):
+        t = 2.0 * math.pi * k / angles
+        c = math.cos(t)
+        s = math.sin(t)
+        length = math.sqrt((c / a) ** 2 + (s / b) ** 2)
+        own = _level(image, ellipse[0] + ca * a * c - sa * b * s, ellipse[1] + sa * a * c + ca * b * s)
+        for o in range(len(offsets)):
             x = a * c + offsets[o] * c / a / length
             y = b * s + offsets[o] * s / b / length
-            px = ellipse[0] + ca * x - sa * y
-            py = ellipse[1] + sa * x + ca * y
-            if px < 0.0 or py < 0.0 or px > width - 2.0 or py > height - 2.0:
-                continue
-            ix = int(px)
-            iy = int(py)
-            fx = px - ix
-            fy = py - iy
-            values[count] = (1.0 - fy) * ((1.0 - fx) * image[iy, ix] + fx * image[iy, ix + 1]) + fy * (
-                (1.0 - fx) * image[iy + 1, ix] + fx * image[iy + 1, ix + 1]
-            )
-            count += 1
-        result[o] = np.median(values[:count]) if count > angles // 2 else np.nan
+            step = _level(image, ellipse[0] + ca * x - sa * y, ellipse[1] + sa * x + ca * y) - own
+            if not np.isnan(step):
+                values[o, count[o]] = step
+                count[o] += 1
+    for o in range(len(offsets)):
+        result[o] = np.median(values[o, : count[o]]) if count[o] > angles // 2 else np.nan

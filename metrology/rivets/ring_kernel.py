@@ -20,16 +20,18 @@ RESIDUAL = DENSE  # a pixel's row: derivatives by the dense unknowns, residual, 
 ROW = DENSE + 3
 SECTORS = 24  # in which the ring must show itself
 _LINEAR_STEPS = 2  # iterations for the brightness alone
-_SETTLED = 5  # iteration by which the ring is in place
+_SETTLED = 5  # iteration by which the ring is in place at the latest
 # Least median of the amplitude over its standard deviation from the scatter of the knots, by iteration.
 _STEADY = np.array([0.0, 1.0, 1.0, 1.2, 1.5, 2.0])
-_CONVERGED_PX = 0.01
+_CONVERGED_PX = 0.02  # the step after it is three times smaller: a tenth of the clearest ring's deviation
+_IN_PLACE_PX = 0.15  # a step from which on all pixels count
 _SIGMA_PRIOR_PX = 0.3  # how much rings of one image differ in σ from where the fit starts
 TUKEY = 5.0  # residuals beyond this many sigmas count nothing
 # For normal noise of variance 1 and Tukey's weights w with that limit: 1 / (Σ w r² / Σ w), and the estimate's variance
 # times Σ w against plain least squares' (E ψ² / (E ψ')² · E w).
 _WEIGHTED_VARIANCE = 1.180
 _WEIGHTED_COVARIANCE = 0.962
+_LEAST_SHARE = 0.3  # of the squared amplitude that is not noise, where there is a ring at all
 
 
 @kernel
@@ -427,11 +429,12 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         magnitude[i] = abs(value[i] - middle)
     _hide_clusters(x, y, magnitude, _glint_limit(direction, magnitude), 3, hidden)
     noise = 0.0
+    settled = _SETTLED
     for iteration in range(iterations):
         # First the brightness alone on the starting ellipse, then everything; few pixels will do to get there.
         linear = iteration < _LINEAR_STEPS
-        pixels = half if iteration < _SETTLED else n
-        for block in range(few if iteration < _SETTLED else blocks):
+        pixels = half if iteration < settled else n
+        for block in range(few if iteration < settled else blocks):
             _rows(
                 px[block],
                 py[block],
@@ -453,7 +456,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         dense[:] = 0.0
         knots[:] = 0.0
         pairs[:] = 0.0
-        for block in range(few if iteration < _SETTLED else blocks):
+        for block in range(few if iteration < settled else blocks):
             _accumulate(rows[block], weight[block], knot[block], weighted, dense, knots, pairs)
         _assemble(dense, knots, pairs, normal, step)
         if linear:
@@ -480,16 +483,16 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         for j in range(DENSE, UNKNOWNS):
             params[j] += step[j]
         strength = np.median(np.abs(params[DENSE:]))
-        if iteration <= _SETTLED:
+        if iteration <= settled:
             # Hopeless starts show early: a ring is dark all round, or bright.
             middle = np.median(params[DENSE:])
             scatter = 1.4826 * np.median(np.abs(params[DENSE:] - middle)) / math.sqrt(KNOTS)
             if iteration > 0 and abs(middle) < _STEADY[iteration] * scatter:
                 return False
             # A strong ring that is not yet in place leaves residuals of its own: they must not count as outliers.
-            floor = 0.15 if iteration < _SETTLED else 0.05
+            floor = 0.15 if iteration < settled else 0.05
             noise = 1.4826 * np.median(magnitude[:pixels]) + floor * strength + 1e-6
-            if iteration == _SETTLED:
+            if iteration == settled:
                 _hide_clusters(x, y, magnitude, TUKEY * noise, 2, hidden)
         if linear:
             continue
@@ -508,7 +511,9 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
             return False
         if abs(geometry[0] - ellipse[0]) + abs(geometry[1] - ellipse[1]) > 0.5 * scale + 2.0:
             return False
-        if iteration > _SETTLED and move < _CONVERGED_PX:
+        if iteration < settled and move < _IN_PLACE_PX:
+            settled = iteration + 1
+        if iteration > settled and move < _CONVERGED_PX:
             break
     scores = np.zeros(SECTORS)
     norms = np.zeros(SECTORS)
@@ -571,6 +576,16 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
                 covariance[j, k] = value_jk * variance * _WEIGHTED_COVARIANCE
         else:
             step_sd = math.sqrt(step[column] * diagonal[column]) * noise
+    # Noise makes the squared amplitude, and with it the information on the ring's place, look larger than it is.
+    squares = 0.0
+    excess = 0.0
+    for k in range(KNOTS):
+        step[:] = 0.0
+        step[DENSE + k] = diagonal[DENSE + k]
+        _substitute(work, UNKNOWNS, step)
+        squares += params[DENSE + k] ** 2
+        excess += step[DENSE + k] * diagonal[DENSE + k] * variance
+    covariance[:] /= max(1.0 - excess / (squares + 1e-30), _LEAST_SHARE)
     mean = scores.sum() / norm
     sign = 1.0 if mean > 0.0 else -1.0
     hits = 0

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.rivets.arc_fit import fit_candidates
+from metrology.rivets.arc_fit import fit_candidates, strike_repeats
 from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import ring_evidence
@@ -78,6 +78,10 @@ class Traces:
     dark: Arcs
     bright: Arcs
 
+    def stronger(self, least: float) -> Traces:
+        """The points of at least this strength."""
+        return Traces(self.level, self.size, self.dark.stronger(least), self.bright.stronger(least))
+
 
 def trace(image: Float32, level: Level, settings: RivetSettings) -> Traces:
     """Reduce an image and trace its arcs."""
@@ -99,7 +103,7 @@ def suspects(
     found = []
     for polarity, arcs in ((1.0, traces.dark), (-1.0, traces.bright)):
         candidates = _candidates(arcs, traces.size, traces.level, shapes, settings)
-        candidates = candidates[candidates[:, 5] >= _LEAST_TRACE]
+        candidates = _distinct(candidates[candidates[:, 5] >= _LEAST_TRACE])
         candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
         candidates[:, 2:4] *= k
         shown = np.zeros((len(candidates), 2))
@@ -136,11 +140,6 @@ def _distinct(candidates: Array) -> Array:
     """Candidates in order of support without those that repeat a better one."""
     order = np.argsort(-candidates[:, 5] * candidates[:, 6], kind="stable")
     candidates = candidates[order]
-    radius = np.sqrt(candidates[:, 2] * candidates[:, 3])
-    alive = np.ones(len(candidates), bool)
-    for k in range(len(candidates)):
-        if alive[k]:
-            c = candidates[k]
-            near = np.hypot(candidates[k + 1 :, 0] - c[0], candidates[k + 1 :, 1] - c[1]) < 0.1 * c[3] + 1.0
-            alive[k + 1 :] &= ~(near & (np.abs(radius[k + 1 :] - radius[k]) < 0.04 * radius[k] + 1.0))
+    alive = np.ones(len(candidates), np.bool_)
+    strike_repeats(candidates, alive)
     return candidates[alive]

@@ -10,7 +10,7 @@ from scipy.special import erfc
 from metrology.rivets.arc_fit import fit_conic
 from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
-from metrology.rivets.evidence import distinction, ring_evidence, ring_profile, settle
+from metrology.rivets.evidence import distinction, ring_evidence, ring_steps, settle
 from metrology.rivets.ring_kernel import (
     DENSE,
     GEOMETRY,
@@ -132,18 +132,20 @@ def test_cholesky_solves(rng: np.random.Generator) -> None:
     assert not _factor(np.array([[1.0, 2.0], [2.0, 1.0]]), 2)
 
 
-def test_profile_equals_interpolation_along_the_normals(rng: np.random.Generator) -> None:
+def test_steps_equal_interpolation_along_the_normals(rng: np.random.Generator) -> None:
     image = rng.normal(100, 20, (120, 130)).astype(np.float32)
-    offsets, found = np.array([-3.0, 0.0, 2.5]), np.zeros(3)
-    ring_profile(image, ELLIPSE.parameters, offsets, found)
+    offsets, found = np.array([-3.0, 2.5]), np.zeros(2)
+    ring_steps(image, ELLIPSE.parameters, offsets, found)
     t = 2 * np.pi * np.arange(64) / 64
     c, s = np.cos(ELLIPSE.angle), np.sin(ELLIPSE.angle)
     normals = np.stack([np.cos(t) / ELLIPSE.a, np.sin(t) / ELLIPSE.b], axis=1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals @ np.array([[c, s], [-s, c]])
-    for offset, level in zip(offsets, found, strict=True):
-        u, v = (ELLIPSE.points(64) + offset * normals).T
-        assert level == pytest.approx(np.median(map_coordinates(image, [v, u], order=1)), abs=1e-3)
+    points = ELLIPSE.points(64)
+    own = map_coordinates(image, points.T[::-1], order=1)
+    for offset, step in zip(offsets, found, strict=True):
+        beside = map_coordinates(image, (points + offset * normals).T[::-1], order=1)
+        assert step == pytest.approx(np.median(beside - own), abs=1e-3)
 
 
 def test_distinction_grows_with_the_ring_and_not_with_the_exposure(rng: np.random.Generator) -> None:
