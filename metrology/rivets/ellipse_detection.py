@@ -26,6 +26,9 @@ _TELLING = 12  # confident rings: their mean elongation is told to a third of wh
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
 _WORTH_A_TRY_PX = 0.7  # from the first start: the fit leads back from less
 _SHAPE_TOLERANCE = 0.15  # of a ring's elongation: five standard deviations of what is expected (see `fit_ring`)
+# Two scratches that cross a small circle cover it at four places of three σ each, aslant: 4 · 3σ √2 / 2πr of it. A rim
+# covers a tenth more.
+_CROSSED, _BEYOND = 2.7, 0.1
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -203,7 +206,7 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
     beside_head = abs(ring.amplitude) - 0.5 * max(0.0, np.sign(ring.amplitude) * ring.step)
     return bool(
         ring.score >= settings.min_score
-        and ring.coverage >= settings.min_coverage
+        and ring.coverage >= max(settings.min_coverage, _CROSSED * ring.sigma_px / ring.ellipse.radius + _BEYOND)
         and ring.sigma_px < min(2.1, 0.4 * ring.ellipse.b)
         and beside_head > 0.1 * abs(ring.amplitude)
         and abs(ring.amplitude) > settings.min_ring_share * abs(ring.step)
