@@ -372,7 +372,7 @@ def vote_centres(
         # A full circle gives 2π votes at the centre for its own radius, and few for the others in the plane.
         smooth = cv2.GaussianBlur(votes[k], (0, 0), blur) * (2 * np.pi * blur**2 / (2 * np.pi))
         peak = (smooth >= cv2.dilate(smooth, np.ones((5, 5), np.uint8))) & (smooth > least)
-        y, x = np.nonzero(peak)
+        y, x = np.divmod(np.flatnonzero(peak), columns)
         best = np.argsort(-smooth[y, x], kind="stable")[:most]
         found.append(np.column_stack([x[best] * cells, y[best] * cells, np.full(len(best), radius)]))
     return np.concatenate(found) if found else np.empty((0, 3))

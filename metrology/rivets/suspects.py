@@ -103,7 +103,8 @@ def suspects(
     found = []
     for polarity, arcs in ((1.0, traces.dark), (-1.0, traces.bright)):
         candidates = _candidates(arcs, traces.size, traces.level, shapes, settings)
-        candidates = _distinct(candidates[candidates[:, 5] >= _LEAST_TRACE])
+        least = _LEAST_COVERAGE if evidence is STRONG else _LEAST_TRACE
+        candidates = _distinct(candidates[candidates[:, 5] >= least])
         candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
         candidates[:, 2:4] *= k
         shown = np.zeros((len(candidates), 2))
