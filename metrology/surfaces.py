@@ -132,6 +132,7 @@ def fit_surface(
     order: int,
     generator: np.random.Generator,
     trials: int = 60,
+    scale: float | None = None,
 ) -> Polynomial | None:
     """Polynomial through a patch: RANSAC (paper §4.1) finds the surface most points share, least squares refines it.
 
@@ -149,6 +150,9 @@ def fit_surface(
         Draws the samples.
     trials : int
         RANSAC samples.
+    scale : float, optional
+        Standard deviation of the points' noise over `sigma` where it is known; else taken from the residuals, which
+        holds only while more than half of the points are good.
 
     Returns
     -------
@@ -159,24 +163,24 @@ def fit_surface(
     unknowns = (order + 1) * (order + 2) // 2
     if len(x) < 3 * unknowns:
         return None
-    scale = float(np.sqrt(np.mean((x - x.mean()) ** 2 + (y - y.mean()) ** 2))) or 1.0
-    design = monomials(x / scale, y / scale, order) / sigma[:, None]
+    size = float(np.sqrt(np.mean((x - x.mean()) ** 2 + (y - y.mean()) ** 2))) or 1.0
+    design = monomials(x / size, y / size, order) / sigma[:, None]
     target = h / sigma
     start = _consensus(design, target, unknowns, generator, trials)
     if start is None:
         return None
     # Most of the way on a part of the points, the last steps on all.
     part = slice(None, None, max(1, len(x) // _ENOUGH))
-    near = _reweighted(design[part], target[part], start, 8)
+    near = _reweighted(design[part], target[part], start, 8, scale)
     if near is None:
         return None
-    last = _reweighted(design, target, near[0], 3)
+    last = _reweighted(design, target, near[0], 3, scale)
     if last is None:
         return None
     solution, weights, normal = last
     residual = target - design @ solution
     chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * _TUKEY_VARIANCE
-    back = np.concatenate([np.full(d + 1, scale**-d) for d in range(order + 1)])
+    back = np.concatenate([np.full(d + 1, size**-d) for d in range(order + 1)])
     covariance = np.asarray(np.linalg.inv(normal), float) * chi2 * _TUKEY_COVARIANCE
     real = (h - (design * sigma[:, None]) @ solution)[weights > 0]
     return Polynomial(
@@ -189,12 +193,14 @@ def fit_surface(
     )
 
 
-def _reweighted(design: Array, target: Array, start: Array, iterations: int) -> tuple[Array, Array, Array] | None:
+def _reweighted(
+    design: Array, target: Array, start: Array, iterations: int, scale: float | None
+) -> tuple[Array, Array, Array] | None:
     """Iteratively reweighted least squares: solution, Tukey's weights, normal matrix; None where it is singular."""
     solution = start
     for iteration in range(iterations):
         residual = target - design @ solution
-        t = residual / (_TUKEY * (_MAD * _median(np.abs(residual)) + 1e-12))
+        t = residual / (_TUKEY * (scale or _MAD * _median(np.abs(residual)) + 1e-12))
         weights = np.where(np.abs(t) < 1, (1 - t**2) ** 2, 0.0)
         weighted = weights[:, None] * design
         normal = design.T @ weighted

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.surfaces import Polynomial
+from metrology.surfaces import Polynomial, monomials
 
 Array = NDArray[np.float64]
 
@@ -76,6 +76,9 @@ def flushness(
         crown = -0.5 * float(head.coefficients[3] + head.coefficients[5]) * radius**2
     # Over the disc a plane's mean is its centre's height; a dome's lies half the crown below the centre.
     mean = float(h1 - h0) - 0.5 * crown
+    over_disc = monomials(x, y, head.order)
+    over_disc[3:6:2] += 0.25 * radius**2
+    mean_variance = float(over_disc @ head.covariance @ over_disc) + skin_covariance[0, 0]
     r, t = np.meshgrid(np.linspace(0, 1, 9), np.arange(48) * (2 * np.pi / 48))
     along = true_length * radius * r * np.cos(t)
     surface = float(h1 - h0) + along - crown * r**2
@@ -83,7 +86,7 @@ def flushness(
         mean=mean * stretch,
         low=float(surface.min()) * stretch,
         high=float(surface.max()) * stretch,
-        mean_sd=float(np.sqrt(covariance[0, 0] * height_inflation)),
+        mean_sd=float(np.sqrt(mean_variance * height_inflation)),
         tilt=float(np.arctan(true_length)),
         tilt_sd=slope_sd,
         crown=crown * stretch,

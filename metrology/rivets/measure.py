@@ -14,11 +14,12 @@ from metrology.rivets.controls import control_places
 from metrology.rivets.fits import Fits
 from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
+from metrology.rivets.head import head_surface
 from metrology.rivets.inflation import Inflation, noise_inflation
-from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets
+from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
-from metrology.surfaces import Polynomial, fit_surface
+from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
 
@@ -53,14 +54,15 @@ def measure_rivets(
     """
     settings = settings or RivetSettings()
     generator = generator or np.random.default_rng(0)
-    blocked = blocked_pixels(reconstruction, seams, settings.seam_margin_px)
+    blocked = blocked_pixels(reconstruction)
+    on_seam = seam_pixels(seams, blocked.shape, settings.seam_margin_px)
 
     def fit(detection: RivetDetection, others: Sequence[RivetDetection], bare: bool = False) -> Fits | str:
-        patch = cut_patch(detection, others, reconstruction, blocked, settings)
+        patch = cut_patch(detection, others, reconstruction, blocked, on_seam, settings)
         return patch if isinstance(patch, str) else _fit(patch, bare, settings, generator)
 
     outcomes = [fit(d, [o for o in detections if o is not d]) for d in detections]
-    places = control_places(detections, blocked, settings.controls, generator)
+    places = control_places(detections, blocked | on_seam, settings.controls, generator)
     controls = [c for c in (fit(p, detections, bare=True) for p in places) if isinstance(c, Fits)]
     fits = [f for f in outcomes if isinstance(f, Fits)]
     inflation = noise_inflation(fits, controls)
@@ -79,20 +81,18 @@ def _fit(patch: Patch, bare: bool, settings: RivetSettings, generator: np.random
     directions = _directions(patch, outer)
     if directions < settings.min_sectors:
         return f"skin: points in {directions} of {_DIRECTIONS} directions, at least {settings.min_sectors} needed"
-    skin = _surface(patch, outer, 2 if settings.reference == "quadric" else 1, generator)
-    if skin is not None and bare:
-        # Bare skin goes on bending where a head would be flat.
-        h, by_x, by_y = skin.tangent(0.0, 0.0)[0]
-        bend = skin.height(patch.x, patch.y) - (h + by_x * patch.x + by_y * patch.y)
-        patch = replace(patch, h=np.where(inner, patch.h - bend, patch.h))
-    head = _surface(patch, inner, 1, generator)
-    if skin is None or head is None:
+    skin = patch.surface(outer, 2 if settings.reference == "quadric" else 1, generator)
+    if skin is None:
         return "points lie too unevenly for a surface"
-    return Fits(patch, inner, outer, head, skin)
-
-
-def _surface(patch: Patch, members: NDArray[np.bool_], order: int, generator: np.random.Generator) -> Polynomial | None:
-    return fit_surface(patch.x[members], patch.y[members], patch.h[members], patch.sigma[members], order, generator)
+    if not bare:
+        found = head_surface(patch, inner, skin, settings, generator)
+        return found if isinstance(found, str) else Fits(patch, found[1], outer, found[0], skin)
+    # Bare skin goes on bending where a head would be flat.
+    h, by_x, by_y = skin.tangent(0.0, 0.0)[0]
+    bend = skin.height(patch.x, patch.y) - (h + by_x * patch.x + by_y * patch.y)
+    patch = replace(patch, h=np.where(inner, patch.h - bend, patch.h))
+    plane = patch.surface(inner, 1, generator)
+    return "points lie too unevenly for a surface" if plane is None else Fits(patch, inner, outer, plane, skin)
 
 
 def _directions(patch: Patch, members: NDArray[np.bool_]) -> int:
@@ -130,7 +130,7 @@ def _row(
     if isinstance(outcome, str):
         return replace(empty, reason=outcome)
     p, rig = outcome.patch, reconstruction.rig
-    head = _dome(outcome, settings, inflation, generator) or outcome.head
+    head = outcome.head
     if head.chi > _MOST_CHI * max(outcome.skin.chi, 1.0):
         expected = head.rms_mm / head.chi
         return replace(
@@ -177,21 +177,3 @@ def _circle(detection: RivetDetection, fits: Fits, head: Polynomial, reconstruct
     if detection.rim_sigma_px is None:
         return ring
     return head_circle(reconstruction, frame, ring, top, skin, detection.rim_sigma_px) or ring
-
-
-def _dome(
-    fits: Fits, settings: RivetSettings, inflation: Inflation, generator: np.random.Generator
-) -> Polynomial | None:
-    """A quadric through the head where its crown is larger than `min_crown_mm` and than four standard deviations."""
-    members = fits.inner
-    if members.sum() < 2 * settings.min_inner:
-        return None
-    quadric = _surface(fits.patch, members, 2, generator)
-    if quadric is None:
-        return None
-    # Crown over the full radius: −(c_xx + c_yy) R² / 2.
-    by = np.zeros(6)
-    by[3] = by[5] = -0.5 * fits.patch.radius**2
-    crown = float(by @ quadric.coefficients)
-    deviation = float(np.sqrt(by @ quadric.covariance @ by * inflation.height))
-    return quadric if abs(crown) > max(settings.min_crown_mm, 4 * deviation) else None

@@ -14,7 +14,7 @@ from metrology.results import RivetDetection, SeamLine
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.settings import RivetSettings
-from metrology.surfaces import Frame
+from metrology.surfaces import Frame, Polynomial, fit_surface
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,6 +22,8 @@ Mask = NDArray[np.bool_]
 _LEAST_POINTS = 50
 _FRAME_POINTS = 400  # are enough for a frame
 _DEFAULT_SEAM_PX = 4.0  # width of a seam that tells none
+_NEAREST_PX = 4.0  # narrower than a seam with its margin, so that no far side lies so near
+_LEAST_PIECE = 0.05  # of the pixels next to the rim; fewer are a corner's
 _DEFAULT_RIM_SIGMA_PX = 1.0  # of a head without a visible rim
 
 
@@ -34,14 +36,14 @@ class Patch:
     frame : Frame
     radius : float
         Of the head, mm.
-    guard : float
-        Distance from the rim that points keep, mm.
+    guard, guard_px : float
+        Distance from the rim that points keep, mm and pixels.
     x, y, h, sigma : (n,) ndarray
         Local coordinates and σ of h, mm.
     u, v : (n,) ndarray of int
         Pixels of the points.
     usable : (n,) bool
-        Neither on a seam nor on a neighbour.
+        Neither on a seam, beyond one, nor on a neighbour.
     edge : (n,) bool
         Flagged as beside a reflectance or depth edge.
     """
@@ -49,6 +51,7 @@ class Patch:
     frame: Frame
     radius: float
     guard: float
+    guard_px: float
     x: Array
     y: Array
     h: Array
@@ -57,6 +60,13 @@ class Patch:
     v: NDArray[np.int64]
     usable: Mask
     edge: Mask
+
+    def surface(
+        self, members: Mask, order: int, generator: np.random.Generator, scale: float | None = None
+    ) -> Polynomial | None:
+        """Surface through some of the points, see `fit_surface`."""
+        x, y, h, sigma = (a[members] for a in (self.x, self.y, self.h, self.sigma))
+        return fit_surface(x, y, h, sigma, order, generator, scale=scale)
 
 
 def ellipse_of(detection: RivetDetection) -> Ellipse:
@@ -72,17 +82,21 @@ def ellipse_of(detection: RivetDetection) -> Ellipse:
     )
 
 
-def blocked_pixels(reconstruction: Reconstruction, seams: Sequence[SeamLine], margin_px: float) -> Mask:
-    """(h, w) pixels without a trustworthy point, or on a seam or within a margin of it."""
-    blocked = ~reconstruction.valid | ((reconstruction.flags & np.uint16(PixelFlag.SLOPE)) != 0)
-    band = np.zeros(blocked.shape, np.uint8)
+def blocked_pixels(reconstruction: Reconstruction) -> Mask:
+    """(h, w) pixels without a trustworthy point."""
+    return ~reconstruction.valid | ((reconstruction.flags & np.uint16(PixelFlag.SLOPE)) != 0)
+
+
+def seam_pixels(seams: Sequence[SeamLine], size: tuple[int, ...], margin_px: float) -> Mask:
+    """(h, w) pixels on a seam or within a margin of it."""
+    band = np.zeros(size, np.uint8)
     for seam in seams:
         known = seam.width_px[np.isfinite(seam.width_px)]
         usual = float(np.median(known)) if len(known) else _DEFAULT_SEAM_PX
         for (u, v), width in zip(seam.centre_px, seam.width_px, strict=True):
             half = 0.5 * (float(width) if np.isfinite(width) else usual)
             cv2.circle(band, (round(float(u)), round(float(v))), int(np.ceil(half + margin_px)), 1, -1)
-    return blocked | (band > 0)
+    return band > 0
 
 
 def cut_patch(
@@ -90,6 +104,7 @@ def cut_patch(
     others: Sequence[RivetDetection],
     reconstruction: Reconstruction,
     blocked: Mask,
+    on_seam: Mask,
     settings: RivetSettings,
 ) -> Patch | str:
     """The cloud round a head; a reason where there is none.
@@ -100,8 +115,8 @@ def cut_patch(
     others : sequence of RivetDetection
         Neighbours, whose heads are cut out.
     reconstruction : Reconstruction
-    blocked : (h, w) bool
-        See `blocked_pixels`.
+    blocked, on_seam : (h, w) bool
+        See `blocked_pixels` and `seam_pixels`.
     settings : RivetSettings
     """
     ellipse = ellipse_of(detection)
@@ -113,12 +128,13 @@ def cut_patch(
     reach = outer_radius(ellipse.radius / scale, settings) * scale * ellipse.a / ellipse.radius + 4
     window = _window(ellipse, reach, blocked.shape)
     v, u = np.nonzero(np.isfinite(reconstruction.points[window][..., 2]))
-    u, v = u + window[1].start, v + window[0].start
+    v0, u0 = window[0].start, window[1].start
+    u, v = u + u0, v + v0
     level = ellipse.level(u, v)
     near = level * ellipse.a < reach
     u, v, level = u[near], v[near], level[near]
     cloud = reconstruction.points[v, u].astype(float)
-    usable = ~blocked[v, u]
+    usable = ~blocked[v, u] & _this_side_of_seams(on_seam[window], ellipse, window, guard_px)[v - v0, u - u0]
     for other in map(ellipse_of, others):
         if np.hypot(other.u - ellipse.u, other.v - ellipse.v) < reach + other.a:
             usable &= (other.level(u, v) - 1) * other.b > guard_px
@@ -126,13 +142,15 @@ def cut_patch(
     skin = usable & ((level - 1) * ellipse.b > guard_px)
     if skin.sum() < _LEAST_POINTS:
         return f"skin: {int(skin.sum())} usable points, at least {_LEAST_POINTS} needed"
-    frame = _skin_frame(cloud[skin])
+    # A seam or the panel's border is farther away than the nearer half of the skin.
+    frame = _skin_frame(cloud[skin & (level <= np.median(level[skin]))])
     x, y, radius = lay_on_plane(reconstruction.rig.left, ellipse, frame)
     frame = Frame(frame.rig([x, y, 0.0]), frame.axes)
     local = frame.local(cloud)
     sigma = frame.height_sigma(cloud, reconstruction.sigma_z[v, u])
     usable &= np.isfinite(sigma) & (sigma > 0)
-    return Patch(frame, radius, guard_px / scale, local[:, 0], local[:, 1], local[:, 2], sigma, u, v, usable, edge)
+    x, y, h = local.T
+    return Patch(frame, radius, guard_px / scale, guard_px, x, y, h, sigma, u, v, usable, edge)
 
 
 def outer_radius(radius_mm: float, settings: RivetSettings) -> float:
@@ -156,6 +174,20 @@ def point_sets(patch: Patch, settings: RivetSettings) -> tuple[Mask, Mask]:
         clear = points & ~patch.edge
         sets.append(clear if clear.sum() > settings.min_clear_share * points.sum() else points)
     return sets[0], sets[1]
+
+
+def _this_side_of_seams(on_seam: Mask, ellipse: Ellipse, window: tuple[slice, slice], guard_px: float) -> Mask:
+    """(h, w) pixels of a window that no seam parts from the head.
+
+    Of the pieces into which seams divide the window those count that come as near to the rim as the guard allows.
+    """
+    if not on_seam.any():
+        return ~on_seam
+    _, piece = cv2.connectedComponents((~on_seam).astype(np.uint8), connectivity=4)
+    v, u = np.mgrid[window]
+    beyond = (ellipse.level(u, v) - 1) * ellipse.b - guard_px
+    here = np.bincount(piece[(beyond > 0) & (beyond < _NEAREST_PX) & ~on_seam], minlength=int(piece.max()) + 1)
+    return np.asarray((here > _LEAST_PIECE * here.sum())[piece] & ~on_seam)
 
 
 def _window(ellipse: Ellipse, reach: float, size: tuple[int, ...]) -> tuple[slice, slice]:

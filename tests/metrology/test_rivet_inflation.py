@@ -29,7 +29,7 @@ def patch_of(noise: np.ndarray) -> Fits:
     assert head is not None
     assert skin is not None
     frame = Frame(np.zeros(3), np.eye(3))
-    return Fits(Patch(frame, 4.5, 0.5, x, y, h, sigma, u, v, always, ~always), inner, outer, head, skin)
+    return Fits(Patch(frame, 4.5, 0.5, 2.5, x, y, h, sigma, u, v, always, ~always), inner, outer, head, skin)
 
 
 def test_independent_noise_is_not_inflated(rng: np.random.Generator) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from reference_scans import reference_scan
@@ -120,6 +121,64 @@ def test_a_seam_through_the_annulus_is_cut_out(rng: np.random.Generator) -> None
     seam = SeamLine("S01", line, np.full(400, 6.0), 1.0, True)
     (rivet,) = measure_rivets([truth_detection(reconstruction, skin, head)], lowered, [seam])
     assert rivet.height_mean_mm == pytest.approx(0.1, abs=0.004)
+
+
+def test_skin_beyond_a_seam_is_another_plate(rng: np.random.Generator) -> None:
+    """A step of 30 µm, two standard deviations of a point, makes no outliers: what lies beyond must not count."""
+    skin, head = Skin(), Head(0, 0, 8.0, 0.1)
+    reconstruction = scan(skin, [head], rng)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    local[..., 2] -= 0.03 * (local[..., 0] > 6.5)
+    lowered = replace(reconstruction, points=skin.frame.rig(local).astype(np.float32))
+    ends = reconstruction.rig.left.project(skin.frame.rig([[6.5, -30.0, 0.0], [6.5, 30.0, 0.0]]))
+    line = ends[0] + np.linspace(0, 1, 400)[:, None] * (ends[1] - ends[0])
+    seam = SeamLine("S01", line, np.full(400, 2.0), 1.0, True)
+    detection = truth_detection(reconstruction, skin, head)
+    for cut, same in (([seam], True), ([], False)):
+        level, stepped = (measure_rivets([detection], cloud, cut)[0] for cloud in (reconstruction, lowered))
+        assert (level.height_mean_mm == stepped.height_mean_mm) == same
+        assert (level.n_outer, level.rms_outer_mm) == (stepped.n_outer, stepped.rms_outer_mm) or not same
+
+
+@pytest.mark.parametrize("cross", [False, True])
+def test_a_slot_and_its_mixed_edges_are_cut_out_of_the_head(rng: np.random.Generator, cross: bool) -> None:
+    """Blur makes the slot's walls slopes: points on them that lie within the noise of the head pull it down."""
+    skin, head = Skin(), Head(0, 0, 9.5, 0.1, 0.3, 40)
+    reconstruction = scan(skin, [head], rng)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    along, across = np.abs(local[..., 0]), np.abs(local[..., 1])
+    slot = (along < 3.3) & (across < 0.45)
+    if cross:
+        slot |= (across < 3.3) & (along < 0.45)
+    local[..., 2] -= 0.5 * cv2.GaussianBlur(slot.astype(float), (0, 0), 0.75)
+    slotted = replace(reconstruction, points=skin.frame.rig(local).astype(np.float32))
+    (rivet,) = measure_rivets([truth_detection(reconstruction, skin, head)], slotted)
+    assert abs(rivet.height_mean_mm - 0.1) < rivet.height_u95_mm < 0.006
+    assert abs(rivet.tilt_deg - 0.3) < rivet.tilt_u95_deg < 0.15
+    assert rivet.crown_mm is None
+
+
+def test_the_floor_of_a_wide_slot_is_not_taken_for_the_head(rng: np.random.Generator) -> None:
+    skin, head = Skin(), Head(0, 0, 8.0, 0.1)
+    reconstruction = scan(skin, [head], rng)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    local[..., 2] -= 0.4 * (np.hypot(local[..., 0], local[..., 1]) < 2.4)
+    recessed = replace(reconstruction, points=skin.frame.rig(local).astype(np.float32))
+    (rivet,) = measure_rivets([truth_detection(reconstruction, skin, head)], recessed)
+    assert rivet.height_mean_mm is None
+    assert "no one surface" in rivet.reason
+
+
+def test_domes_do_not_widen_the_limits_of_flat_heads(rng: np.random.Generator) -> None:
+    """A dome's own shape is no noise: what is left of it over a plane must not enter how points scatter."""
+    flat = tuple(Head(x, 18, 9.0, 0.1) for x in (-30, 0, 30))
+    domes = tuple(Head(x, -18, 9.0, 0.1, crown=0.2) for x in (-30, 0, 30))
+    skin = Skin()
+    with_domes, without = measured(skin, flat + domes, rng), measured(skin, flat, rng)
+    for a, b in zip(with_domes[:3], without, strict=True):
+        assert a.height_u95_mm < 1.5 * b.height_u95_mm
+    for dome in with_domes[3:]:
+        assert abs(dome.height_mean_mm - 0.1) < 2 * dome.height_u95_mm < 0.02
 
 
 def test_a_neighbour_is_cut_out(rng: np.random.Generator) -> None:

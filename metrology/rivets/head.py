@@ -1,0 +1,92 @@
+"""The head's own surface: a plane, a dome, or a plane with its slot cut out."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.rivets.patch import Patch
+from metrology.rivets.settings import RivetSettings
+from metrology.surfaces import Polynomial
+
+Mask = NDArray[np.bool_]
+
+# Points this many standard deviations off a surface do not belong to it: one in 2 million by noise.
+_OFF = 5.0
+_FEW = 0.01  # share of such points that dirt and single wrong matches make
+# RANSAC finds a surface on which this share of the points lies: sixty samples of three hold four good ones.
+_LEAST_SHARE = 0.4
+# A slot lies below the head. With more than this share above it, a surface is the slot's floor.
+_MOST_ABOVE = 0.1
+# Neighbours share the noise of the right view: a mean's variance is up to twice that of independent points.
+_INFLATION = 2.0
+
+
+def head_surface(
+    patch: Patch, inner: Mask, skin: Polynomial, settings: RivetSettings, generator: np.random.Generator
+) -> tuple[Polynomial, Mask] | str:
+    """Surface of a head and the points that it was fitted to, or why there is none.
+
+    Parameters
+    ----------
+    patch : Patch
+    inner : (n,) bool
+        Points of the head.
+    skin : Polynomial
+        Surface round the head; its residuals tell how far the noise is from σ.
+    settings : RivetSettings
+    generator : numpy.random.Generator
+    """
+    surface = _plane_or_dome(patch, inner, settings, generator)
+    if surface is not None and np.mean(_off(patch, inner, surface, skin) != 0) > _FEW:
+        clear = _clear_of_recesses(patch, inner, skin, generator)
+        if clear is None:
+            return "head: its points lie on no one surface"
+        if clear.sum() < settings.min_inner:
+            return f"head: {int(clear.sum())} points clear of its recesses, at least {settings.min_inner} needed"
+        inner, surface = clear, _plane_or_dome(patch, clear, settings, generator)
+    return "points lie too unevenly for a surface" if surface is None else (surface, inner)
+
+
+def _plane_or_dome(
+    patch: Patch, members: Mask, settings: RivetSettings, generator: np.random.Generator
+) -> Polynomial | None:
+    """A quadric where its crown is larger than `min_crown_mm` and than four standard deviations, else a plane."""
+    if members.sum() >= 2 * settings.min_inner:
+        quadric = patch.surface(members, 2, generator)
+        if quadric is not None:
+            # Crown over the full radius: −(c_xx + c_yy) R² / 2.
+            by = np.zeros(6)
+            by[3] = by[5] = -0.5 * patch.radius**2
+            deviation = float(np.sqrt(by @ quadric.covariance @ by * _INFLATION))
+            if abs(by @ quadric.coefficients) > max(settings.min_crown_mm, 4 * deviation):
+                return quadric
+    return patch.surface(members, 1, generator)
+
+
+def _off(patch: Patch, members: Mask, surface: Polynomial, skin: Polynomial) -> NDArray[np.float64]:
+    """(m,) −1, 0 or 1 for members below, on or above a surface."""
+    distance = patch.h[members] - surface.height(patch.x[members], patch.y[members])
+    return np.sign(distance) * (np.abs(distance) > _OFF * skin.chi * patch.sigma[members])
+
+
+def _clear_of_recesses(patch: Patch, inner: Mask, skin: Polynomial, generator: np.random.Generator) -> Mask | None:
+    """Points clear of a head's slots: on the surface that most share, the guard away from all that are not.
+
+    Next to a slot's edge phase is mixed, as it is at the rim. None where there is no such surface.
+    """
+    for order in (1, 2):
+        surface = patch.surface(inner, order, generator, scale=skin.chi)
+        if surface is None:
+            continue
+        off = _off(patch, inner, surface, skin)
+        if np.mean(off == 0) < _LEAST_SHARE or np.mean(off > 0) > _MOST_ABOVE:
+            continue
+        u, v = patch.u - patch.u.min(), patch.v - patch.v.min()
+        recess = np.zeros((v.max() + 1, u.max() + 1), np.uint8)
+        recess[v[inner][off != 0], u[inner][off != 0]] = 1
+        size = 2 * int(np.ceil(patch.guard_px)) + 1
+        recess = cv2.dilate(recess, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+        return np.asarray(inner & (recess[v, u] == 0))
+    return None
