@@ -1,6 +1,6 @@
 """Rivets on simulated panels: recall, precision, errors of height, tilt and centre, and whether U95 covers them.
 
-python benchmarks/study_rivets.py [--panels 12] [--scans 2] [--bare 5] [--repeats 10]
+python benchmarks/study_rivets.py [--panels 12] [--first 0] [--scans 2] [--bare 5] [--repeats 10]
 
 Panels of varied size, curvature, pose, light, ring contrast (down to six grey levels) and clutter, each traced once and
 scanned several times with fresh noise; panels with scratches, stickers and holes but no rivets; and one flat panel of
@@ -82,10 +82,10 @@ def pairs(rivets: list[Rivet], truth: list[dict[str, Any]]) -> list[tuple[Rivet,
     return found
 
 
-def study_panels(panels: int, count: int) -> None:
+def study_panels(first: int, panels: int, count: int) -> None:
     visible = seen = false = 0
     rows = []
-    for seed in range(panels):
+    for seed in range(first, first + panels):
         for cloud, truth in scans(specification(seed, VARIETY), count):
             rivets = measured(cloud)
             matched = pairs(rivets, truth)
@@ -151,6 +151,7 @@ def rms(values: list[Any]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--panels", type=int, default=12)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first panel")
     parser.add_argument("--scans", type=int, default=2)
     parser.add_argument("--bare", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=10)
@@ -160,7 +161,7 @@ def main() -> None:
     if arguments.bare:
         study_bare(arguments.bare)
     if arguments.panels:
-        study_panels(arguments.panels, arguments.scans)
+        study_panels(arguments.first, arguments.panels, arguments.scans)
 
 
 if __name__ == "__main__":

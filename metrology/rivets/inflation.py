@@ -76,29 +76,29 @@ def block_inflation(fits: Sequence[Fits]) -> float:
     A block of b pixels a side sees all of the correlation but a share that falls as 1/b (a pixel at its border has its
     neighbours outside), so that two sizes of blocks tell the limit.
     """
-    small, large = _block_ratio(fits, _BLOCK_PX // 2), _block_ratio(fits, _BLOCK_PX)
+    small, large = sum((_block_squares(fit) for fit in fits), np.zeros((2, 2)))
+    small, large = (observed / expected if expected > 0 else 1.0 for observed, expected in (small, large))
     # Slots and scratches are small: they raise the small blocks alone, which must not lower the limit.
     return max(1.0, large, 2 * large - small)
 
 
-def _block_ratio(fits: Sequence[Fits], block_px: int) -> float:
-    """Variance of means over blocks against that of independent residuals; 1 where there are no full blocks.
+def _block_squares(fit: Fits) -> Array:
+    """(2, 2) for small and large blocks: squared sums of the residuals over full blocks, and what is expected of them.
 
-    A surface of k coefficients takes as much from the blocks' means as from k of them.
+    Expected of independent ones; a surface of k coefficients takes as much from the blocks' means as from k of them.
     """
-    observed = expected = 0.0
-    for fit in fits:
-        p = fit.patch
-        for members, surface in ((fit.inner, fit.head), (fit.outer, fit.skin)):
-            chosen = np.flatnonzero(members)[surface.weights > 0]
-            residual = (p.h[chosen] - surface.height(p.x[chosen], p.y[chosen])) / p.sigma[chosen]
+    squares = np.zeros((2, 2))
+    p = fit.patch
+    for members, surface in ((fit.inner, fit.head), (fit.outer, fit.skin)):
+        chosen = np.flatnonzero(members)[surface.weights > 0]
+        residual = (p.h[chosen] - surface.height(p.x[chosen], p.y[chosen])) / p.sigma[chosen]
+        variance = float(np.mean(residual**2))
+        for sums, block_px in zip(squares, (_BLOCK_PX // 2, _BLOCK_PX), strict=True):
             row, column = p.v[chosen] // block_px, p.u[chosen] // block_px
             cell = (row - row.min()) * (column.max() - column.min() + 1) + column - column.min()
-            sums, count = np.bincount(cell, residual), np.bincount(cell)
+            total, count = np.bincount(cell, residual), np.bincount(cell)
             full = count > _FULL * block_px**2
-            points = float(count[full].sum())
             spared = 1 - len(surface.coefficients) * block_px**2 / len(chosen)
             if spared > 0.5:
-                observed += float((sums[full] ** 2).sum())
-                expected += points * spared * float(np.mean(residual**2))
-    return observed / expected if expected > 0 else 1.0
+                sums += (total[full] ** 2).sum(), count[full].sum() * spared * variance
+    return squares

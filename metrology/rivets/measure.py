@@ -24,7 +24,6 @@ from metrology.surfaces import Polynomial
 Array = NDArray[np.float64]
 
 _DIRECTIONS = 12
-_MOST_CHI = 3.0  # of the head's points over the skin's: beyond, it is no plane and no dome that is seen
 _NINETY_FIVE = 1.96
 
 
@@ -131,11 +130,6 @@ def _row(
         return replace(empty, reason=outcome)
     p, rig = outcome.patch, reconstruction.rig
     head = outcome.head
-    if head.chi > _MOST_CHI * max(outcome.skin.chi, 1.0):
-        expected = head.rms_mm / head.chi
-        return replace(
-            empty, reason=f"head: points scatter {head.rms_mm:.3f} mm about their surface, {expected:.3f} mm expected"
-        )
     circle = _circle(detection, outcome, head, reconstruction)
     x, y = circle.x, circle.y
     f: Flushness = flushness(head, outcome.skin, x, y, circle.radius, inflation.height, inflation.slope)

@@ -143,7 +143,8 @@ def cut_patch(
     if skin.sum() < _LEAST_POINTS:
         return f"skin: {int(skin.sum())} usable points, at least {_LEAST_POINTS} needed"
     # A seam or the panel's border is farther away than the nearer half of the skin.
-    frame = _skin_frame(cloud[skin & (level <= np.median(level[skin]))])
+    nearest = np.flatnonzero(skin)[:: max(1, int(skin.sum()) // (2 * _FRAME_POINTS))]
+    frame = _skin_frame(cloud[nearest[level[nearest] <= np.median(level[nearest])]])
     x, y, radius = lay_on_plane(reconstruction.rig.left, ellipse, frame)
     frame = Frame(frame.rig([x, y, 0.0]), frame.axes)
     local = frame.local(cloud)
@@ -209,7 +210,6 @@ def _pixels_per_mm(reconstruction: Reconstruction, ellipse: Ellipse) -> float | 
 
 def _skin_frame(points: Array) -> Frame:
     """Frame on the plane that most points share."""
-    points = points[:: max(1, len(points) // _FRAME_POINTS)]
     keep = np.ones(len(points), bool)
     frame = Frame(points.mean(axis=0), np.eye(3))
     for _ in range(2):
