@@ -1,8 +1,9 @@
 """How a camera blurs a straight edge: lens, pixel aperture, and light that spills into neighbouring pixels.
 
 A border's position is as good as this model where another border (a chamfer's) lies within the blur. The point spread
-is taken as a Gaussian (lens) folded with the pixel's square aperture and with ``[q, 1 − 2q, q]`` along rows and columns
-(spill: halation, sensor cross-talk). An edge in any direction sees its projection.
+is taken as a Gaussian (lens) folded with the pixel's square aperture and with the spill into neighbouring
+pixels along rows and columns (halation, sensor cross-talk; a diffusion, so a Gaussian's shares). An edge in any
+direction sees its projection.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class PixelBlur:
     lens_px : float
         Standard deviation of the lens's Gaussian, px.
     spill : float
-        Share of a pixel's light that goes to each neighbour in its row, and likewise in its column.
+        Share q of a pixel's light that goes to each neighbour in its row, and likewise in its column; of what stays,
+        r = q / (1 − 2q), each next but one gets r⁴ times as much, as a Gaussian has it.
     """
 
     lens_px: float = 0.45
@@ -61,7 +63,7 @@ class EdgeResponse:
         side_u, side_v = abs(gradient[0]), abs(gradient[1])
         pixel = float(np.hypot(side_u, side_v))
         sigma = blur.lens_px * pixel
-        reach = 1.5 * (side_u + side_v) + _TAIL_SIGMAS * sigma
+        reach = 2.5 * (side_u + side_v) + _TAIL_SIGMAS * sigma
         half = int(np.ceil(reach * _NODES_PER_PIXEL / pixel))
         step = pixel / _NODES_PER_PIXEL
         thin = _THIN * max(side_u, side_v)
@@ -81,16 +83,19 @@ def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int
 def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-untyped-def]
     """A Gaussian edge folded with two boxes (differences of its second antiderivative) and with the spill.
 
-    Along one axis, box and spill together difference it at ±½ and ±1½ pixels.
+    Along one axis, box and spill together difference it at ±½, ±1½ and ±2½ pixels.
     """
     values, slopes = np.zeros(2 * half + 1), np.zeros(2 * half + 1)
-    shares = (-spill, 3.0 * spill - 1.0, 1.0 - 3.0 * spill, spill)
-    for i in range(4):
-        for j in range(4):
+    stays = 1.0 - 2.0 * spill
+    far = stays * (spill / stays) ** 4
+    stays -= 2.0 * far
+    shares = (-far, far - spill, spill - stays, stays - spill, spill - far, far)
+    for i in range(6):
+        for j in range(6):
             weight = shares[i] * shares[j] / (side_u * side_v)
             if weight == 0.0:
                 continue
-            offset = (i - 1.5) * side_u + (j - 1.5) * side_v
+            offset = (i - 2.5) * side_u + (j - 2.5) * side_v
             for k in range(values.size):
                 t = ((k - half) * step + offset) / sigma
                 phi = 0.3989422804014327 * np.exp(-0.5 * t * t)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.seams.gap_floor import Floor
-from metrology.seams.gap_knowledge import LEAN, LEAN_CHANGE, WIDTH_A, WIDTH_B
+from metrology.seams.gap_knowledge import LEAN, LEAN_CHANGE, SLOPE, WIDTH_A, WIDTH_B
 from metrology.seams.gap_profiles import Profiles
 from metrology.seams.gap_shape import fit_shape
 from metrology.seams.gap_solver import ACROSS, State, fit_borders_from
@@ -39,6 +39,8 @@ class GapFit:
         x of C on skins A and B, mm.
     chamfers_mm : (2,) ndarray
         Widths of A's and B's.
+    chamfer_slope : float
+        Tangent of their angle against the skin.
     leans : (n,) ndarray
         Tangent of the walls' angle from the skin's normal, towards B with depth.
     sealed : bool
@@ -51,6 +53,7 @@ class GapFit:
 
     borders: Array
     chamfers_mm: Array
+    chamfer_slope: float
     leans: Array
     sealed: bool
     sigma_own_mm: Array
@@ -81,6 +84,7 @@ def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
     return GapFit(
         borders=final.borders,
         chamfers_mm=shape.shared[[WIDTH_A, WIDTH_B]],
+        chamfer_slope=float(shape.shared[SLOPE]),
         leans=shape.shared[LEAN] + profiles.places * shape.shared[LEAN_CHANGE],
         sealed=shape.known.floor.sealed,
         sigma_own_mm=own * _excess_scatter(final.widths, own),

@@ -5,10 +5,13 @@ All of it is wide: it decides only what the pictures leave open, and goes into t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.seams.gap_floor import Floor
+from metrology.seams.gap_profiles import Profiles
 from metrology.seams.gap_view import (
     CHAMFER_A,
     CHAMFER_B,
@@ -25,29 +28,33 @@ from metrology.seams.gap_view import (
 
 Array = NDArray[np.float64]
 
-# What is shared, in this order: the chamfers' widths, the floor's depth (mm), the walls' lean in the middle of the seam
-# and its change from there to the end (tangents), spill, each camera's lens (px), each camera's usual levels.
-WIDTH_A, WIDTH_B, DEPTH, LEAN, LEAN_CHANGE, SPILL, LENSES = range(7)
+# What is shared, in this order: the chamfers' widths, the floor's depth (mm), the walls' lean in the middle of the
+# seam, the chamfers' slope, the lean's change from the middle to the end (tangents), spill, each camera's lens (px),
+# each camera's usual levels.
+WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE, SPILL, LENSES = range(8)
 
-# Means and standard deviations. Broken edges are tenths of a millimetre wide, substructure lies a few millimetres down,
-# edges are cut square to the skin within two degrees, lenses blur by half a pixel, and a little light goes to a pixel's
-# neighbours.
+# Means and standard deviations. Broken edges are tenths of a millimetre wide and, broken by hand, keep the drawing's
+# angle within some six degrees; substructure lies a few millimetres down; edges are cut square to the skin within two
+# degrees. A lens at f/8 blurs by diffraction alone by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and a little light
+# goes to a pixel's neighbours.
 _BROKEN_EDGE_MM = (0.3, 0.5)
 _GAP_DEPTH_MM = (2.0, 3.0)
 _SQUARE = (0.0, 0.03)
-_SPILL = (0.08, 0.1)
-_LENS_PX = (0.45, 0.25)
+# Of the slope, relative to the drawn one.
+_SLOPE_SIGMA = 0.2
+_SPILL = (0.05, 0.1)
+_LENS_PX = (0.55, 0.25)
 # The floor's depth as the points show it varies and errs by this.
 _FLOOR_SIGMA_MM = 0.2
 # Both edges of a joint are broken by one tool, and both cameras have like lenses, to this standard deviation.
 _ALIKE_EDGES_MM = 0.05
 _ALIKE_LENSES_PX = 0.1
 # Bounds, up to the lenses; and of the lenses.
-_LOWEST = (0.0, 0.0, 0.0, -0.5, -0.5, 0.0)
-_HIGHEST = (2.0, 2.0, 12.0, 0.5, 0.5, 0.24)
+_LOWEST = (0.0, 0.0, 0.0, -0.5, 0.0, -0.5, 0.0)
+_HIGHEST = (2.0, 2.0, 12.0, 0.5, 4.0, 0.5, 0.24)
 _LENS_BOUNDS_PX = (0.05, 2.0)
 # What only open gaps have: sealant fills the chamfers too, and hides the walls.
-_OF_OPEN_GAPS = (WIDTH_A, WIDTH_B, DEPTH, LEAN, LEAN_CHANGE)
+_OF_OPEN_GAPS = (WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE)
 
 
 class Knowledge:
@@ -55,23 +62,28 @@ class Knowledge:
 
     Parameters
     ----------
-    ambient : (k,) ndarray
-        Share of the skin's brightness in each camera that does not follow the fringes.
+    profiles : Profiles
+        Of what stands around the gap: cameras, lamp, chamfers as drawn.
     floor : Floor
     fixed : tuple of int
         What is held fixed besides.
     """
 
-    def __init__(self, ambient: Array, floor: Floor, fixed: tuple[int, ...] = ()) -> None:
-        self.ambient, self.floor = ambient, floor
-        spread = [_BROKEN_EDGE_MM, _BROKEN_EDGE_MM, _depth(floor), _SQUARE, _SQUARE, _SPILL]
+    def __init__(self, profiles: Profiles, floor: Floor, fixed: Sequence[int] = ()) -> None:
+        self.profiles, self.floor = profiles, floor
+        ambient, slope = profiles.ambient, profiles.chamfer_slope
+        self.lenses = range(LENSES, LENSES + len(ambient))
+        # Direct light grazes the walls.
+        grazing = float(np.median(np.abs(profiles.lamps[:, 0]) / profiles.lamps[:, 1]))
+        spread = [_BROKEN_EDGE_MM, _BROKEN_EDGE_MM, _depth(floor), _SQUARE, (slope, _SLOPE_SIGMA * slope)]
+        spread += [_SQUARE, _SPILL]
         spread += [_LENS_PX] * len(ambient)
-        spread += [level for share in ambient for level in _levels(float(share))]
+        spread += [level for share in ambient for level in _levels(float(share), grazing)]
         self.mean, sigma = np.array(spread, float).T
         self.precision = np.diag(sigma**-2.0)
         self._alike(WIDTH_A, WIDTH_B, _ALIKE_EDGES_MM)
-        for camera in range(1, len(ambient)):
-            self._alike(LENSES, LENSES + camera, _ALIKE_LENSES_PX)
+        for lens in self.lenses[1:]:
+            self._alike(LENSES, lens, _ALIKE_LENSES_PX)
         held = (*fixed, *(_OF_OPEN_GAPS if floor.sealed else ()))
         self.free = np.setdiff1d(np.arange(len(sigma)), held)
 
@@ -81,8 +93,12 @@ class Knowledge:
         self.precision += np.outer(difference, difference) / sigma**2
 
     def without_chamfers(self) -> Knowledge:
-        """The same with both chamfers' widths held fixed."""
-        return Knowledge(self.ambient, self.floor, (WIDTH_A, WIDTH_B))
+        """The same with both chamfers held as they are."""
+        return Knowledge(self.profiles, self.floor, (WIDTH_A, WIDTH_B, SLOPE))
+
+    def of_usual_cameras(self) -> Knowledge:
+        """The same with blur and directions held as they are: far from the solution they would go astray."""
+        return Knowledge(self.profiles, self.floor, (LEAN, SLOPE, LEAN_CHANGE, SPILL, *self.lenses))
 
     def cost(self, shared: Array) -> float:
         """Squared standard deviations from the mean."""
@@ -95,7 +111,7 @@ class Knowledge:
 
     def within_bounds(self, shared: Array) -> Array:
         """What is shared, no value beyond what can be."""
-        lenses = slice(LENSES, LENSES + len(self.ambient))
+        lenses = slice(self.lenses.start, self.lenses.stop)
         bounded = shared.copy()
         bounded[:LENSES] = np.clip(shared[:LENSES], _LOWEST, _HIGHEST)
         bounded[lenses] = np.clip(shared[lenses], *_LENS_BOUNDS_PX)
@@ -108,15 +124,18 @@ def _depth(floor: Floor) -> tuple[float, float]:
     return _GAP_DEPTH_MM if floor.depth_mm is None else (floor.depth_mm, _FLOOR_SIGMA_MM)
 
 
-def _levels(ambient: float) -> list[tuple[float, float]]:
+def _levels(ambient: float, grazing: float) -> list[tuple[float, float]]:
     """Of a seam's usual levels, relative to the skin's.
 
-    Matt surfaces turned from the light, and shadows with a part of the sky: a wall sees half of it at most, the floor
-    of a deep gap less.
+    A chamfer at 45° is 0.7 times as bright as skin that is matt, and hardly lit where the skin shines towards the
+    cameras: anything from 0.1 to 0.8. Shadows have a part of the sky: a wall sees half of it at most, the floor of a
+    deep gap less. Walls are cut through metal that sends back about half of the direct light that `grazing` (the
+    tangent of the lamp's angle) leaves them.
     """
+    lit_wall = 0.5 * (ambient + grazing)
     known = {
         SKIN_A: (1.0, 0.1), SKIN_B: (1.0, 0.1), SLOPE_A: (0.0, 0.01), SLOPE_B: (0.0, 0.01),
-        CHAMFER_A: (0.6, 0.3), CHAMFER_B: (0.6, 0.3), LIT_WALL: (0.3, 0.3), LIT_FLOOR: (0.4, 0.4),
+        CHAMFER_A: (0.45, 0.25), CHAMFER_B: (0.45, 0.25), LIT_WALL: (lit_wall, lit_wall), LIT_FLOOR: (0.4, 0.4),
         DARK_WALL: (0.5 * ambient, 0.5 * ambient), DARK_FLOOR: (0.25 * ambient, 0.25 * ambient),
     }  # fmt: skip
     return [known[level] for level in range(LEVELS)]

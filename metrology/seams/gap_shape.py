@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,7 +32,9 @@ def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array
     chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
     some = profiles.at(chosen)
     few = some.at(_evenly(len(chosen), _START_STATIONS))
-    look = min(_first_looks(few, floors), key=lambda look: look.cost(look.limit))
+    # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
+    looks = [_first_look(few, floor) for floor in floors]
+    look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
     free = fit_shape_from(some, _like(look, few, some), look.shared, look.known, _ITERATIONS)
     shape, doubt = (free, 0.0) if look.known.floor.sealed else _prove_chamfers(free, some)
     return shape, _like(shape, some, profiles), float(np.hypot(_mean_width_sigma(shape), doubt))
@@ -41,20 +44,23 @@ def _evenly(n: int, most: int) -> Indices:
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
 
 
-def _first_looks(few: Profiles, floors: Sequence[Floor]) -> list[State]:
-    """Fits of a few stations from every start."""
-    looks = []
-    for floor in floors:
-        known = Knowledge(few.ambient, floor)
-        depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else known.mean[[DEPTH]]
-        for depth in depths:
-            for chamfer in (0.0,) if floor.sealed else _START_CHAMFERS_MM:
-                shared = known.mean.copy()
-                shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
-                # What is detected as the band's border lies on the chamfer.
-                borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
-                looks.append(fit_shape_from(few, borders, shared, known, _START_ITERATIONS))
-    return looks
+def _first_look(few: Profiles, floor: Floor) -> State:
+    """A few stations' fit from the best of all starts, with usual cameras until then."""
+    known = Knowledge(few, floor)
+    depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else known.mean[[DEPTH]]
+    starts = []
+    for depth, chamfer in itertools.product(depths, (0.0,) if floor.sealed else _START_CHAMFERS_MM):
+        shared = known.mean.copy()
+        shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
+        # What is detected as the band's border lies on the chamfer.
+        borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
+        starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
+    best = min(starts, key=_cost)
+    return fit_shape_from(few, best.borders, best.shared, known, _START_ITERATIONS)
+
+
+def _cost(state: State) -> float:
+    return state.cost(state.limit)
 
 
 def _like(found: State, stations: Profiles, others: Profiles) -> Array:

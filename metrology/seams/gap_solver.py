@@ -37,7 +37,7 @@ _SETTLED = 0.002
 # No border moves farther in one iteration, mm.
 _STRIDE_MM = 0.3
 # Pixel and spill reach so far along the diagonal, px; the tail of the lens's Gaussian, standard deviations.
-_BLUR_REACH_PX, _LENS_TAIL = 2.2, 4.5
+_BLUR_REACH_PX, _LENS_TAIL = 3.6, 4.5
 # From skin A to skin B.
 ACROSS = np.array([-1.0, 1.0])
 
@@ -138,12 +138,12 @@ def fit_shape_from(profiles: Profiles, borders: Array, shared: Array, known: Kno
     """Borders and shape together, from a start."""
     n = len(profiles.stations)
     cautious = replace(profiles, variance=profiles.variance + n * _RENDERING**2)
-    state = _state_at(cautious, borders, shared, known, with_shape=True)
+    state = _state_at(cautious, _apart(borders, shared), shared, known, with_shape=True)
     damping = 1e-2
     for _ in range(iterations):
         by_border, by_shape = state.step(damping)
         tried = known.within_bounds(state.shared + by_shape)
-        new = _state_at(cautious, state.borders + by_border, tried, known, with_shape=True)
+        new = _state_at(cautious, _apart(state.borders + by_border, tried), tried, known, with_shape=True)
         gain = state.cost(state.limit) - new.cost(state.limit)
         if gain > 0:
             state, damping = new, max(0.2 * damping, 1e-6)
@@ -166,11 +166,18 @@ def fit_borders_from(profiles: Profiles, borders: Array, shape: State) -> State:
         moves = np.clip(np.linalg.solve(own, state.gradients[:, :2, None])[..., 0], -_STRIDE_MM, _STRIDE_MM)
         if np.abs(moves).max() < 1e-4:
             break
-        new = _state_at(careful, state.borders + moves, shape.shared, shape.known, with_shape=False)
+        moved = _apart(state.borders + moves, shape.shared)
+        new = _state_at(careful, moved, shape.shared, shape.known, with_shape=False)
         better = new.costs < state.costs
         damping = np.where(better, 0.2 * damping, 8.0 * damping)
         state = state.with_stations(better, new.at(better))
     return state
+
+
+def _apart(borders: Array, shared: Array) -> Array:
+    """Borders moved so far apart that no gap is narrower than nothing."""
+    missing = np.maximum(shared[WIDTH_A] + shared[WIDTH_B] - borders @ ACROSS, 0.0)
+    return np.asarray(borders + 0.5 * missing[:, None] * ACROSS)
 
 
 def _state_at(profiles: Profiles, borders: Array, shared: Array, known: Knowledge, with_shape: bool) -> State:
@@ -181,8 +188,8 @@ def _state_at(profiles: Profiles, borders: Array, shared: Array, known: Knowledg
     )
     normal_equations(
         profiles.x, profiles.grey, profiles.variance, profiles.sizes, profiles.places, borders, shared,
-        _tables(profiles.normals, shared, with_shape), known.floor.sealed, profiles.tilts, profiles.chamfer_slope,
-        profiles.eyes, profiles.lamps, profiles.px_mm, LEVEL_SCATTER**-2.0, with_shape,
+        _tables(profiles.normals, shared, with_shape), known.floor.sealed, profiles.tilts, profiles.eyes,
+        profiles.lamps, profiles.px_mm, LEVEL_SCATTER**-2.0, with_shape,
         state.normals, state.gradients, state.levels, state.costs,
     )  # fmt: skip
     return state

@@ -23,8 +23,8 @@ from metrology.jit import kernel
     SKIN_A, SLOPE_A, CHAMFER_A, LIT_WALL, DARK_WALL, LIT_FLOOR, DARK_FLOOR, CHAMFER_B, SKIN_B, SLOPE_B, LEVELS,
 ) = range(11)  # fmt: skip
 # Parameters of one station's outline: x of both borders C, the chamfers' widths, the floor's depth (mm), the walls'
-# lean (tangent).
-A, B, CHAMFER_WIDTH_A, CHAMFER_WIDTH_B, DEPTH, LEAN, OUTLINE = range(7)
+# lean and the chamfers' slope (tangents).
+A, B, CHAMFER_WIDTH_A, CHAMFER_WIDTH_B, DEPTH, LEAN, CHAMFER_SLOPE, OUTLINE = range(8)
 # Tables of the blurred step: as it is, and with a little more lens and a little more spill.
 NOMINAL, MORE_LENS, MORE_SPILL, TABLES = range(4)
 
@@ -44,9 +44,9 @@ def _project(x, h, eye_x, eye_h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _outline(outline, sealed, tilt, slope, x, h):  # type: ignore[no-untyped-def]
+def _outline(outline, sealed, tilt, x, h):  # type: ignore[no-untyped-def]
     """Vertices from A to B. Skin A lies ``tilt = (h, dh/dx)`` above the reference curve, skin B as far below it."""
-    a, b, wide_a, wide_b, depth, lean = outline
+    a, b, wide_a, wide_b, depth, lean, slope = outline
     x[0], h[0] = a - _FAR_MM, tilt[0] + tilt[1] * a
     x[1], h[1] = a, h[0]
     x[2], h[2] = a + wide_a + lean * slope * wide_a, h[1] - slope * wide_a
@@ -60,9 +60,9 @@ def _outline(outline, sealed, tilt, slope, x, h):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _pieces(outline, sealed, tilt, slope, lamp, x, h, pieces):  # type: ignore[no-untyped-def]
+def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyped-def]
     """The polyline cut at the shadows' borders, from A to B: rows x0, h0, x1, h1, region. Returns their number."""
-    _outline(outline, sealed, tilt, slope, x, h)
+    _outline(outline, sealed, tilt, x, h)
     regions = (SKIN_A, CHAMFER_A, LIT_WALL, LIT_FLOOR, LIT_WALL, CHAMFER_B, SKIN_B)
     shaded = (SKIN_A, DARK_FLOOR, DARK_WALL, DARK_FLOOR, DARK_WALL, DARK_FLOOR, SKIN_B)
     from_b = lamp[0] > 0.5 * (x[1] + x[6])
@@ -141,10 +141,10 @@ def _step(table, px):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _basis(samples, n, outline, sealed, tilt, slope, eye, lamp, px_mm, table, work, basis):  # type: ignore[no-untyped-def]
+def _basis(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, basis):  # type: ignore[no-untyped-def]
     """Basis functions at n positions on the reference curve."""
     x, h, pieces, ends, regions = work
-    count = _pieces(outline, sealed, tilt, slope, lamp, x, h, pieces)
+    count = _pieces(outline, sealed, tilt, lamp, x, h, pieces)
     found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, regions)
     a, b = _project(x[1], h[1], eye[0], eye[1]), _project(x[6], h[6], eye[0], eye[1])
     for s in range(n):
@@ -162,34 +162,34 @@ def _basis(samples, n, outline, sealed, tilt, slope, eye, lamp, px_mm, table, wo
 
 @kernel
 def normal_equations(  # type: ignore[no-untyped-def]
-    samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, slope, eyes, lamps, px_mm,
-    precisions, with_shape, normals, gradients, levels, costs,
+    samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
+    with_shape, normals, gradients, levels, costs,
 ):  # fmt: skip
     """Least squares of many stations with each one's own levels eliminated.
 
-    Of each station's parameters θ (its two borders; then, `with_shape`, what is shared: both chamfers, depth, lean, its
-    change along the seam, spill, each camera's lens, and each camera's usual levels) JᵀWJ goes into `normals`, JᵀWr
-    into `gradients`. A station's levels keep to the usual ones with the `precisions`.
+    Of each station's parameters θ (its two borders; then, `with_shape`, what is shared: both chamfers, depth, lean, the
+    chamfers' slope, the lean's change along the seam, spill, each camera's lens, and each camera's usual levels) JᵀWJ
+    goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones with the `precisions`.
     """
     stations, cameras, most = samples.shape
     work = (np.empty(8), np.empty(8), np.empty((16, 5)), np.empty(17), np.empty(17, np.int64))
     basis, changed = np.empty((most, LEVELS)), np.empty((most, LEVELS))
-    columns = 9 if with_shape else 2
+    columns = 10 if with_shape else 2
     jacobian, residual = np.empty((most, columns)), np.empty(most)
     inner, factor = np.empty((LEVELS, LEVELS)), np.empty((LEVELS, LEVELS))
     outline, rows = np.empty(OUTLINE), np.arange(columns)
     for s in range(stations):
         normals[s], gradients[s], costs[s] = 0.0, 0.0, 0.0
         outline[A], outline[B] = borders[s, 0], borders[s, 1]
-        outline[CHAMFER_WIDTH_A], outline[CHAMFER_WIDTH_B], outline[DEPTH] = shared[0], shared[1], shared[2]
-        outline[LEAN] = shared[3] + places[s] * shared[4]
+        outline[CHAMFER_WIDTH_A:] = shared[:5]
+        outline[LEAN] += places[s] * shared[5]
         for c in range(cameras):
             n = sizes[s, c]
             if n == 0:
                 continue
-            first = 6 + cameras + c * LEVELS
+            first = 7 + cameras + c * LEVELS
             usual, level, variance = shared[first : first + LEVELS], levels[s, c], variances[s, c]
-            view = (sealed, tilts[s], slope, eyes[s, c], lamps[s], px_mm[s, c])
+            view = (sealed, tilts[s], eyes[s, c], lamps[s], px_mm[s, c])
             _basis(samples[s, c], n, outline, *view, tables[c, NOMINAL], work, basis)
             _fit_levels(basis, n, greys[s, c], variance, usual, precisions, inner, factor, level)
             for i in range(LEVELS):
@@ -207,11 +207,11 @@ def normal_equations(  # type: ignore[no-untyped-def]
                 outline[p] = kept
                 _difference(basis, changed, level, n, jacobian[:, p])
             if with_shape:
-                jacobian[:n, 6] = places[s] * jacobian[:n, LEAN]
-                for p, table in ((7, MORE_SPILL), (8, MORE_LENS)):
+                jacobian[:n, 7] = places[s] * jacobian[:n, LEAN]
+                for p, table in ((8, MORE_SPILL), (9, MORE_LENS)):
                     _basis(samples[s, c], n, outline, *view, tables[c, table], work, changed)
                     _difference(basis, changed, level, n, jacobian[:, p])
-                rows[8] = 8 + c
+                rows[9] = 9 + c
             explained = _add_view(basis, jacobian, residual, variance, n, factor, rows, normals[s], gradients[s])
             if with_shape:
                 at = 2 + first

@@ -39,7 +39,7 @@ def image_edges(
     half_length : float
         ε_d, mm.
     chamfer_deg : float
-        Angle of the chamfers against the skin.
+        Angle of the chamfers against the skin as drawn.
     """
     gaps: list[Gap | str] = ["edges not seen by a camera"] * len(sections)
     slope = float(np.tan(np.deg2rad(chamfer_deg)))
@@ -48,7 +48,7 @@ def image_edges(
     if profiles is None:
         return gaps
     fit = fit_gap(profiles, possible_floors(floor_depth(sections, half_widths, reconstruction, half_length)))
-    depths = slope * fit.chamfers_mm
+    depths = fit.chamfer_slope * fit.chamfers_mm
     for row, station in enumerate(profiles.stations):
         if not fit.sound[row]:
             gaps[station] = "the gap looks unlike the rest of the seam: a hole, another seam or dirt"

@@ -110,14 +110,14 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     samples = np.linspace(-4, 4, 801)
     outline = np.array([
         -gap.width_mm / 2 - gap.chamfer_mm, gap.width_mm / 2 + gap.chamfer_mm, gap.chamfer_mm, gap.chamfer_mm,
-        gap.depth_mm, 0.0,
+        gap.depth_mm, 0.0, 1.0,
     ])  # fmt: skip
     # A blur of a hundredth of a pixel.
     table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), gap_view.NODES_PER_PX, 3.0)
     work = (np.empty(8), np.empty(8), np.empty((16, 5)), np.empty(17), np.empty(17, np.int64))
     basis = np.empty((len(samples), gap_view.LEVELS))
     tilt = np.array([-gap.step_mm / 2, 0.0])
-    gap_view._basis(samples, len(samples), outline, gap.sealed, tilt, 1.0, eye, lamp, px_mm, table, work, basis)
+    gap_view._basis(samples, len(samples), outline, gap.sealed, tilt, eye, lamp, px_mm, table, work, basis)
     regions = {
         gap_render.SKIN_A: (gap_view.SKIN_A, gap_view.SKIN_A), gap_render.SKIN_B: (gap_view.SKIN_B, gap_view.SKIN_B),
         gap_render.CHAMFER_A: (gap_view.CHAMFER_A, gap_view.DARK_FLOOR),
@@ -138,7 +138,7 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
 
 def test_normal_equations_are_the_cost_s_derivatives(rng):
     some = profiles(Gap(1.5, 0.3, 0.2), 3, rng)
-    known = Knowledge(some.ambient, Floor(False))
+    known = Knowledge(some, Floor(False))
     shared = known.mean.copy()
     borders = np.outer(some.half_widths, [-1.0, 1.0]) + 0.05
     state = gap_solver._state_at(some, borders, shared, known, with_shape=True)
@@ -149,10 +149,11 @@ def test_normal_equations_are_the_cost_s_derivatives(rng):
         (2, 1e-4),
         (4, 1e-4),
         (5, 1e-4),
-        (7, 1e-4),
+        (6, 1e-4),
         (8, 1e-4),
-        (12, 1e-3),
-        (25, 1e-3),
+        (9, 1e-4),
+        (13, 1e-3),
+        (26, 1e-3),
     ):
         costs = []
         for sign in (-1, 1):
