@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.seams.sections import Section, strip
 from metrology.seams.views import reference_height
+
+Array = NDArray[np.float64]
 
 # This part of the gap about its middle shows floor, not walls or chamfers; points nearer to an edge than this are mixed
 # with it, px.
@@ -46,18 +49,22 @@ def floor_depth(
     half_length : float
         ε_d, mm.
     """
-    left, valid = reconstruction.rig.left, reconstruction.valid
+    rig, valid = reconstruction.rig, reconstruction.valid
+    left, centres = rig.left, np.stack([rig.left.centre, rig.right.centre, rig.projector.centre])
     depths = []
     for section, half in zip(sections, half_widths, strict=True):
         if section is None:
             continue
-        inner = _CORE * half
-        if half - inner < _MIXED_PX * section.frame.origin[2] / left.K[0, 0]:
+        inner, mixed = _CORE * half, _MIXED_PX * section.frame.origin[2] / left.K[0, 0]
+        if half - inner < mixed:
             continue
         pixel = left.project(section.frame.origin)
         points = strip(reconstruction, valid, pixel, section.frame, half_length, inner)
         if len(points) >= _MIN_POINTS:
             depth = reference_height(section, points[:, 0]) - points[:, 2]
+            low, high = _in_full_view(section, half - mixed, float(np.median(depth)), centres)
+            depth = depth[(low < points[:, 0]) & (points[:, 0] < high)]
+        if len(points) >= _MIN_POINTS and len(depth) >= _MIN_POINTS:
             low, middle, high = np.percentile(depth, [16, 50, 84])
             # Points that scatter more than their noise and a floor's evenness explain are of walls, or mixed.
             if high - low < 2 * np.hypot(_LEVEL_MM, 2 * np.median(points[:, 3])):
@@ -66,6 +73,16 @@ def floor_depth(
         return None
     low, middle, high = np.percentile(depths, [16, 50, 84])
     return float(middle) if high - low < 2 * _FLOOR_SIGMA_MM else None
+
+
+def _in_full_view(section: Section, half: float, depth: float, centres: Array) -> tuple[float, float]:
+    """From which x to which a floor is seen past both edges from all of the rig-frame `centres` (n, 3).
+
+    What lies beyond is wall to one of them, and its points there are mixed of wall and floor.
+    """
+    places = section.frame.local(centres)
+    shifts = depth * places[:, 0] / places[:, 2]
+    return -half - min(float(shifts.min()), 0.0), half - max(float(shifts.max()), 0.0)
 
 
 def possible_floors(depth_mm: float | None) -> list[Floor]:

@@ -35,7 +35,8 @@ WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE, SPILL, LENSES = range(8)
 
 # Means and standard deviations. Broken edges are tenths of a millimetre wide and, broken by hand, keep the drawing's
 # angle within some six degrees; substructure lies a few millimetres down; edges are cut square to the skin within two
-# degrees. A lens at f/8 blurs by diffraction alone by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and a little light
+# degrees. A lens at f/8 blurs by diffraction by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and by its focus as much
+# again; a little light
 # goes to a pixel's neighbours.
 _BROKEN_EDGE_MM = (0.3, 0.5)
 _GAP_DEPTH_MM = (2.0, 3.0)
@@ -132,11 +133,12 @@ def _levels(ambient: float, grazing: float) -> list[tuple[float, float]]:
     deep gap less. Walls are cut through metal that sends back about half of the direct light that `grazing` (the
     tangent of the lamp's angle) leaves them.
     """
-    lit_wall = 0.5 * (ambient + grazing)
+    dark_wall = 0.25 * ambient
+    lit_wall = dark_wall + 0.5 * grazing
     known = {
         SKIN_A: (1.0, 0.1), SKIN_B: (1.0, 0.1), SLOPE_A: (0.0, 0.01), SLOPE_B: (0.0, 0.01),
         CHAMFER_A: (0.45, 0.25), CHAMFER_B: (0.45, 0.25), LIT_WALL: (lit_wall, lit_wall), LIT_FLOOR: (0.4, 0.4),
-        DARK_WALL: (0.5 * ambient, 0.5 * ambient), DARK_FLOOR: (0.25 * ambient, 0.25 * ambient),
+        DARK_WALL: (dark_wall, dark_wall), DARK_FLOOR: (0.25 * ambient, 0.25 * ambient),
     }  # fmt: skip
     return [known[level] for level in range(LEVELS)]
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.seams.gap_chamfers import weigh_chamfers
 from metrology.seams.gap_floor import Floor
 from metrology.seams.gap_knowledge import DEPTH, WIDTH_A, WIDTH_B, Knowledge
 from metrology.seams.gap_profiles import Profiles
@@ -22,8 +23,8 @@ _START_STATIONS = 6
 _START_CHAMFERS_MM = (0.05, 0.35, 0.7)
 _START_DEPTHS_MM = (1.0, 3.0)
 _START_ITERATIONS, _ITERATIONS = 10, 30
-# Chamfers are taken for real where leaving them out costs more than this in squared standard deviations: then their
-# two widths earn their keep (Bayesian information of about a hundred independent pixels).
+# An open gap is taken for real where sealant costs more than this in squared standard deviations: then its chamfers
+# earn their keep (Bayesian information of about a hundred independent pixels).
 _PROOF = 9.0
 
 
@@ -36,7 +37,7 @@ def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array
     looks = [_first_look(few, floor) for floor in floors]
     look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
     free = fit_shape_from(some, _like(look, few, some), look.shared, look.known, _ITERATIONS)
-    shape, doubt = (free, 0.0) if look.known.floor.sealed else _prove_chamfers(free, some)
+    shape, doubt = (free, 0.0) if look.known.floor.sealed else weigh_chamfers(free, some)
     return shape, _like(shape, some, profiles), float(np.hypot(_mean_width_sigma(shape), doubt))
 
 
@@ -67,22 +68,6 @@ def _like(found: State, stations: Profiles, others: Profiles) -> Array:
     """(n, 2) borders of other stations, as far from where they are expected as those found."""
     shift = np.median(found.borders - np.outer(stations.half_widths, ACROSS), axis=0)
     return np.asarray(np.outer(others.half_widths, ACROSS) + shift)
-
-
-def _prove_chamfers(free: State, some: Profiles) -> tuple[State, float]:
-    """The shape with chamfers, or without where they are not proven; and what the doubt adds to the width's σ."""
-    bare = free.shared.copy()
-    bare[[WIDTH_A, WIDTH_B]] = 0.0
-    middles = free.borders - 0.5 * free.shared[[WIDTH_A, WIDTH_B]] * ACROSS
-    known, limit = free.known.without_chamfers(), free.limit
-    plain = fit_shape_from(some, middles, bare, known, _START_ITERATIONS)
-    worse = plain.cost(limit) - free.cost(limit)
-    if 0.1 * worse < _PROOF:
-        plain = fit_shape_from(some, plain.borders, plain.shared, known, _ITERATIONS)
-        worse = plain.cost(limit) - free.cost(limit)
-    odds = np.exp(-0.5 * min(abs(worse - _PROOF), 100.0))
-    doubt = float(np.sqrt(odds) / (1.0 + odds)) * abs(float(np.median(plain.widths) - np.median(free.widths)))
-    return (plain if worse < _PROOF else free), doubt
 
 
 def _mean_width_sigma(shape: State) -> float:
