@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ _NODES_PER_PIXEL = 24
 _TAIL_SIGMAS = 4.5
 # An aperture's side is taken for at least this share of the other one: differences over nothing lose all digits.
 _THIN = 0.01
+# Standard deviations beyond which a Gaussian's tail (1e-12) is nothing.
+_SATURATED = 7.0
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,14 @@ class EdgeResponse:
         return cls(step, values, slopes)
 
 
+# A fit asks again and again for the same blur: where only borders move, or a step was taken back.
+@lru_cache(maxsize=64)
 def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int, reach_px: float) -> Array:
-    """(n,) values of the blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach."""
+    """(n,) values of the blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach; read-only."""
     half = int(np.ceil(reach_px * nodes_per_px))
     side_u, side_v = (max(abs(side), _THIN) for side in normal)
     values, _ = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill)
+    values.flags.writeable = False
     return np.asarray(values)
 
 
@@ -96,10 +102,16 @@ def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-unty
             if weight == 0.0:
                 continue
             offset = (i - 2.5) * side_u + (j - 2.5) * side_v
-            for k in range(values.size):
+            for k in range(half + 1):
                 t = ((k - half) * step + offset) / sigma
-                phi = 0.3989422804014327 * np.exp(-0.5 * t * t)
-                cdf = 0.5 * (1.0 + math.erf(t * 0.7071067811865476))
+                # Nothing has come yet, or all of it.
+                phi, cdf = 0.0, 0.0 if t < 0.0 else 1.0
+                if abs(t) < _SATURATED:
+                    phi = 0.3989422804014327 * np.exp(-0.5 * t * t)
+                    cdf = 0.5 * (1.0 + math.erf(t * 0.7071067811865476))
                 values[k] += weight * 0.5 * sigma * sigma * ((t * t + 1.0) * cdf + t * phi)
                 slopes[k] += weight * sigma * (t * cdf + phi)
+    # The point spread is even.
+    for k in range(half):
+        values[2 * half - k], slopes[2 * half - k] = 1.0 - values[k], slopes[k]
     return values, slopes

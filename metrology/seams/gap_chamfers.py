@@ -37,11 +37,11 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
     some : Profiles
         What it was fitted to.
     """
+    expected = 0.5 * float(free.shared[WIDTH_A] + free.shared[WIDTH_B])
     square = _with_chamfers(free, some, 0.0)
     if square.cost(free.limit) - free.cost(free.limit) > _CERTAIN:
         return free, 0.0
     states, costs = [square], [square.cost(free.limit)]
-    expected = 0.5 * float(free.shared[WIDTH_A] + free.shared[WIDTH_B])
     tried = np.unique(np.append(np.arange(_STEP_MM, _WIDEST_MM, _STEP_MM), max(expected, 0.01)))
     for width in tried:
         states.append(_with_chamfers(states[-1], some, float(width)))

@@ -53,10 +53,12 @@ _FLOOR_SIGMA_MM = 0.2
 _ALIKE_EDGES_MM = 0.05
 _ALIKE_LENSES_PX = 0.1
 _ALIKE_CHAMFERS = 0.1
-# Bounds, up to the lenses; and of the lenses.
+# Bounds, up to the lenses (the slope's are its own); and of the lenses.
 _LOWEST = (0.0, 0.0, 0.0, -0.5, 0.0, -0.5, 0.0)
-_HIGHEST = (2.0, 2.0, 12.0, 0.5, 4.0, 0.5, 0.24)
+_HIGHEST = (2.0, 2.0, 12.0, 0.5, np.inf, 0.5, 0.24)
 _LENS_BOUNDS_PX = (0.05, 2.0)
+# Of the slope, relative to the drawn one: of 45°, between 27° and 63°.
+_SLOPE_BOUNDS = np.array([0.5, 2.0])
 # What only open gaps have: sealant fills the chamfers too, and hides the walls.
 _OF_OPEN_GAPS = (WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE)
 
@@ -124,6 +126,7 @@ class Knowledge:
         lenses = slice(self.lenses.start, self.lenses.stop)
         bounded = shared.copy()
         bounded[:LENSES] = np.clip(shared[:LENSES], _LOWEST, _HIGHEST)
+        bounded[SLOPE] = np.clip(shared[SLOPE], *(_SLOPE_BOUNDS * self.mean[SLOPE]))
         bounded[lenses] = np.clip(shared[lenses], *_LENS_BOUNDS_PX)
         return bounded
 

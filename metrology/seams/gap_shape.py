@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -49,15 +48,18 @@ def _first_look(few: Profiles, floor: Floor) -> State:
     """A few stations' fit from the best of all starts, with usual cameras until then."""
     known = Knowledge(few, floor)
     depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else known.mean[[DEPTH]]
-    starts = []
-    for depth, chamfer in itertools.product(depths, (0.0,) if floor.sealed else _START_CHAMFERS_MM):
-        shared = known.mean.copy()
-        shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
-        # What is detected as the band's border lies on the chamfer.
-        borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
-        starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
-    best = min(starts, key=_cost)
-    return fit_shape_from(few, best.borders, best.shared, known, _START_ITERATIONS)
+    looks = []
+    for chamfer in (0.0,) if floor.sealed else _START_CHAMFERS_MM:
+        starts = []
+        for depth in depths:
+            shared = known.mean.copy()
+            shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
+            # What is detected as the band's border lies on the chamfer.
+            borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
+            starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
+        best = min(starts, key=_cost)
+        looks.append(fit_shape_from(few, best.borders, best.shared, known, _START_ITERATIONS))
+    return min(looks, key=_cost)
 
 
 def _cost(state: State) -> float:

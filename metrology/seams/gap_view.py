@@ -161,6 +161,27 @@ def _basis(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, bas
 
 
 @kernel
+def _picture(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, level, picture):  # type: ignore[no-untyped-def]
+    """The basis functions times their levels, which needs no basis."""
+    x, h, pieces, ends, regions = work
+    count = _pieces(outline, sealed, tilt, lamp, x, h, pieces)
+    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, regions)
+    a, b = _project(x[1], h[1], eye[0], eye[1]), _project(x[6], h[6], eye[0], eye[1])
+    for s in range(n):
+        picture[s], begun = 0.0, 1.0
+        for i in range(found):
+            ended = _step(table, (samples[s] - ends[i]) * px_mm) if i < found - 1 else 0.0
+            if begun != ended:
+                brightness = level[regions[i]]
+                if regions[i] == SKIN_A:
+                    brightness += level[SLOPE_A] * (samples[s] - a)
+                elif regions[i] == SKIN_B:
+                    brightness += level[SLOPE_B] * (samples[s] - b)
+                picture[s] += (begun - ended) * brightness
+                begun = ended
+
+
+@kernel
 def normal_equations(  # type: ignore[no-untyped-def]
     samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
     with_shape, normals, gradients, levels, costs,
@@ -173,9 +194,9 @@ def normal_equations(  # type: ignore[no-untyped-def]
     """
     stations, cameras, most = samples.shape
     work = (np.empty(8), np.empty(8), np.empty((16, 5)), np.empty(17), np.empty(17, np.int64))
-    basis, changed = np.empty((most, LEVELS)), np.empty((most, LEVELS))
+    basis, changed = np.empty((most, LEVELS)), np.empty(most)
     columns = 10 if with_shape else 2
-    jacobian, residual = np.empty((most, columns)), np.empty(most)
+    jacobian, residual, picture = np.empty((most, columns)), np.empty(most), np.empty(most)
     inner, factor = np.empty((LEVELS, LEVELS)), np.empty((LEVELS, LEVELS))
     outline, rows = np.empty(OUTLINE), np.arange(columns)
     for s in range(stations):
@@ -195,37 +216,29 @@ def normal_equations(  # type: ignore[no-untyped-def]
             for i in range(LEVELS):
                 costs[s] += precisions[i] * (level[i] - usual[i]) ** 2
             for k in range(n):
-                seen = 0.0
+                picture[k] = 0.0
                 for i in range(LEVELS):
-                    seen += level[i] * basis[k, i]
-                residual[k] = greys[s, c, k] - seen
+                    picture[k] += level[i] * basis[k, i]
+                residual[k] = greys[s, c, k] - picture[k]
                 costs[s] += residual[k] ** 2 / variance[k]
             for p in range(min(columns, OUTLINE)):
                 kept = outline[p]
                 outline[p] = kept + DIFFERENCE
-                _basis(samples[s, c], n, outline, *view, tables[c, NOMINAL], work, changed)
+                _picture(samples[s, c], n, outline, *view, tables[c, NOMINAL], work, level, changed)
                 outline[p] = kept
-                _difference(basis, changed, level, n, jacobian[:, p])
+                for k in range(n):
+                    jacobian[k, p] = (changed[k] - picture[k]) / DIFFERENCE
             if with_shape:
                 jacobian[:n, 7] = places[s] * jacobian[:n, LEAN]
                 for p, table in ((8, MORE_SPILL), (9, MORE_LENS)):
-                    _basis(samples[s, c], n, outline, *view, tables[c, table], work, changed)
-                    _difference(basis, changed, level, n, jacobian[:, p])
+                    _picture(samples[s, c], n, outline, *view, tables[c, table], work, level, changed)
+                    for k in range(n):
+                        jacobian[k, p] = (changed[k] - picture[k]) / DIFFERENCE
                 rows[9] = 9 + c
             explained = _add_view(basis, jacobian, residual, variance, n, factor, rows, normals[s], gradients[s])
             if with_shape:
                 at = 2 + first
                 _add_usual_levels(precisions, level, usual, factor, explained, rows, at, normals[s], gradients[s])
-
-
-@kernel
-def _difference(basis, changed, level, n, column):  # type: ignore[no-untyped-def]
-    """Derivative of the image at fixed levels."""
-    for k in range(n):
-        change = 0.0
-        for i in range(LEVELS):
-            change += level[i] * (changed[k, i] - basis[k, i])
-        column[k] = change / DIFFERENCE
 
 
 @kernel

@@ -43,7 +43,7 @@ def both_views(reconstruction: Reconstruction) -> tuple[View, View]:
     views = []
     for device, decoded in ((rig.left, reconstruction.left), (rig.right, reconstruction.right)):
         saturated = (decoded.flags & np.uint16(PixelFlag.SATURATED)) != 0
-        texture = np.where(saturated, np.float32(np.nan), decoded.texture).astype(np.float32)
+        texture = np.where(saturated, np.float32(np.nan), decoded.texture) if saturated.any() else decoded.texture
         some = (slice(None, None, _SPARSE), slice(None, None, _SPARSE))
         usual = np.isfinite(decoded.coordinate[some])
         share = 1.0 - decoded.modulation[some][usual] / decoded.texture[some][usual]
