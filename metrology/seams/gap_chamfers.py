@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 # Square edges that cost so much more than chamfers, in squared standard deviations, are out of the question (five σ).
 _CERTAIN = 25.0
-# Widths tried: so far apart (a quarter of a pixel of 0.2 mm), and up to where one costs so much more than the best that
-# it has no weight.
+# Widths tried: so far apart (a quarter of a usual pixel, 0.2 mm), and up to where one costs so much more than the best
+# that it has no weight.
 _STEP_MM, _WIDEST_MM = 0.05, 1.0
 _NO_WEIGHT = 12.0
 # Before any picture is seen: drawings ask for broken edges; of four joints one may have been left square.

@@ -36,8 +36,7 @@ WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE, SPILL, LENSES = range(8)
 
 # Means and standard deviations. Broken edges are tenths of a millimetre wide and, broken by hand, keep the drawing's
 # angle within some six degrees; substructure lies a few millimetres down; edges are cut square to the skin within two
-# degrees. A lens at f/8 blurs by diffraction by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and by its focus as much
-# again; a little light
+# degrees. A lens at f/8 blurs by diffraction alone by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and a little light
 # goes to a pixel's neighbours.
 _BROKEN_EDGE_MM = (0.3, 0.5)
 _GAP_DEPTH_MM = (2.0, 3.0)

@@ -28,16 +28,18 @@ class Gap:
     step_mm: float = 0.0
     depth_mm: float = 3.0
     sealed: bool = False
+    chamfer_slope: float = 1.0
 
     @property
     def outline(self) -> Array:
         """(8, 2) x, h from far out on skin A to far out on skin B; h above the mean of both skins."""
         low, high = -self.step_mm / 2, self.step_mm / 2
         half, c = self.width_mm / 2, self.chamfer_mm
-        foot = (low - c, high - c) if self.sealed else (-self.depth_mm, -self.depth_mm)
+        down = self.chamfer_slope * c
+        foot = (low - down, high - down) if self.sealed else (-self.depth_mm, -self.depth_mm)
         return np.array([
-            [-30, low], [-half - c, low], [-half, low - c], [-half, foot[0]],
-            [half, foot[1]], [half, high - c], [half + c, high], [30, high],
+            [-30, low], [-half - c, low], [-half, low - down], [-half, foot[0]],
+            [half, foot[1]], [half, high - down], [half + c, high], [30, high],
         ])  # fmt: skip
 
 

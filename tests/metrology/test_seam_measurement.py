@@ -13,7 +13,7 @@ from gap_render import Gap, profiles, seen
 
 from metrology.errors import UsageError
 from metrology.results import SeamStation
-from metrology.seams import SeamSettings, detect_seams, gap_solver, gap_view, measure_seams, summarize
+from metrology.seams import SeamSettings, detect_seams, gap_floor, gap_solver, gap_view, measure_seams, summarize
 from metrology.seams.blur import EdgeResponse, PixelBlur, blurred_step
 from metrology.seams.gap import GapEdge, gap_width, step_height
 from metrology.seams.gap_fit import fit_gap
@@ -179,6 +179,38 @@ def test_gap_is_measured_from_its_pictures(gap, rng):
     assert np.abs(widths - gap.width_mm).mean() < 0.03
     assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.8
     assert np.median(u95) < 0.15
+
+
+@pytest.mark.parametrize("gap", [Gap(0.3, 0.45), Gap(0.4, 0.2, 0.5), Gap(0.5, 0.0, -0.3), Gap(0.35, 0.1)])
+def test_narrow_gap_is_as_wide_as_stated(gap, rng):
+    fit = fit_gap(profiles(gap, 16, rng), possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
+    error = np.abs(widths - gap.width_mm)
+    assert error.mean() < 0.03
+    assert np.mean(error < u95) > 0.9
+
+
+def test_chamfers_need_not_lie_at_the_drawn_angle(rng):
+    gap = Gap(2.3, 0.3, chamfer_slope=0.75)
+    fit = fit_gap(profiles(gap, 24, rng), possible_floors(3.0))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    assert np.abs(widths - gap.width_mm).mean() < 0.015
+    assert 0.7 < fit.chamfer_slope < 0.9
+
+
+@pytest.mark.parametrize("depth", [1.0, 2.5])
+def test_floor_in_full_view_is_what_all_see_past_the_edges(depth):
+    frame = Frame(np.zeros(3), np.eye(3))
+    line = SkinLine(np.zeros(3), 100)
+    section = Section(frame, line, line, np.eye(5), 1.0)
+    centres, half = np.array([[-167.0, 3.0, 690.0], [131.0, -5.0, 691.0], [-19.0, 0.0, 713.0]]), 1.3
+    low, high = gap_floor._in_full_view(section, half, depth, centres)
+    x = np.linspace(-half, half, 2001)
+    # Where the way from the floor to each centre passes the height of the edges.
+    passes = x + (centres[:, :1] - x) * depth / (depth + centres[:, 2:])
+    full = x[(np.abs(passes) < half).all(axis=0)]
+    assert (full.min(), full.max()) == (pytest.approx(low, abs=0.01), pytest.approx(high, abs=0.01))
 
 
 def test_slit_narrower_than_the_blur_is_known_to_be_poorly_known(rng):
