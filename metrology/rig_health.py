@@ -233,16 +233,21 @@ def _third_view(reconstruction: Reconstruction, axis: Axis, settings: HealthSett
     off = reconstruction.left.coordinate[sample][good] - projected
     side = max(1, settings.block_px // _STRIDE)
     block = (v // side) * (good.shape[1] // side + 1) + u // side
-    order = np.argsort(block, kind="stable")
-    starts = np.flatnonzero(np.diff(block[order], prepend=-1))
-    least = _LEAST_BLOCK_PART * side**2
-    blocks = [values for values in np.split(off[order], starts[1:]) if len(values) > least]
-    if len(blocks) < _LEAST_BLOCKS:
+    _, group, count = np.unique(block, return_inverse=True, return_counts=True)
+    full = count > _LEAST_BLOCK_PART * side**2
+    if full.sum() < _LEAST_BLOCKS:
         return None
-    middle = np.array([np.median(values) for values in blocks])
-    scatter = np.array([np.median(np.abs(values - m)) for values, m in zip(blocks, middle, strict=True)])
-    count = np.array([len(values) for values in blocks])
+    middles = _medians(off, group, count)
+    scatter = _medians(np.abs(off - middles[group]), group, count)[full]
+    middle, count = middles[full], count[full]
     # A median of n normal values scatters by 1.2533 σ / √n; neighbouring pixels share little noise.
     sigma = 1.2533 * _MAD_TO_SIGMA * scatter / np.sqrt(count)
     rms = float(np.sqrt(np.mean(middle**2)))
-    return _Deviation(rms=rms, drift=rms, sigma=float(np.sqrt(np.mean(sigma**2))), count=len(blocks))
+    return _Deviation(rms=rms, drift=rms, sigma=float(np.sqrt(np.mean(sigma**2))), count=len(middle))
+
+
+def _medians(values: Array, group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+    """Median of the values of each group, the groups being 0, 1, … with `count` values each."""
+    ordered = values[np.lexsort((values, group))]
+    first = np.cumsum(count) - count
+    return np.asarray((ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from metrology.cloud import Reconstruction
+from metrology.jit import kernel
 from metrology.rig import Device
 
 Array = NDArray[np.float64]
@@ -80,8 +80,9 @@ def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) 
     step = np.einsum("nij,nj->ni", inverse, across)
 
     def sample(shift: Array, every: int = 1) -> Array:
-        places = origin[:, None] + (offset[None, ::every] + shift[:, None]) @ np.swapaxes(matrix, 1, 2)
-        return map_coordinates(right, [places[..., 1], places[..., 0]], order=1, mode="nearest")
+        values = np.empty((len(origin), len(offset[::every])))
+        sample_patches(right, origin, matrix, shift, offset[::every], values)
+        return values
 
     windows = np.lib.stride_tricks.sliding_window_view(left, (2 * margin + 1,) * 2)
     patch = windows[centres[:, 1] - margin, centres[:, 0] - margin].astype(float)
@@ -98,6 +99,32 @@ def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) 
     good = (correlation > _LEAST_CORRELATION) & (sigma < _WORST_SIGMA_PX)
     good &= np.abs(np.einsum("ni,ni->n", moved, across)) < _SEARCH_PX
     return TextureOffsets(centres[good].astype(float), np.einsum("ni,ni->n", moved, across)[good], sigma[good])
+
+
+@kernel
+def sample_patches(image, origin, matrix, shift, offset, values):  # type: ignore[no-untyped-def]
+    """Bilinear values at ``origin + matrix · (offset + shift)``; beyond the border those of the border.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+    origin, shift : (n, 2) float64; matrix : (n, 2, 2) float64
+    offset : (k, 2) int64
+    values : (n, k) float64
+        Written.
+    """
+    height, width = image.shape
+    for n in range(len(origin)):
+        for k in range(len(offset)):
+            du, dv = offset[k, 0] + shift[n, 0], offset[k, 1] + shift[n, 1]
+            u = origin[n, 0] + matrix[n, 0, 0] * du + matrix[n, 0, 1] * dv
+            v = origin[n, 1] + matrix[n, 1, 0] * du + matrix[n, 1, 1] * dv
+            u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+            i, j = min(int(u), width - 2), min(int(v), height - 2)
+            p, q = u - i, v - j
+            above = image[j, i] * (1 - p) + image[j, i + 1] * p
+            below = image[j + 1, i] * (1 - p) + image[j + 1, i + 1] * p
+            values[n, k] = above * (1 - q) + below * q
 
 
 def _smooth(texture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -9,24 +9,21 @@ from __future__ import annotations
 import io
 import mmap
 import struct
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from storage import png
 from storage.documents import ErrorType, check_regular_file, read_bytes
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 MAX_FRAME_PIXELS = 200_000_000
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_CHUNK_OVERHEAD = 12  # length, type and CRC
 _TIFF_SIZES = {1: 1, 3: 2, 4: 4, 16: 8}  # bytes of BYTE, SHORT, LONG, LONG8
 _TIFF_CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
@@ -52,6 +49,9 @@ class _BadFrame(Exception):
     """What is wrong with a frame, before the file's name is added."""
 
 
+_WRONG = (_BadFrame, png.DamagedPng)
+
+
 def read_header(path: Path, error: ErrorType) -> FrameHeader:
     """Size and bit depth of a grey frame that is whole as far as its structure tells, without decoding it."""
     if not check_regular_file(path, error).st_size:
@@ -59,7 +59,7 @@ def read_header(path: Path, error: ErrorType) -> FrameHeader:
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return _header_of(data)
-    except _BadFrame as problem:
+    except _WRONG as problem:
         raise error(f"{path}: {problem}") from None
     except (struct.error, IndexError):
         raise error(f"{path}: found a damaged or truncated header, expected a whole image") from None
@@ -69,15 +69,19 @@ def read_header(path: Path, error: ErrorType) -> FrameHeader:
 
 def read_frame(path: Path, expected: FrameHeader, error: ErrorType) -> Frame:
     """Decode one frame whose header is known to be `expected`."""
+    frame: Frame = np.empty((expected.height, expected.width), expected.dtype)
+    _read_into(frame, path, expected, error)
+    return frame
+
+
+def _read_into(frame: Frame, path: Path, expected: FrameHeader, error: ErrorType) -> None:
     data = read_bytes(path, error)
     try:
         header = _header_of(data)
         if header != expected:
             raise _BadFrame(f"found {header}, expected {expected}")
-        if data[:8] == _PNG_SIGNATURE:
-            _check_png_sums(data)
-        return _decode(data, expected)
-    except _BadFrame as problem:
+        _decode_into(frame, data, expected)
+    except _WRONG as problem:
         raise error(f"{path}: {problem}") from None
     except (struct.error, IndexError, ValueError, cv2.error):
         raise error(f"{path}: found a damaged image, expected {expected}") from None
@@ -91,7 +95,7 @@ def read_stack(
     Parameters
     ----------
     executor : Executor, optional
-        Threads that decode side by side (OpenCV releases the interpreter lock).
+        Threads that decode side by side (decoders release the interpreter lock).
 
     Returns
     -------
@@ -100,7 +104,7 @@ def read_stack(
     stack: Frame = np.empty((len(paths), expected.height, expected.width), expected.dtype)
 
     def place(index: int) -> None:
-        stack[index] = read_frame(paths[index], expected, error)
+        _read_into(stack[index], paths[index], expected, error)
 
     run: Callable[..., Iterator[None]] = executor.map if executor else map
     for _ in run(place, range(len(paths))):
@@ -118,8 +122,8 @@ def write_frame(path: Path, frame: Frame) -> None:
 
 def _header_of(data: bytes | mmap.mmap) -> FrameHeader:
     start = data[:8]
-    if start == _PNG_SIGNATURE:
-        header = _png_header(data)
+    if start == png.SIGNATURE:
+        header = FrameHeader(*png.size_and_bits(data))
     elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         header = _tiff_header(data)
     elif start[:2] == b"BM":
@@ -135,40 +139,6 @@ def _header_of(data: bytes | mmap.mmap) -> FrameHeader:
     if header.bits not in (8, 16):
         raise _BadFrame(f"found {header.bits} bits per pixel, expected 8 or 16")
     return header
-
-
-def _png_chunks(data: bytes | mmap.mmap) -> Iterator[tuple[bytes, int, int]]:
-    """Type, start and length of the content of each chunk up to IEND; a file that ends before it is refused."""
-    offset = len(_PNG_SIGNATURE)
-    while offset + _PNG_CHUNK_OVERHEAD <= len(data):
-        length, kind = struct.unpack(">I4s", data[offset : offset + 8])
-        if offset + _PNG_CHUNK_OVERHEAD + length > len(data):
-            break
-        yield kind, offset + 8, length
-        if kind == b"IEND":
-            return
-        offset += _PNG_CHUNK_OVERHEAD + length
-    raise _BadFrame(f"found a PNG truncated after {len(data)} bytes, expected a whole one")
-
-
-def _png_header(data: bytes | mmap.mmap) -> FrameHeader:
-    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
-    if data[12:16] != b"IHDR":
-        raise _BadFrame("found a PNG that does not begin with its header, expected a whole one")
-    if colour != 0:
-        kind = {2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}.get(colour, "unknown")
-        raise _BadFrame(f"found a {kind} PNG, expected a grey one")
-    for _ in _png_chunks(data):
-        pass
-    return FrameHeader(height, width, bits)
-
-
-def _check_png_sums(data: bytes) -> None:
-    view = memoryview(data)
-    for _, start, length in _png_chunks(data):
-        (stated,) = struct.unpack(">I", view[start + length : start + length + 4])
-        if zlib.crc32(view[start - 4 : start + length]) != stated:
-            raise _BadFrame(f"found a damaged PNG (checksum differs at byte {start}), expected a whole one")
 
 
 def _bmp_header(data: bytes | mmap.mmap) -> FrameHeader:
@@ -249,11 +219,16 @@ def _npy_header(data: bytes | mmap.mmap) -> FrameHeader:
     return FrameHeader(shape[0], shape[1], 8 * dtype.itemsize)
 
 
-def _decode(data: bytes, expected: FrameHeader) -> Frame:
+def _decode_into(frame: Frame, data: bytes, expected: FrameHeader) -> None:
     if data[:6] == b"\x93NUMPY":
-        frame = np.load(io.BytesIO(data), allow_pickle=False)
-        return cast("Frame", np.ascontiguousarray(frame, expected.dtype))
+        frame[:] = np.load(io.BytesIO(data), allow_pickle=False)
+        return
+    if data[:8] == png.SIGNATURE:
+        png.check_sums(data)
+        if png.is_plain(data):
+            png.decode_plain(data, frame)
+            return
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is None or decoded.shape != (expected.height, expected.width) or decoded.dtype != expected.dtype:
         raise _BadFrame(f"found an image that does not decode, expected {expected}")
-    return cast("Frame", decoded)
+    frame[:] = decoded
