@@ -18,6 +18,7 @@ from pathlib import Path
 import cv2
 
 from flows.inspect_scene import Job, inspect_scene
+from flows.memory import share_heap
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
 from tasks.settings import load_settings
@@ -47,6 +48,7 @@ def main() -> None:
         for path in frames:
             cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
 
+    share_heap()  # as `flushline inspect` does
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     reading = timed(read, options.repeats)

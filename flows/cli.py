@@ -37,6 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 bad input or usage."""
     options = build_parser().parse_args(arguments)
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # what OpenCV would say about a bad image, we say in one line
+    # Our matrices are small: a second thread of BLAS finds nothing to do and burns the processor while it waits.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         return int(options.run(options))
     except FlushlineError as problem:

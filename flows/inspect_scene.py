@@ -102,7 +102,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
 
     def aside(work: Callable[..., Result], *arguments: Any) -> Future[Result]:
         """Work on what nobody waits for yet, in the run's own context."""
-        return helper.submit(copy_context().run, work, *arguments)
+        return helpers.submit(copy_context().run, work, *arguments)
 
     def check_rig() -> RigHealth:
         with timed("check_rig"):
@@ -113,7 +113,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         loaded = call(steps.load, job.folder, job.rig_path, job.store)
     with timed("reconstruct"):
         reconstruction = call(steps.reconstruct_scene, loaded, settings)
-    with ThreadPoolExecutor(1) as helper:
+    with ThreadPoolExecutor(2) as helpers:
         encoding = aside(steps.encode, reconstruction)
         with timed("detect_rivets"):
             detections = call(steps.detect_rivets, reconstruction, settings)

@@ -7,6 +7,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -297,6 +298,11 @@ def preview(texture: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 def versions() -> dict[str, str]:
     """What computed a result."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
     packages = ("flushline", "numpy", "scipy", "numba", "opencv-python-headless", "pyarrow", "duckdb")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 

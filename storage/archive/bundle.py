@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from pydantic import BaseModel, ConfigDict
 from metrology.cloud import Reconstruction
 from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
+from metrology.overlay import Overlay
 from metrology.results import SceneKey
 from storage.archive.files import sha256, sync, write_durably
 from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
@@ -87,12 +89,12 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
     final_path : str
         Where the folder will lie, relative to the store.
     """
-    tables = result_tables(result, run_id, final_path)
-    for name, content in (result.encoded or encode(result.reconstruction, result.preview)).items():
-        (folder / name).write_bytes(content)
-    drawing = cv2.cvtColor(result.overlay.image(), cv2.COLOR_RGB2BGR)
-    # A drawing repeats its background.
-    (folder / OVERLAY).write_bytes(_png(drawing, cv2.IMWRITE_PNG_STRATEGY_RLE))
+    with ThreadPoolExecutor(1) as painter:
+        painted = painter.submit(_paint, result.overlay)
+        tables = result_tables(result, run_id, final_path)
+        for name, content in (result.encoded or encode(result.reconstruction, result.preview)).items():
+            (folder / name).write_bytes(content)
+        (folder / OVERLAY).write_bytes(painted.result())
     (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
     (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
     if result.pattern:
@@ -233,6 +235,11 @@ def _key_document(key: SceneKey) -> dict[str, str]:
         "captured_at": utc_text(key.captured_at),
         "scene_id": key.scene_id,
     }
+
+
+def _paint(overlay: Overlay) -> bytes:
+    drawing = cv2.cvtColor(overlay.image(), cv2.COLOR_RGB2BGR)
+    return _png(drawing, cv2.IMWRITE_PNG_STRATEGY_RLE)  # a drawing repeats its background
 
 
 def _png(image: NDArray[Any], strategy: int) -> bytes:
