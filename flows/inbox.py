@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 
@@ -161,17 +164,38 @@ def run_here(job: InboxJob, folders: Iterable[Path], workers: int, on_outcome: C
         for folder in folders:
             on_outcome(inspect_folder(job, folder))
         return
-    import multiprocessing
-    from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
-
-    context = multiprocessing.get_context("spawn")  # threads of numerical libraries do not survive a fork
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        running = {pool.submit(inspect_folder, job, folder): folder for folder in folders}
+    with worker_processes(workers) as processes:
+        running = {processes.submit(inspect_folder, job, folder): folder for folder in folders}
         for future in as_completed(running):
-            try:
-                on_outcome(future.result())
-            except BrokenExecutor:
-                on_outcome(Outcome(running[future], "failed", text="its process died; left for the next run"))
+            on_outcome(_outcome(future, running[future]))
+
+
+@contextlib.contextmanager
+def worker_processes(workers: int) -> Iterator[Executor]:
+    """Processes that inspect scenes. A run that is stopped waits for those at work and leaves the others."""
+    context = multiprocessing.get_context("spawn")  # threads of numerical libraries do not survive a fork
+    processes = ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_run)
+    try:
+        yield processes
+    finally:
+        processes.shutdown(cancel_futures=True)
+
+
+def inspect_in(processes: Executor, job: InboxJob, folder: Path) -> Outcome:
+    """Inspect one scene folder in one of `processes`, and wait for it."""
+    return _outcome(processes.submit(inspect_folder, job, folder), folder)
+
+
+def _outcome(future: Future[Outcome], folder: Path) -> Outcome:
+    try:
+        return future.result()
+    except BrokenExecutor:
+        return Outcome(folder, "failed", text=f"{folder}: its process died")
+
+
+def _leave_interrupts_to_the_run() -> None:
+    """Ctrl-C reaches all processes of a terminal: this one finishes its scene, and the run starts no other."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _is_settled(folder: Path, settle_s: float) -> bool:

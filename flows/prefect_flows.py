@@ -8,6 +8,7 @@ from prefect import flow
 
 from flows.calibrate import Calibrated, calibrate_capture
 from flows.inspect_scene import Inspected, Job, inspect_scene
+from flows.prefect_page import show_scene
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
 from tasks.prefect_tasks import call
@@ -31,16 +32,16 @@ def inspect_scene_flow(
     scene, store, rig, panel_spec, settings : str
         Paths, so that the flow can be started from anywhere that sees the files.
     """
-    return inspect_scene(
-        Job(
-            Path(scene),
-            Store(Path(store)),
-            Path(rig) if rig else None,
-            load_settings(Path(settings) if settings else None),
-            load_panel_spec(Path(panel_spec) if panel_spec else None),
-        ),
-        call,
+    job = Job(
+        Path(scene),
+        Store(Path(store)),
+        Path(rig) if rig else None,
+        load_settings(Path(settings) if settings else None),
+        load_panel_spec(Path(panel_spec) if panel_spec else None),
     )
+    inspected = inspect_scene(job, call)
+    show_scene(job.store, inspected.key.scene_id)
+    return inspected
 
 
 @flow(

@@ -2,42 +2,40 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 from prefect import flow, task
 from prefect.artifacts import create_markdown_artifact, create_progress_artifact, update_progress_artifact
 from prefect.cache_policies import NO_CACHE
 from prefect.futures import as_completed
-from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
+from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
-from flows.inbox import inspect_folder, only_run, plan, write_parquet
+from flows.inbox import inspect_folder, inspect_in, only_run, plan, worker_processes, write_parquet
 from flows.inbox_job import InboxJob, Outcome, Runner, Way
 from flows.inbox_report import markdown
+from flows.prefect_page import show_scene
 from storage.archive import Store
 
-_PICTURE_WIDTH = 800
 
-
+# Without tags: for a tagged task Prefect asks its server first whether the tag is limited, and where SQLite is busy
+# just then, tries again after two seconds.
 @task(
     name="inspect-scene",
     task_run_name="{folder}",
-    tags=["flushline", "scene"],
     cache_policy=NO_CACHE,
     persist_result=False,
     description="One scene of an inbox, from its files to its published result.",
 )
-def inspect_folder_task(job: InboxJob, folder: Path) -> Outcome:
-    """Inspect one scene folder; its picture and rows become an artifact."""
-    outcome = inspect_folder(job, folder)
+def inspect_folder_task(job: InboxJob, folder: Path, processes: Executor | None) -> Outcome:
+    """Inspect one scene folder, here or in one of `processes`; its picture and rows become an artifact."""
+    outcome = inspect_in(processes, job, folder) if processes else inspect_folder(job, folder)
     if outcome.state == "inspected" and outcome.scene_id:
-        create_markdown_artifact(
-            scene_page(Store(job.store), outcome.scene_id), key="scene", description=outcome.scene_id
-        )
+        show_scene(Store(job.store), outcome.scene_id)
     return outcome
 
 
@@ -94,23 +92,38 @@ def inspect_inbox_flow(
         planned = plan(job)
         outcomes = list(planned.settled)
         progress: Any = create_progress_artifact(0.0, key="inbox-progress", description=f"{len(planned.ready)} scenes")
-        with task_runner(runner, workers, dask_address) as running:
-            futures = [running.submit(inspect_folder_task, {"job": job, "folder": f}) for f in planned.ready]
+        with task_runner(runner, workers, dask_address) as (running, processes):
+            arguments = [{"job": job, "folder": folder, "processes": processes} for folder in planned.ready]
+            futures = [running.submit(inspect_folder_task, each) for each in arguments]
             for future in as_completed(futures):
                 outcomes.append(future.result())
                 done = len(outcomes) - len(planned.settled)
                 update_progress_artifact(progress, 100.0 * done / len(futures))
-        compact_task(job, outcomes)
+        if job.compact:
+            compact_task(job, outcomes)
     create_markdown_artifact(markdown(outcomes), key="inbox-summary", description=inbox)
     return outcomes
 
 
-def task_runner(kind: Runner, workers: int, dask_address: str | None = None) -> TaskRunner[Any]:
-    """What runs the scenes' tasks; see `inspect_inbox_flow`."""
-    if kind == "threads":
-        return ThreadPoolTaskRunner(max_workers=workers)
-    if kind == "processes":
-        return ProcessPoolTaskRunner(max_workers=workers)
+@contextmanager
+def task_runner(
+    kind: Runner, workers: int, dask_address: str | None = None
+) -> Iterator[tuple[TaskRunner[Any], Executor | None]]:
+    """What runs the scenes' tasks, and the processes that they inspect in; see `inspect_inbox_flow`.
+
+    Prefect's own runner of processes would start Prefect in each of them and set it up again for every task, at half a
+    second per scene. Here its tasks are threads that wait for plain processes.
+    """
+    with ExitStack() as opened:
+        processes = opened.enter_context(worker_processes(workers)) if kind == "processes" else None
+        runner: TaskRunner[Any] = (
+            dask_runner(workers, dask_address) if kind == "dask" else ThreadPoolTaskRunner(max_workers=workers)
+        )
+        yield opened.enter_context(runner), processes
+
+
+def dask_runner(workers: int, address: str | None) -> TaskRunner[Any]:
+    """Runs tasks on a Dask cluster: the one at `address`, or `workers` processes of this machine."""
     from metrology.errors import UsageError
 
     try:
@@ -119,8 +132,8 @@ def task_runner(kind: Runner, workers: int, dask_address: str | None = None) -> 
         raise UsageError(
             "--runner dask: found no prefect-dask, expected it installed: pip install flushline[dask]"
         ) from None
-    if dask_address:
-        return DaskTaskRunner(address=dask_address)
+    if address:
+        return DaskTaskRunner(address=address)
     return DaskTaskRunner(cluster_kwargs={"n_workers": workers, "threads_per_worker": 1})
 
 
@@ -134,42 +147,6 @@ def run_on_server(job: InboxJob, way: Way, on_outcome: Callable[[Outcome], None]
     """Run the flow here and now; its outcomes are told when it is done."""
     for outcome in inspect_inbox_flow(**flow_parameters(job, way)):
         on_outcome(outcome)
-
-
-def scene_page(store: Store, scene_id: str) -> str:
-    """A scene's overlay and rows as Markdown."""
-    lines = [f"# {scene_id}", *_picture(store.paths(scene_id).overlay)]
-    rows = store.query(
-        "SELECT rivet_id, height_mean_mm, height_u95_mm, tilt_deg, decision FROM rivets "
-        "WHERE scene_id = ? ORDER BY rivet_id",
-        [scene_id],
-    ).to_pylist()
-    lines += ["", "| rivet | height mm | U95 mm | tilt ° | decision |", "|---|---:|---:|---:|---|"]
-    lines += [f"| {' | '.join(_cell(value) for value in row.values())} |" for row in rows]
-    seams = store.query(
-        "SELECT seam_id, n_stations, step_mean_mm, step_abs_p95_mm, width_mean_mm, n_fail FROM seam_summary "
-        "WHERE scene_id = ? ORDER BY seam_id",
-        [scene_id],
-    ).to_pylist()
-    if seams:
-        lines += ["", "| seam | positions | mean step mm | 95 % of steps mm | mean width mm | fail |"]
-        lines += ["|---|---:|---:|---:|---:|---:|"]
-        lines += [f"| {' | '.join(_cell(value) for value in row.values())} |" for row in seams]
-    return "\n".join(lines)
-
-
-def _cell(value: object) -> str:
-    return "–" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-
-
-def _picture(path: Path) -> list[str]:
-    """A picture small enough to stand in a page itself."""
-    picture = cv2.imread(str(path))
-    if picture is None:
-        return []
-    height = round(picture.shape[0] * _PICTURE_WIDTH / picture.shape[1])
-    _, data = cv2.imencode(".jpg", cv2.resize(picture, (_PICTURE_WIDTH, height), interpolation=cv2.INTER_AREA))
-    return ["", f"![overlay](data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()})"]
 
 
 def _path(text: str | None) -> Path | None:

@@ -11,16 +11,18 @@ import mmap
 import struct
 import zlib
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.jit import kernel
 
+inflating: Any
 try:
     from isal import isal_zlib as inflating
 except ImportError:  # no wheel for this kind of processor: the same by the standard library
-    inflating = zlib  # type: ignore[misc]
+    inflating = zlib
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK_OVERHEAD = 12  # length, type and CRC
@@ -75,7 +77,7 @@ def decode_plain(data: bytes, frame: NDArray[np.uint8] | NDArray[np.uint16]) -> 
     try:
         # One byte more than there can be: what a damaged or malicious stream would inflate to is never allocated.
         lines = stream.decompress(content, height * (1 + row) + 1)
-    except (zlib.error, inflating.error) as problem:
+    except inflating.error as problem:
         raise DamagedPng(f"found a damaged PNG ({problem}), expected a whole one") from None
     if len(lines) != height * (1 + row) or not stream.eof:
         raise DamagedPng(f"found a PNG with other than {width}×{height} pixels in it, expected what its header says")
@@ -124,7 +126,7 @@ def unfilter(filtered, step, pixels):  # type: ignore[no-untyped-def]
             else:
                 for x in range(first, n):
                     left, up, corner = np.int32(row[x - first]), np.int32(above[x]), np.int32(above[x - first])
-                    # Distances of left + up − corner from each of the three; ties go to the left, then to the one above.
+                    # How far left + up − corner is from each of the three; of equals the left, then the upper one wins.
                     to_left, to_up, to_corner = abs(up - corner), abs(left - corner), abs(left + up - 2 * corner)
                     if to_left <= to_up and to_left <= to_corner:
                         row[x] = coded[x] + left
