@@ -77,8 +77,16 @@ def write_forever(root: str, seed: int, full: multiprocessing.sharedctypes.Synch
             time.sleep(0.05)
 
 
-def torment(store: Store, seconds: float, writers: int = 3, seed: int = 1) -> Tally:
-    """Kill writers at random for a while, reading all the time, then recover and compare index and bundles."""
+def torment(
+    store: Store, seconds: float, writers: int = 3, seed: int = 1, least_reads: int = 0, least_kills: int = 0
+) -> Tally:
+    """Kill writers at random for a while, reading all the time.
+
+    Parameters
+    ----------
+    least_reads, least_kills : int
+        Go on beyond `seconds`, however slow the machine, until there were that many.
+    """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["benchmarks.crash_archive"])
     full = context.Value("i", 0)
@@ -94,7 +102,7 @@ def torment(store: Store, seconds: float, writers: int = 3, seed: int = 1) -> Ta
     alive = [start() for _ in range(writers)]
     end = time.monotonic() + seconds
     next_kill = time.monotonic() + 1.0
-    while time.monotonic() < end:
+    while time.monotonic() < end or tally.reads < least_reads or tally.kills < least_kills:
         _read(store, tally)
         if time.monotonic() >= next_kill:
             victim = rng.randrange(writers)

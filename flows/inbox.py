@@ -11,6 +11,8 @@ import fcntl
 import multiprocessing
 import os
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
@@ -174,9 +176,12 @@ def run_here(job: InboxJob, folders: Iterable[Path], workers: int, on_outcome: C
 def worker_processes(workers: int) -> Iterator[Executor]:
     """Processes that inspect scenes. A run that is stopped waits for those at work and leaves the others."""
     context = multiprocessing.get_context("spawn")  # threads of numerical libraries do not survive a fork
-    processes = ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_run)
+    processes = ProcessPoolExecutor(workers, context, initializer=_follow_the_run)
     try:
         yield processes
+    except KeyboardInterrupt:
+        print("stopping as soon as the scenes at work are stored", file=sys.stderr)
+        raise
     finally:
         processes.shutdown(cancel_futures=True)
 
@@ -193,9 +198,17 @@ def _outcome(future: Future[Outcome], folder: Path) -> Outcome:
         return Outcome(folder, "failed", text=f"{folder}: its process died")
 
 
-def _leave_interrupts_to_the_run() -> None:
-    """Ctrl-C reaches all processes of a terminal: this one finishes its scene, and the run starts no other."""
+def _follow_the_run() -> None:
+    """Ctrl-C reaches all processes of a terminal: leave it to the run. Where the run itself is killed, go with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    run = multiprocessing.parent_process()
+
+    def leave() -> None:
+        if run:
+            run.join()
+            os._exit(1)
+
+    threading.Thread(target=leave, daemon=True).start()
 
 
 def _is_settled(folder: Path, settle_s: float) -> bool:

@@ -187,7 +187,7 @@ def load_manifest(manifest: Path) -> SceneModel:
     """scene.json, validated; the frames are not looked at."""
     folder = manifest.parent
     if not folder.is_dir():
-        found = "a file" if folder.is_file() else "no such folder"
+        found = "a file" if folder.is_file() else "a link to nowhere" if folder.is_symlink() else "no such folder"
         raise SceneError(f"{folder}: found {found}, expected a scene folder")
     if not os.path.lexists(manifest):
         found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"

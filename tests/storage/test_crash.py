@@ -10,10 +10,9 @@ from storage.archive import Store
 
 def test_killed_writers_never_spoil_a_read_or_the_archive(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
-    tally = settle(store, torment(store, seconds=8.0))
+    # At least 8 s, and on a slow machine as long as it takes to read and kill often enough.
+    tally = settle(store, torment(store, seconds=8.0, least_reads=21, least_kills=6))
     assert tally.wrong == []
-    assert tally.kills >= 3
-    assert tally.runs > 2
-    assert tally.reads > 5
+    assert tally.runs > 2  # that writers do store something between two kills
     damage(store, tally)
     assert tally.wrong == []
