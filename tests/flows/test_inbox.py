@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -289,3 +291,28 @@ def test_serving_needs_a_server(
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
     assert main(arguments) == 2
     assert "found no answer from http://127.0.0.1:9/api" in capsys.readouterr().err
+
+
+_RUN_WITH_WORKERS = """
+import os, time
+from flows.inbox import worker_processes
+if __name__ == "__main__":
+    with worker_processes(2) as processes:
+        print(processes.submit(os.getpid).result(), flush=True)
+        time.sleep(600)
+"""
+
+
+def test_workers_go_with_a_run_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "run.py"
+    script.write_text(_RUN_WITH_WORKERS)
+    root = Path(__file__).parents[2]
+    with subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(root)}
+    ) as process:
+        assert process.stdout is not None
+        worker = int(process.stdout.readline())
+        os.kill(worker, 0)  # it is there
+        process.kill()
+        # The workers hold the other end of the pipe: it ends when the last of them is gone.
+        assert process.communicate(timeout=60)[0] == ""

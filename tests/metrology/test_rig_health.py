@@ -16,7 +16,7 @@ from metrology.noise import NoiseModel
 from metrology.reconstruct import triangulate
 from metrology.results import RivetDetection
 from metrology.rig import Device, Rig
-from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
+from metrology.rig_health import HealthSettings, RigHealth, _medians, epipolar_health
 from storage.rig import load_rig
 from storage.scene import load_scene
 from tasks.rig_check import check_scene
@@ -180,3 +180,11 @@ def test_on_an_independent_rendering_of_a_skin(shared: Path) -> None:
     assert well.verdict == "ok"
     assert check_scene(replace(rig, right=turned(rig.right, 1, 0.05)), scene.folder).verdict == "refused"
     assert check_scene(replace(rig, left=zoomed(rig.left, 1.003)), scene.folder).verdict != "ok"
+
+
+def test_medians_of_groups_are_those_of_each_group() -> None:
+    rng = np.random.default_rng(8)
+    group = rng.integers(0, 7, 500)
+    values = rng.normal(size=500)
+    expected = [np.median(values[group == k]) for k in range(7)]
+    np.testing.assert_allclose(_medians(values, group, np.bincount(group)), expected, rtol=1e-12)
