@@ -32,7 +32,7 @@ def command(port: int, address: str) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "streamlit",
+        "dashboard.server",
         "run",
         str(app),
         *(part for name, value in options.items() for part in (f"--{name}", value)),

@@ -90,13 +90,30 @@ def control_figure(
                 col=1,
             )
     _add_limits(fig, chart, limit)
-    for event in events:
-        at = times.iloc[event.index]
-        fig.add_vline(at, line={"color": INK, "width": 1, "dash": "dashdot"}, row="all", col=1)
-        fig.add_annotation(
-            x=at, y=1, yref="paper", text=escape(event.text), showarrow=False, textangle=-90, xanchor="right",
-            yanchor="top", font={"size": 10, "color": INK},
-        )  # fmt: skip
+    marks = [(times.iloc[event.index], escape(event.text)) for event in events]
+    # One update for all of them: each of Plotly's `add_vline` looks through the whole figure.
+    fig.update_layout(
+        shapes=[
+            *fig.layout.shapes,
+            *(
+                {
+                    "type": "line", "xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1,
+                    "line": {"color": INK, "width": 1, "dash": "dashdot"},
+                }
+                for at, _ in marks
+            ),
+        ],
+        annotations=[
+            *fig.layout.annotations,
+            *(
+                {
+                    "x": at, "y": 1, "xref": "x", "yref": "paper", "text": text, "showarrow": False, "textangle": -90,
+                    "xanchor": "right", "yanchor": "top", "font": {"size": 10, "color": INK},
+                }
+                for at, text in marks
+            ),
+        ],
+    )  # fmt: skip
     fig.update_xaxes(tickformat=habits.axis_dates)
     fig.update_yaxes(title=f"{quantity.title}, {quantity.unit}", row=1, col=1)
     fig.update_yaxes(title="moving range", rangemode="tozero", row=2, col=1)

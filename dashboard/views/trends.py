@@ -115,7 +115,15 @@ def _control(
     chart = individuals_chart(rows["value"].to_numpy(float))
     tests = _RULES[rules]
     violations = rule_violations(chart, tests)
+    values = spread(desk.archive, subject, quantity, selection)
     left, right = st.columns([7, 4])
+    # The numbers come first: they are there while the figures are still being drawn.
+    with right:
+        distribution = st.container()
+        if values is None:
+            st.info("A distribution needs at least two values.")
+        else:
+            _capability(capability_of(subject, rows, values, limit), subject, limit, desk.habits)
     with left:
         fig = control_figure(rows, chart, violations, quantity, limit, events(rows), desk.habits)
         event = st.plotly_chart(
@@ -125,13 +133,10 @@ def _control(
         each = "the mean over each aircraft" if subject.kind in ("panel", FASTENER_TYPE) else "one scan"
         st.caption(f"Each point is {each}; click one to open the scan. Dashed: tolerance limits.")
         _rules(rules, tests, violations, len(rows))
-    with right:
-        values = spread(desk.archive, subject, quantity, selection)
-        if values is None:
-            st.info("A distribution needs at least two values.")
-            return
-        st.plotly_chart(histogram(values, quantity, limit, desk.habits), key="histogram", config={"displaylogo": False})
-        _capability(capability_of(subject, rows, values, limit), subject, limit, desk.habits)
+    if values is not None:
+        distribution.plotly_chart(
+            histogram(values, quantity, limit, desk.habits), key="histogram", config={"displaylogo": False}
+        )
 
 
 def _open_clicked(event: Any) -> None:

@@ -1,0 +1,29 @@
+"""The server's process: loads what the pages need before it answers, then it is Streamlit's.
+
+Plotly, pandas and the pages take over a second to load; the first visitor would wait for them otherwise.
+"""
+
+from __future__ import annotations
+
+
+def preload() -> None:
+    """Import the pages and make the first figure and styled table, which load most of their libraries when used."""
+    import pandas as pd
+    import plotly.graph_objects as go
+
+    import dashboard.app  # noqa: F401
+
+    go.Figure(go.Scatter(x=[0], y=[0])).to_json()
+    pd.DataFrame({"x": [0.0]}).style.format("{:.1f}").to_html()
+
+
+def main() -> None:
+    """Take Streamlit's command line."""
+    from streamlit.web.cli import main as streamlit
+
+    preload()
+    streamlit(prog_name="streamlit")
+
+
+if __name__ == "__main__":
+    main()
