@@ -72,19 +72,13 @@ def panel_matrix(
     return fig, len(rows)
 
 
-def decision_bar(counts: Mapping[str, int], habits: Habits) -> go.Figure:
-    """All findings in one bar, from grave to harmless."""
-    fig = figure(habits, 30, barmode="stack", showlegend=False)
+def decision_bar(counts: Mapping[str, int], habits: Habits) -> str:
+    """All findings in one bar of HTML, from grave to harmless; a chart of its own would cost the page a redraw."""
     total = max(1, sum(counts.values()))
-    for decision, count in counts.items():
-        fig.add_bar(
-            x=[count],
-            y=[""],
-            orientation="h",
-            marker_color=_DECISION_COLOURS[decision],
-            hovertemplate=f"{decision}: {habits.whole(count)} ({habits.percent(count / total)})<extra></extra>",
-        )
-    fig.update_layout(margin={"l": 0, "r": 0, "t": 0, "b": 0})
-    fig.update_xaxes(visible=False, fixedrange=True)
-    fig.update_yaxes(visible=False, fixedrange=True)
-    return fig
+    parts = "".join(
+        f'<div style="flex:{count};background:{_DECISION_COLOURS[decision]}" '
+        f'title="{decision}: {habits.whole(count)} ({habits.percent(count / total)})"></div>'
+        for decision, count in counts.items()
+        if count
+    )
+    return f'<div style="display:flex;height:30px;width:100%">{parts}</div>'

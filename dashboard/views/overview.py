@@ -87,7 +87,7 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
     boxes[4].metric("Last scan", habits.time(newest_scan(desk.archive)))
     with boxes[5]:
         counts = _counts(panels)
-        st.plotly_chart(decision_bar(counts, habits), config={"displayModeBar": False}, key="decisions")
+        st.html(decision_bar(counts, habits))
         said = " · ".join(f"{DECISION_MARKS[name]} {habits.whole(count)}" for name, count in counts.items())
         st.markdown(f":small[{said}]")
 
