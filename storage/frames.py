@@ -225,9 +225,6 @@ def _decode_into(frame: Frame, data: bytes, expected: FrameHeader) -> None:
         return
     if data[:8] == png.SIGNATURE:
         png.check_sums(data)
-        if png.is_plain(data):
-            png.decode_plain(data, frame)
-            return
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is None or decoded.shape != (expected.height, expected.width) or decoded.dtype != expected.dtype:
         raise _BadFrame(f"found an image that does not decode, expected {expected}")

@@ -1,4 +1,4 @@
-"""Decoding plain grey PNG: against OpenCV's decoder, and the kernel against the specification's own words in NumPy."""
+"""PNG frames: what they hold is read back, and what is sound in its chunks but not in its stream is refused."""
 
 from __future__ import annotations
 
@@ -13,28 +13,6 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError
 from storage.frames import read_frame, read_header
-from storage.png import unfilter
-
-Bytes = NDArray[np.uint8]
-
-
-def predicted(row: Bytes, above: Bytes, x: int, step: int, kind: int) -> int:
-    """What a filter takes from byte x (clause 9.2 of the specification)."""
-    a = int(row[x - step]) if x >= step else 0
-    b, c = int(above[x]), int(above[x - step]) if x >= step else 0
-    paeth = min(((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c)))[2]
-    return (0, a, b, (a + b) // 2, paeth)[kind]
-
-
-def filtered(pixels: Bytes, step: int, kinds: list[int]) -> Bytes:
-    """Rows with their filter applied, and its kind before them."""
-    rows = []
-    above = np.zeros(pixels.shape[1], np.uint8)
-    for row, kind in zip(pixels, kinds, strict=True):
-        coded = [(int(row[x]) - predicted(row, above, x, step, kind)) % 256 for x in range(row.size)]
-        rows.append([kind, *coded])
-        above = row
-    return np.array(rows, np.uint8)
 
 
 def chunk(kind: bytes, content: bytes) -> bytes:
@@ -51,31 +29,9 @@ def png(image: NDArray, lines: bytes, interlaced: bool = False, pieces: int = 2)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + data + chunk(b"IEND", b"")
 
 
-def as_bytes(image: NDArray) -> Bytes:
-    """(h, w · bytes per pixel), the high byte first."""
-    return np.ascontiguousarray(image.astype(f">u{image.itemsize}")).view(np.uint8)
-
-
 def read(path: Path, content: bytes) -> NDArray:
     path.write_bytes(content)
     return read_frame(path, read_header(path, SceneError), SceneError)
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_every_filter_is_undone_as_the_specification_and_opencv_undo_it(tmp_path: Path, dtype: type) -> None:
-    rng = np.random.default_rng(4)
-    image = rng.integers(0, np.iinfo(dtype).max, (40, 23), dtype)
-    image[20:] = np.arange(23, dtype=dtype)  # ties in Paeth's choice
-    kinds = [int(kind) for kind in rng.permutation(np.arange(40) % 5)]
-    lines = filtered(as_bytes(image), image.itemsize, kinds)
-
-    undone = np.empty_like(as_bytes(image))
-    unfilter(lines, image.itemsize, undone)
-    np.testing.assert_array_equal(undone, as_bytes(image))
-
-    content = png(image, lines.tobytes())
-    np.testing.assert_array_equal(read(tmp_path / "frame.png", content), image)
-    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED), image)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -92,18 +48,9 @@ def test_an_interlaced_frame_is_read_too(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path / "frame.png", png(image, lines, interlaced=True)), image)
 
 
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        (b"\0" * 11 * 9, "other than 10×10 pixels"),
-        (b"\0" * 11 * 11, "other than 10×10 pixels"),
-        (b"\0" * 200_000_000, "other than 10×10 pixels"),
-        (b"\5" * 11 * 10, "unknown filter"),
-    ],
-    ids=["a row short", "a row too many", "a bomb", "filter 5"],
-)
-def test_a_frame_with_other_content_than_its_header_says_is_refused(tmp_path: Path, lines: bytes, said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+@pytest.mark.parametrize("lines", [b"\0" * 11 * 9, b"\5" * 11 * 10], ids=["a row short", "an unknown filter"])
+def test_a_frame_with_other_content_than_its_header_says_is_refused(tmp_path: Path, lines: bytes) -> None:
+    with pytest.raises(SceneError, match="does not decode"):
         read(tmp_path / "frame.png", png(np.zeros((10, 10), np.uint8), lines))
 
 
@@ -114,5 +61,5 @@ def test_a_stream_damaged_where_chunks_are_sound_is_refused(tmp_path: Path) -> N
     content = png(image, b"")
     start = content.index(b"IDAT") - 4
     damaged = content[:start] + chunk(b"IDAT", bytes(stream)) + chunk(b"IEND", b"")
-    with pytest.raises(SceneError, match="damaged PNG"):
+    with pytest.raises(SceneError, match="does not decode"):
         read(tmp_path / "frame.png", damaged)
