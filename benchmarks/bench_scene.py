@@ -1,8 +1,8 @@
 """A whole scene, from its frames to the published result, beside reading the same frames with OpenCV.
 
-    python benchmarks/bench_scene.py SCENE --rig RIG [--repeats 5]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/bench_scene.py SCENE --rig RIG [--repeats 5]
 
-The first inspection of the process loads compiled kernels and is not counted. Times by the clock and of all threads;
+One thread of BLAS, as every command of Flushline sets it. The first inspection of the process loads compiled kernels and is not counted. Times by the clock and of all threads;
 on a machine that does other work only the latter mean something.
 """
 
