@@ -23,6 +23,8 @@ from dataclasses import dataclass, field
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance, recycle
 from tests.storage.results import small_key, small_result

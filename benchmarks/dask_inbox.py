@@ -23,6 +23,8 @@ from pathlib import Path
 from distributed import LocalCluster
 from prefect.testing.utilities import prefect_test_harness
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 from flows.inbox_job import InboxJob, Outcome, Way
 from flows.prefect_inbox import run_on_server
 from metrology.errors import StoreError
