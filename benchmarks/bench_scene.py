@@ -2,8 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/bench_scene.py SCENE --rig RIG [--repeats 5]
 
-One thread of BLAS, as every command of Flushline sets it. The first inspection of the process loads compiled kernels and
-is not counted. Times by the clock and of all threads; on a machine that does other work only the latter mean something.
+One thread of BLAS, as every command of Flushline sets it. The first inspection of the process loads compiled kernels
+and is not counted. Times by the clock and of all threads; on a busy machine only the latter mean something.
 """
 
 from __future__ import annotations
