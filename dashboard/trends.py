@@ -192,7 +192,8 @@ def events(rows: pd.DataFrame) -> list[Event]:
         names = rows[column].astype("object").where(rows[column].notna(), None).tolist()
         for i in range(1, len(names)):
             if names[i] != names[i - 1] and names[i] is not None:
-                found.append(Event(i, f"{word} {names[i]}"))
+                said = str(names[i])
+                found.append(Event(i, said if said.startswith(word) else f"{word} {said}"))
     return found
 
 

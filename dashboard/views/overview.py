@@ -74,7 +74,7 @@ GROUP BY ALL ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, 
 
 def _totals(desk: Desk, panels: pd.DataFrame) -> None:
     habits = desk.habits
-    boxes = st.columns([1.3, 0.8, 0.8, 0.8, 1.4, 3.6], vertical_alignment="center")
+    boxes = st.columns([1.3, 0.7, 0.7, 0.7, 1.9, 3.4], vertical_alignment="center")
     boxes[0].metric(
         "Waiting for a person",
         habits.whole(panels["waiting"].sum()),

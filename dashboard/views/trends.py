@@ -151,7 +151,7 @@ def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n
         st.markdown(f":green[●] In control: no point breaks a {title} rule ({n} points).")
         return
     said = "; ".join(
-        f"**{t.name}** {t.meaning}: {len(violations[t.name])} points" for t in tests if t.name in violations
+        f"**{t.name}** {t.meaning} (points: {len(violations[t.name])})" for t in tests if t.name in violations
     )
     st.markdown(f":red[✖] Not steady by {title} rules: {said}.")
 
@@ -173,8 +173,17 @@ def _capability(found: Capability | None, subject: Subject, limit: Limit | None,
     st.caption(
         f"n {habits.whole(found.n)}, mean {habits.number(found.mean, sign=True)}, "
         f"σ {habits.number(found.sigma_overall, 4)}; "
-        f"expected outside {habits.percent(found.outside_fraction, 2)}. 95 % intervals; limits {plain(limit)}"
+        f"expected outside {habits.percent(found.outside_fraction, 2)}. 95 % intervals; limits {_limits(limit, habits)}"
     )
+
+
+def _limits(limit: Limit | None, habits: Habits) -> str:
+    if limit is None:
+        return "–"
+    low = "−∞" if limit.lower is None else habits.number(limit.lower, sign=True)
+    high = "+∞" if limit.upper is None else habits.number(limit.upper, sign=True)
+    origin = " ".join(part for part in (limit.source, limit.revision) if part)
+    return f"{low} … {high}" + (f" ({plain(origin)})" if origin else "")
 
 
 def _interval(index: Index | None, habits: Habits) -> str:

@@ -274,7 +274,7 @@ def test_trend_of_a_drifting_rivet(archive: Archive) -> None:
     rows = series(archive, subject, QUANTITIES["height"], Selection())
     assert len(rows) == 6
     assert (np.diff(rows["value"]) > 0).all()
-    assert [event.text for event in events(rows)] == ["rig rig-2026-11-17", "version 0.2.0"]
+    assert [event.text for event in events(rows)] == ["rig-2026-11-17", "version 0.2.0"]
     values = spread(archive, subject, QUANTITIES["height"], Selection())
     assert values is not None
     assert values.counts.sum() == values.n == 6
