@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from uuid import uuid4
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -92,14 +94,20 @@ def rig_document(rig: Rig) -> dict[str, Any]:
 
 
 def save_rig(rig: Rig, path: Path) -> None:
-    """Write a rig file; it is whole or not there, also where it replaces another."""
+    """Write a rig file; it is whole or not there, also where it replaces another or others write it too."""
     path = Path(path)
     document = rig_document(rig)
     rig_from_document(document, path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
-    partial.replace(path)
+    partial = path.with_name(f".{path.name}.{uuid4().hex}")
+    try:
+        with partial.open("w", encoding="utf-8") as file:
+            json.dump(document, file, indent=1, allow_nan=False)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _device(name: str, model: DeviceModel) -> Device:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
 from metrology.errors import StoreError
 from storage.archive.bundle import MANIFEST
@@ -65,10 +66,14 @@ class Remote:
         from pyarrow import fs
 
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f".{target.name}.partial")
-        fs.copy_files(f"{self.base}/{run}/{name}", str(partial), self.filesystem, fs.LocalFileSystem())
-        partial.chmod(0o444)
-        partial.replace(target)
+        # A name of its own: others may be fetching the same file just now.
+        partial = target.with_name(f".{target.name}.{uuid4().hex}")
+        try:
+            fs.copy_files(f"{self.base}/{run}/{name}", str(partial), self.filesystem, fs.LocalFileSystem())
+            partial.chmod(0o444)
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
 
     def remove(self, run: str) -> None:
         """Remove a run there, or what there is of one that did not arrive."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,22 @@ def test_a_rig_survives_the_file_with_its_extra_keys(tmp_path: Path, rig: Rig) -
     assert np.array_equal(again.right.t, rig.right.t)
     document = json.loads((tmp_path / "rig.json").read_text())
     assert document["cameras"]["left"]["serial"] == "C-17"
+
+
+def test_many_write_the_same_rig_at_once(tmp_path: Path, rig: Rig) -> None:
+    path = tmp_path / "rig.json"
+    start = Barrier(8)
+
+    def write() -> None:
+        start.wait()
+        for _ in range(20):
+            save_rig(rig, path)
+
+    with ThreadPoolExecutor(8) as pool:
+        for written in [pool.submit(write) for _ in range(8)]:
+            written.result()
+    assert rig_document(load_rig(path)) == rig_document(rig)
+    assert [file.name for file in tmp_path.iterdir()] == ["rig.json"]
 
 
 @pytest.mark.parametrize(
