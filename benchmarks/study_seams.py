@@ -1,6 +1,6 @@
 """Accuracy and repeatability of seam measurement over simulated seams: the figures in docs/seams.md.
 
-python benchmarks/study_seams.py [--seams 24] [--scans 1] [--only 5 11] [--draw 5] [--edges image|points]
+python benchmarks/study_seams.py [--seams 24] [--scans 1] [--only 5 11] [--draw 5] [--angles 6] [--edges image|points]
 
 Widths 0.3 to 5 mm, steps −1 to 1 mm, chamfers 0 to 0.6 mm, eight directions, bent skin, sealed ones, dark, bright and
 shiny skin. A seam takes about 15 s of CPU to trace; further scans of it differ by noise alone.
@@ -34,8 +34,8 @@ REFLECTANCES, SPECULARS = (0.5, 0.25, 0.8, 0.5), (0.0, 0.3, 0.0, 0.8)
 RAYS = 500
 
 
-def seam_spec(i: int, count: int, draw: int = 5) -> SimulationSpec:
-    """The i-th of `count` seams; what is left to chance differs by `draw`."""
+def seam_spec(i: int, count: int, draw: int = 5, angle_sigma_deg: float = 0.0) -> SimulationSpec:
+    """The i-th of `count` seams; what is left to chance differs by `draw`, chamfers' angles from 45° by the sigma."""
     rng = np.random.default_rng([draw, i])
     # Every direction gets narrow and wide seams.
     width = float(np.geomspace(*WIDTHS_MM, count)[(i * 7) % count])
@@ -43,12 +43,15 @@ def seam_spec(i: int, count: int, draw: int = 5) -> SimulationSpec:
     filled = i % 5 == 3
     curvatures = rng.uniform(-1 / 900, 1 / 900, 2)
     reflectance, specular = REFLECTANCES[i % 4], SPECULARS[i // 2 % 4]
+    # From numbers of its own: all else stays what it is without.
+    off = angle_sigma_deg * float(np.clip(np.random.default_rng([draw, i, 1]).normal(), -2.5, 2.5))
     seam = Seam(
         "J01",
         course(math.radians(22.5 * (i % 8)), rng.uniform(-1, 1)),
         tuple(float(w) for w in width * (1 + rng.uniform(-0.04, 0.04, 5))),
         tuple(float(s) for s in step + rng.uniform(-0.04, 0.04, 5)),
         chamfer_mm=0.0 if filled else CHAMFERS_MM[(5 * i + 3) % 8],
+        chamfer_deg=45.0 + off,
         filled=filled,
         depth_mm=rng.uniform(0, 0.05) if filled else rng.uniform(1.5, 4),
         floor_reflectance=rng.uniform(0.15, 0.5),
@@ -152,13 +155,14 @@ def main() -> None:
     parser.add_argument("--seams", type=int, default=24)
     parser.add_argument("--scans", type=int, default=1)
     parser.add_argument("--draw", type=int, default=5)
+    parser.add_argument("--angles", type=float, default=0.0, help="standard deviation of the chamfers' angles, degrees")
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--edges", choices=("image", "points"), default="image")
     chosen = parser.parse_args()
     settings = SeamSettings(edges=chosen.edges)
     found, seconds = [], []
     for i in chosen.only or range(chosen.seams):
-        spec = seam_spec(i, chosen.seams, chosen.draw)
+        spec = seam_spec(i, chosen.seams, chosen.draw, chosen.angles)
         seam = spec.panel.seams[0]
         runs = []
         for run, cpu in scans(spec, chosen.scans, settings):

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 # with it, px.
 _CORE = 0.4
 _MIXED_PX = 2.0
+# On less floor than this nothing tells it from the deepest place between two mixed flanks, px.
+_LEVEL_PX = 3.0
 _MIN_POINTS = 10
 _MIN_STATIONS = 4
 # A floor's points scatter by less than this, and its depth varies by less along the seam.
@@ -55,7 +57,8 @@ def floor_depth(
     for section, half in zip(sections, half_widths, strict=True):
         if section is None:
             continue
-        inner, mixed = _CORE * half, _MIXED_PX * section.frame.origin[2] / left.K[0, 0]
+        px = section.frame.origin[2] / left.K[0, 0]
+        inner, mixed = _CORE * half, _MIXED_PX * px
         if half - inner < mixed:
             continue
         pixel = left.project(section.frame.origin)
@@ -63,6 +66,8 @@ def floor_depth(
         if len(points) >= _MIN_POINTS:
             depth = reference_height(section, points[:, 0]) - points[:, 2]
             low, high = _in_full_view(section, half - mixed, float(np.median(depth)), centres)
+            if high - low < _LEVEL_PX * px:
+                continue
             depth = depth[(low < points[:, 0]) & (points[:, 0] < high)]
         if len(points) >= _MIN_POINTS and len(depth) >= _MIN_POINTS:
             low, middle, high = np.percentile(depth, [16, 50, 84])

@@ -118,7 +118,8 @@ def collect(
             x[row, c, :size], grey[row, c, :size], counts[row, c, :size] = one.x, one.grey, one.counts
             px_mm[row, c], scatter[row, c] = one.px_mm, one.scatter
             normals[c] += one.gradient
-    # Grain is the same stuff all along the seam; a station alone tells its scatter poorly.
+    # Grain is the same stuff all along the seam, and a station alone tells its scatter poorly; but one whose skin
+    # scatters more has a highlight's border or a scratch on it.
     usual = np.array([np.median(own[np.isfinite(own)]) if np.isfinite(own).any() else 1.0 for own in scatter.T])
     expected = np.array([half for *_, half, _ in rows])
     stations = np.array([i for i, *_ in rows])
@@ -129,7 +130,7 @@ def collect(
         x=x,
         grey=grey,
         # Grain is a share of the brightness: in the dark there is little of it.
-        variance=usual[None, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
+        variance=np.fmax(scatter, usual)[:, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
         sizes=sizes,
         tilts=tilts,
         eyes=eyes,

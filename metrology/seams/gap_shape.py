@@ -37,7 +37,7 @@ def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array
     look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
     free = fit_shape_from(some, _like(look, few, some), look.shared, look.known, _ITERATIONS)
     shape, doubt = (free, 0.0) if look.known.floor.sealed else weigh_chamfers(free, some)
-    return shape, _like(shape, some, profiles), float(np.hypot(_mean_width_sigma(shape), doubt))
+    return shape, _like(shape, some, profiles), float(np.hypot(shape.mean_width_sigma, doubt))
 
 
 def _evenly(n: int, most: int) -> Indices:
@@ -70,15 +70,3 @@ def _like(found: State, stations: Profiles, others: Profiles) -> Array:
     """(n, 2) borders of other stations, as far from where they are expected as those found."""
     shift = np.median(found.borders - np.outer(stations.half_widths, ACROSS), axis=0)
     return np.asarray(np.outer(others.half_widths, ACROSS) + shift)
-
-
-def _mean_width_sigma(shape: State) -> float:
-    """Standard deviation of the stations' mean width by what they have in common."""
-    normal, cross, inverse = shape.shape_normal()
-    n, free = len(shape.borders), shape.known.free
-    # W = x_B − x_A − w_A − w_B; with the shape, the borders move along.
-    by_shape = -(ACROSS @ (inverse @ cross)).mean(axis=0)
-    by_shape[[WIDTH_A, WIDTH_B]] -= 1.0
-    variance = by_shape[free] @ np.linalg.solve(normal[np.ix_(free, free)], by_shape[free])
-    variance += (ACROSS @ inverse @ ACROSS).sum() / n**2
-    return float(np.sqrt(variance))
