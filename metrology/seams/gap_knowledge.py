@@ -36,15 +36,15 @@ WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE, SPILL, LENSES = range(8)
 
 # Means and standard deviations. Broken edges are tenths of a millimetre wide and, broken by hand, keep the drawing's
 # angle within some six degrees; substructure lies a few millimetres down; edges are cut square to the skin within two
-# degrees. A lens at f/8 blurs by diffraction alone by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and a little light
-# goes to a pixel's neighbours.
+# degrees. A lens at f/8 blurs by diffraction alone by 0.42 λ N = 1.9 µm, half a pixel of 3.45 µm, and defocus adds as
+# much and more; a little light goes to a pixel's neighbours.
 _BROKEN_EDGE_MM = (0.3, 0.5)
 _GAP_DEPTH_MM = (2.0, 3.0)
 _SQUARE = (0.0, 0.03)
 # Of the slope, relative to the drawn one.
 _SLOPE_SIGMA = 0.2
 _SPILL = (0.05, 0.1)
-_LENS_PX = (0.55, 0.25)
+_LENS_PX = (0.55, 0.5)
 # The floor's depth as the points show it varies and errs by this.
 _FLOOR_SIGMA_MM = 0.2
 # Both edges of a joint are broken by one tool, and both cameras have like lenses, to this standard deviation. Turned
