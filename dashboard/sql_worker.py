@@ -41,10 +41,11 @@ def main() -> int:
 
 
 def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
+    import duckdb
     import pyarrow as pa
 
     from metrology.errors import UsageError
-    from storage.archive.store import Store
+    from storage.archive.store import Store, query_error
     from storage.review import ReviewLog
 
     connection = Store(root).connect()
@@ -59,7 +60,10 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
         ],
         pa.schema([(n, pa.timestamp("us", "UTC") if n == "decided_at" else pa.string()) for n in DISPOSITIONS_COLUMNS]),
     ))  # fmt: skip
-    rows = connection.sql(sql)
+    try:
+        rows = connection.sql(sql)
+    except duckdb.InvalidInputException as problem:
+        raise query_error(problem) from None
     if rows is None:
         raise UsageError("this statement returns no rows; only SELECT and the like make sense here")
     table = rows.limit(most_rows + 1).to_arrow_table()

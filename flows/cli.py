@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as problem:
         if options.debug:
             raise
-        print_error(f"{unexpected(problem)}; --debug shows where")
+        print_error(unexpected(problem))
         return EXIT_BAD_INPUT
 
 
@@ -83,8 +83,23 @@ def print_error(text: str) -> None:
 def unexpected(problem: Exception) -> str:
     """A bug or a surprise of the machine, in one line."""
     if isinstance(problem, OSError) and problem.strerror:
-        return f'{problem.filename or "machine"}: found "{problem.strerror}", expected it to work'
-    return f"unexpected {type(problem).__name__}: {problem}"
+        expected = next((text for kind, text in _EXPECTED.items() if isinstance(problem, kind)), "it to work")
+        return f'{problem.filename or "machine"}: found "{problem.strerror}", expected {expected}'
+    return f"unexpected {type(problem).__name__}: {problem}; --debug shows where"
+
+
+_EXPECTED: dict[type[OSError], str] = {
+    PermissionError: "to be allowed to",
+    FileExistsError: "no such file, or a folder",
+    FileNotFoundError: "it to exist",
+    NotADirectoryError: "a folder",
+    IsADirectoryError: "a file",
+}
+
+
+def counted(count: int, thing: str) -> str:
+    """Such as "1 run" or "2 runs"."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 class _Version(argparse.Action):

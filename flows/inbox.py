@@ -54,6 +54,7 @@ def only_run(inbox: Path) -> Iterator[None]:
 
 def plan(job: InboxJob) -> Plan:
     """Look at every scene folder and decide; broken ones are put aside. Nothing is decoded."""
+    _check_apart(job.inbox, job.store)
     store = Store(job.store)
     store.check_usable()
     if job.rig:
@@ -209,6 +210,13 @@ def _follow_the_run() -> None:
             os._exit(1)
 
     threading.Thread(target=leave, daemon=True).start()
+
+
+def _check_apart(inbox: Path, store: Path) -> None:
+    """Refuse an inbox that holds the store, or lies in it: what is no scene would be put aside, the store included."""
+    inside, outside = sorted((inbox.resolve(), store.resolve()), key=lambda path: len(path.parts), reverse=True)
+    if inside.is_relative_to(outside):
+        raise UsageError(f"{inbox}: found an inbox that shares a folder with {store}, expected both apart")
 
 
 def _is_settled(folder: Path, settle_s: float) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error, unexpected
+from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, counted, print_error, unexpected
 from flows.inspect_scene import Inspected, Job, inspect_scene
 from flows.memory import share_heap
 from flows.prefect_server import runs_on_server
@@ -77,9 +77,10 @@ def describe(inspected: Inspected) -> str:
     """A scene's result in a few lines."""
     rivets, stations = _decisions(inspected.rivets), _decisions(inspected.stations)
     seams = len({station.seam_id for station in inspected.stations})
+    positions = f" with {counted(len(inspected.stations), 'position')}{stations}" if seams else ""
     lines = [
-        f"{inspected.key}: {_number(len(inspected.rivets), 'rivet')}{rivets}; "
-        f"{_number(seams, 'seam')} with {_number(len(inspected.stations), 'position')}{stations}; "
+        f"{inspected.key}: {counted(len(inspected.rivets), 'rivet')}{rivets}; "
+        f"{counted(seams, 'seam')}{positions}; "
         f"{inspected.seconds['total']:.1f} s",
         f"  scene id {inspected.key.scene_id}",
         *(f"  warning: {warning}" for warning in inspected.warnings),
@@ -122,13 +123,10 @@ def _passes(work: Callable[[], object], job: Job, debug: bool) -> bool:
     except Exception as problem:
         if debug:
             raise
-        print_error(f"{job.folder}: {unexpected(problem)}; --debug shows where")
+        place = "" if isinstance(problem, OSError) and problem.filename else f"{job.folder}: "
+        print_error(f"{place}{unexpected(problem)}")
         return False
     return True
-
-
-def _number(count: int, thing: str) -> str:
-    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 def _decisions(features: Sequence[Rivet | SeamStation]) -> str:

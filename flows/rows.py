@@ -12,6 +12,7 @@ from decimal import Decimal
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from metrology.errors import StoreError
+from storage.archive.store import query_error
 
 if TYPE_CHECKING:
     import duckdb
@@ -21,18 +22,28 @@ _CHUNK = 10_000
 _TABLE_ROWS = 1000
 
 
-def write_rows(connection: duckdb.DuckDBPyConnection, sql: str, row_format: RowFormat, output: IO[bytes]) -> None:
-    """Run a query and write its rows as they come."""
+def run_query(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBPyConnection:
+    """Run a query; its rows are still to be fetched."""
     import duckdb
 
     try:
-        result = connection.execute(sql)
-        names = [column[0] for column in result.description or ()]
-        rows = _rows(result)
-        writer = {"table": _write_table, "csv": _write_csv, "json": _write_json}[row_format]
-        writer(names, rows, output)
+        if not connection.extract_statements(sql):
+            raise StoreError("query: found no statement, expected a SELECT")
+        return connection.execute(sql)
     except duckdb.Error as problem:
-        raise StoreError(f"query: {' '.join(str(problem).split())}") from None
+        raise query_error(problem) from None
+
+
+def write_rows(result: duckdb.DuckDBPyConnection, row_format: RowFormat, output: IO[bytes]) -> None:
+    """Write the rows of a query as they come."""
+    import duckdb
+
+    try:
+        names = [column[0] for column in result.description or ()]
+        writer = {"table": _write_table, "csv": _write_csv, "json": _write_json}[row_format]
+        writer(names, _rows(result), output)
+    except duckdb.Error as problem:
+        raise query_error(problem) from None
 
 
 def _rows(result: duckdb.DuckDBPyConnection) -> Iterator[tuple[Any, ...]]:
@@ -58,6 +69,9 @@ def plain(value: Any) -> Any:
 
 
 def _write_json(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[bytes]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise StoreError(f"query: found several columns {twice[0]!r}, expected names of their own (… AS name) for JSON")
     output.write(b"[")
     for index, row in enumerate(rows):
         document = {name: plain(value) for name, value in zip(names, row, strict=True)}

@@ -70,7 +70,13 @@ def read_json(path: Path, error: ErrorType) -> dict[str, Any]:
             "expected a JSON object"
         ) from None
     except ValueError as problem:
-        raise error(f"{path}: {problem}") from None
+        # What is not said by the two above comes from Python's limit on the digits of a whole number.
+        said = (
+            str(problem)
+            if str(problem).startswith("found ")
+            else "found a number of thousands of digits, expected less"
+        )
+        raise error(f"{path}: {said}") from None
     except RecursionError:
         raise error(f"{path}: found JSON nested too deeply, expected a JSON object") from None
     if not isinstance(document, dict):

@@ -7,7 +7,16 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Strict, StringConstraints, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    StringConstraints,
+    ValidationError,
+)
 
 from metrology.errors import FlushlineError
 from storage.documents import ErrorType, closest, shown
@@ -42,13 +51,29 @@ def _iso_text(value: object) -> object:
 def _in_utc(value: datetime) -> datetime:
     if value.tzinfo is None:
         raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
-    return value.astimezone(UTC)
+    try:
+        return value.astimezone(UTC)
+    except OverflowError:
+        raise ValueError("a time that UTC has, too") from None
 
 
 UtcTime = Annotated[datetime, BeforeValidator(_iso_text), AfterValidator(_in_utc)]
 """A moment, given with its zone and kept in UTC."""
 
 WholeNumber = Annotated[int, Strict()]
+
+PositiveNumber = Annotated[float, Strict(), Field(gt=0)]
+
+
+def _one_line(text: str) -> str:
+    # Line breaks and control characters would reach terminals, tables and reports; lone surrogates no file at all.
+    if not text.isprintable():
+        raise ValueError("one line of printable text")
+    return text
+
+
+Line = Annotated[str, Strict(), AfterValidator(_one_line)]
+"""Free text for people."""
 
 
 def _inside(path: str) -> str:
@@ -78,12 +103,26 @@ def first_problem(problem: ValidationError, keys_at: Callable[[tuple[int | str, 
     first = min(problem.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     place = first["loc"]
     more = problem.error_count() - 1
-    tail = f" (and {more} more like this)" if more else ""
+    tail = f" (and {more} more)" if more else ""
     return f"{_complaint(first, place, keys_at)}{tail}"
+
+
+# Where pydantic speaks of its own types, not of the document's.
+_EXPECTED = {
+    "model_type": "a table of keys",
+    "dict_type": "a table of keys",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    "string_too_short": "at least {min_length} characters",
+    "string_too_long": "at most {max_length} characters",
+}
 
 
 def _complaint(first: Any, place: tuple[int | str, ...], keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
     where = ".".join(str(part) for part in place)
+    at = f"{where}: " if where else ""
     if first["type"] == "extra_forbidden":
         return f"found unknown key {where!r}, expected {closest(str(place[-1]), keys_at(place[:-1]))}"
     if first["type"] == "missing":
@@ -94,10 +133,11 @@ def _complaint(first: Any, place: tuple[int | str, ...], keys_at: Callable[[tupl
     if "pattern" in first.get("ctx", {}):
         expected = "letters, digits, '.', '_' and '-' only, without a leading dot"
     if expected.startswith("found "):  # a validator of ours that says both itself
-        return f"{where}: {expected}"
+        return f"{at}{expected}"
     if first["type"].startswith("datetime"):
         expected = "an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z"
-    return f"{where}: found {shown(first['input'])}, expected {expected[:1].lower()}{expected[1:]}"
+    expected = _EXPECTED.get(first["type"], expected).format(**first.get("ctx", {}))
+    return f"{at}found {shown(first['input'])}, expected {expected[:1].lower()}{expected[1:]}"
 
 
 def _keys_of(model: type[BaseModel]) -> Callable[[tuple[int | str, ...]], list[str]]:

@@ -20,7 +20,7 @@ from metrology.results import SceneKey
 from metrology.rig import Device, Rig
 from storage.documents import check_format, read_json, utc_text
 from storage.frames import Frame, FrameHeader, read_header, read_stack, write_frame
-from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
+from storage.models import Identifier, InnerPath, Line, PositiveNumber, StrictModel, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-scene/1"
 MANIFEST = "scene.json"
@@ -66,9 +66,9 @@ class SceneModel(StrictModel):
     station: Identifier
     captured_at: UtcTime
     rig: Identifier
-    operator: str | None = None
+    operator: Line | None = None
     fringe: FringeModel
-    exposures: Annotated[tuple[Annotated[float, Field(gt=0)], ...], Field(min_length=1)]
+    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1)]
     frames: FramesModel
 
     @property
@@ -145,7 +145,13 @@ class Scene:
         return stack.reshape(len(self.exposures), self.code.frames, header.height, header.width)
 
     def check_fits(self, rig: Rig) -> None:
-        """Refuse a rig whose cameras have other sizes than the frames."""
+        """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
+        size, finest = self.code.size(rig.projector.width, rig.projector.height), max(self.code.counts)
+        if 2 * finest > size:  # fewer than two pixels per fringe: a coarser one would show (Nyquist)
+            raise SceneError(
+                f"{self.folder / MANIFEST}: found {finest} fringes, expected at most {size // 2} across the {size} "
+                f"pixels of the projector of rig {rig.id!r}"
+            )
         for camera, header in (("left", self.left_header), ("right", self.right_header)):
             device: Device = getattr(rig, camera)
             if (header.width, header.height) != (device.width, device.height):

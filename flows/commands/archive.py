@@ -52,7 +52,7 @@ def create(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> int:
     """Check bundles and index."""
-    from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+    from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, counted, print_error
     from flows.progress import progress_bar
     from storage.archive import Store, maintenance
 
@@ -63,13 +63,13 @@ def check(options: argparse.Namespace) -> int:
         found = maintenance.check(layout, lambda: progress.advance(bar))
     for problem in found.problems:
         print_error(problem)
-    print(f"{found.runs} runs checked, {len(found.problems)} problems")
+    print(f"{counted(found.runs, 'run')} checked, {counted(len(found.problems), 'problem')}")
     return EXIT_SOME_FAILED if found.problems else EXIT_DONE
 
 
 def rebuild(options: argparse.Namespace) -> int:
     """Make the index again."""
-    from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+    from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, counted, print_error
     from storage.archive import Store, maintenance
 
     store = Store(options.store)
@@ -77,7 +77,7 @@ def rebuild(options: argparse.Namespace) -> int:
     for problem in problems:
         print_error(problem)
     scenes = store.query("SELECT count(*) FROM scenes").column(0)[0].as_py()
-    print(f"index of {scenes} scenes made from the bundles")
+    print(f"index of {counted(scenes, 'scene')} made from the bundles")
     return EXIT_SOME_FAILED if problems else EXIT_DONE
 
 
@@ -94,21 +94,30 @@ def prune(options: argparse.Namespace) -> int:
     """Remove replaced runs."""
     from datetime import timedelta
 
+    from flows.cli import counted
+    from metrology.errors import UsageError
     from storage.archive import Store, maintenance
 
+    if options.older_than is not None and not options.older_than >= 0:
+        raise UsageError(f"--older-than: found {options.older_than:g} days, expected 0 or more")
     older_than = None if options.older_than is None else timedelta(days=options.older_than)
     removed = maintenance.prune(Store(options.store).existing(), options.keep, older_than)
-    print(f"{len(removed)} replaced runs removed")
+    print(f"{counted(len(removed), 'replaced run')} removed")
     return 0
 
 
 def export(options: argparse.Namespace) -> int:
     """Copy current bundles elsewhere."""
+    from flows.cli import counted
+    from metrology.errors import StoreError
     from storage.archive import Store, maintenance
 
     layout = Store(options.store).existing()
     copied, present = maintenance.export(layout, options.to, options.aircraft, options.panel)
-    print(f"{copied} runs copied to {options.to}, {present} were there")
+    if not copied + present:
+        asked = " ".join(part for part in (options.aircraft, options.panel) if part)
+        raise StoreError(f"{options.store}: found no scene{f' of {asked}' if asked else ''}, expected at least one")
+    print(f"{counted(copied, 'run')} copied to {options.to}, {present} were there")
     return 0
 
 

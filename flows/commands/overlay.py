@@ -35,6 +35,8 @@ def run(options: argparse.Namespace) -> int:
         return _panel(options)
     if not options.scene_id or options.aircraft or options.panel:
         raise UsageError("overlay: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL")
+    if options.out.suffix.lower() not in (".png", ".svg"):
+        raise UsageError(f"overlay: found the ending {options.out.suffix!r} of {options.out}, expected .png or .svg")
     overlay = Store(options.store).paths(options.scene_id).overlay
     source = overlay.with_suffix(".svg") if options.out.suffix.lower() == ".svg" else overlay
     if not source.is_file():

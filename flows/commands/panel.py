@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from metrology.panel import PanelLayout
     from storage.panel_spec import PanelSpecification
 
 Run = Callable[[argparse.Namespace], int]
@@ -65,10 +66,14 @@ def show(options: argparse.Namespace) -> int:
     from storage.archive import Store
     from storage.panel_spec import load_panel_spec
 
-    panels = Store(options.store).panels
+    store = Store(options.store)
+    store.existing()
+    panels = store.panels
     names = [options.panel] if options.panel else panels.names()
     if not names:
         raise StoreError(f"{options.store}: found no panel with a specification or an enrolled pattern")
+    if unknown := sorted(set(names) - set(panels.names())):
+        raise StoreError(f"{options.store}: found no panel {unknown[0]!r}, expected one of {', '.join(panels.names())}")
     for name in names:
         print(f"panel {name}")
         versions = panels.versions(name)
@@ -82,7 +87,7 @@ def show(options: argparse.Namespace) -> int:
             path = panels.pattern_path(name, station)
             pattern = load_panel_spec(path)
             print(
-                f"  station {station}: {len(pattern.layout.rivets)} rivets, {len(pattern.layout.seams)} seams enrolled "
+                f"  station {station}: {_features(pattern.layout)} enrolled "
                 f"from {pattern.document.get('enrolled_from', '?')}  {path}"
             )
     return 0
@@ -122,5 +127,11 @@ def _described(spec: PanelSpecification) -> list[str]:
         lines += [f"  zone {name}: {quantity} {limit}" for quantity, limit in limits]
     layout = spec.layout
     stations = f"; stations {', '.join(layout.stations)}" if layout.stations else ""
-    lines.append(f"  pattern: {len(layout.rivets)} rivets, {len(layout.seams)} seams{stations}")
+    lines.append(f"  pattern: {_features(layout)}{stations}")
     return lines
+
+
+def _features(layout: PanelLayout) -> str:
+    from flows.cli import counted
+
+    return f"{counted(len(layout.rivets), 'rivet')}, {counted(len(layout.seams), 'seam')}"

@@ -110,10 +110,14 @@ def _opened(target: str) -> tuple[FileSystem, str]:
     from pyarrow import ArrowInvalid, fs
 
     if "://" not in target:
+        if Path(target).is_file():
+            raise StoreError(f"{target}: found a file, expected a folder or a URI such as s3://bucket/prefix")
         return fs.LocalFileSystem(), str(Path(target).absolute())
     try:
         filesystem, base = fs.FileSystem.from_uri(target)
     except (ArrowInvalid, OSError) as problem:
         text = str(problem).splitlines()[0]
         raise StoreError(f"{target}: found {text}, expected a folder or a URI such as s3://bucket/prefix") from None
+    if not base.strip("/"):
+        raise StoreError(f"{target}: found no bucket or folder, expected a URI such as s3://bucket/prefix")
     return filesystem, base.rstrip("/")

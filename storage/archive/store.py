@@ -25,6 +25,14 @@ if TYPE_CHECKING:
     from storage.cloud import StoredCloud
 
 
+def query_error(problem: duckdb.Error) -> StoreError:
+    """What DuckDB says of a query, in one line."""
+    text = " ".join(str(problem).split())
+    if "attached in read-only mode" in text:
+        text = "found a statement that writes, expected one that only reads, such as SELECT"
+    return StoreError(f"query: {text}")
+
+
 @dataclass(frozen=True)
 class ScenePaths:
     """Files of a scene's current run.
@@ -99,6 +107,9 @@ class Store:
         root = self.root
         if root.exists() and not root.is_dir():
             raise StoreError(f"{root}: found a file, expected a store's folder")
+        above = next(folder for folder in root.absolute().parents if folder.exists())
+        if not above.is_dir():
+            raise StoreError(f"{above}: found a file, expected a folder for the store {root.name}")
         if self.layout.marker.exists():
             found = read_json(self.layout.marker, StoreError).get("format")
             if found != STORE_FORMAT:
@@ -107,11 +118,12 @@ class Store:
             raise StoreError(f"{root}: found a folder with other things in it, expected a store or an empty folder")
 
     def existing(self) -> Layout:
-        """Where things lie in a store that is there; refused where there is none."""
-        if not self.root.is_dir():
+        """Where things lie in a store that is there; refused where there is none, or one of another format."""
+        if not self.root.exists():
             raise StoreError(f"{self.root}: found no such folder, expected a store")
-        if not self.layout.marker.exists():
+        if self.root.is_dir() and not self.layout.marker.exists():
             raise StoreError(f"{self.root}: found no {self.layout.marker.name}, expected a store")
+        self.check_usable()
         return self.layout
 
     def publish(self, result: InspectionResult) -> str:
@@ -204,7 +216,7 @@ class Store:
                     raise StoreError("query: found a statement without a result, expected a SELECT")
                 return rows.to_arrow_table()
             except duckdb.Error as problem:
-                raise StoreError(f"query: {' '.join(str(problem).split())}") from None
+                raise query_error(problem) from None
 
     def paths(self, scene_id: str) -> ScenePaths:
         """Where the files of a scene's current run lie; from object storage they are fetched."""

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flows.cli import build_parser, main
-from flows.rows import plain, write_rows
+from flows.rows import plain, run_query, write_rows
 from storage.archive import Store
 from tasks import steps
 from tests.storage.results import small_key, small_result
@@ -129,7 +129,15 @@ def test_another_rig_than_the_scene_names_is_a_warning(
         (["inspect", "x", "--store", "{tmp}/s", "--panel-spec", "{tmp}"], "found a directory, expected a file"),
         (["inspect", "x", "--store", "{tmp}/s", "--rig", "{tmp}/none.json"], "none.json: found no such file"),
         (["inspect", "x", "--store", "{tmp}/rig.json"], "found a file, expected a store's folder"),
+        (
+            ["inspect", "x", "--store", "{tmp}/rig.json/store"],
+            "rig.json: found a file, expected a folder for the store",
+        ),
         (["query", "SELECT 1", "--store", "{tmp}/none"], "found no such folder, expected a store"),
+        (["query", "SELECT 1", "--store", "{tmp}/rig.json"], "rig.json: found a file, expected a store's folder"),
+        (["panel", "show", "--store", "{tmp}/none"], "found no such folder, expected a store"),
+        (["patterns", "--out", "{tmp}/rig.json"], 'rig.json: found "File exists", expected no such file, or a folder'),
+        (["overlay", "x", "--store", "{tmp}/none", "--out", "{tmp}/o.jpg"], "found the ending '.jpg'"),
         (["overlay", "x", "--store", "{tmp}/none", "--out", "{tmp}/o.png"], "found no such folder"),
         (["patterns", "--out", "{tmp}/p", "--counts", "70", "35"], "common factor"),
         (["patterns", "--out", "{tmp}/p", "--size", "0", "5"], "--size: found 0 5"),
@@ -218,7 +226,7 @@ def test_all_row_formats_say_the_same(tmp_path: Path) -> None:
         texts = {}
         for row_format in ("table", "csv", "json"):
             output = io.BytesIO()
-            write_rows(connection, sql, row_format, output)
+            write_rows(run_query(connection, sql), row_format, output)
             texts[row_format] = output.getvalue().decode()
     row = json.loads(texts["json"])[0]
     assert row == {
@@ -243,3 +251,57 @@ def test_query_writes_parquet(tmp_path: Path) -> None:
     sql = "SELECT * FROM rivets"
     assert main(["query", sql, "--store", str(tmp_path / "store"), "--format", "parquet", "--out", str(out)]) == 0
     assert pq.read_table(out).num_rows == 3
+
+
+@pytest.mark.parametrize(
+    ("sql", "ending", "said"),
+    [
+        ("", "csv", "query: found no statement, expected a SELECT"),
+        ("-- nothing", "parquet", "expected a SELECT"),
+        ("DELETE FROM rivets", "csv", "query: found a statement that writes, expected one that only reads"),
+        ("DROP TABLE rivets", "parquet", "query: found a statement that writes, expected one that only reads"),
+        ("SELECT height FROM rivets", "csv", "height_mean_mm"),
+        ("SELECT * FROM '/etc/passwd'", "csv", "query: "),
+    ],
+)
+def test_a_refused_query_is_one_line_and_leaves_the_file(
+    sql: str, ending: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Store(tmp_path / "store").publish(small_result())
+    out = tmp_path / f"rows.{ending}"
+    out.write_text("yesterday's")
+    assert main(["query", sql, "--store", str(tmp_path / "store"), "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert out.read_text() == "yesterday's"
+    assert Store(tmp_path / "store").query("SELECT count(*) n FROM rivets").to_pylist() == [{"n": 3}]
+
+
+def test_the_ending_of_the_file_chooses_the_format(tmp_path: Path) -> None:
+    Store(tmp_path / "store").publish(small_result())
+    texts = {}
+    for ending in ("csv", "json", "txt", "parquet"):
+        out = tmp_path / f"rows.{ending}"
+        assert main(["query", "SELECT 1 AS n", "--store", str(tmp_path / "store"), "--out", str(out)]) == 0
+        texts[ending] = out.read_bytes()
+    assert texts["csv"].split() == [b"n", b"1"]
+    assert json.loads(texts["json"]) == [{"n": 1}]
+    assert texts["txt"].endswith(b"1 row\n")
+    assert texts["parquet"].startswith(b"PAR1")
+
+
+def test_json_refuses_to_lose_a_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Store(tmp_path / "store").publish(small_result())
+    arguments = ["query", "SELECT 1 AS a, 2 AS a", "--store", str(tmp_path / "store"), "--format", "json"]
+    assert main(arguments) == 2
+    assert "found several columns 'a'" in capsys.readouterr().err
+
+
+def test_a_store_of_another_format_is_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(small_result())
+    store.layout.marker.unlink()
+    store.layout.marker.write_text('{"format": "flushline-store/2"}')
+    assert main(["query", "SELECT 1", "--store", str(store.root)]) == 2
+    assert "found format 'flushline-store/2', expected 'flushline-store/1'" in capsys.readouterr().err

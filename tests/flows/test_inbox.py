@@ -24,7 +24,7 @@ from storage.archive import Store
 from storage.archive.sign_off import sign_off
 from tasks import steps
 from tests.flows.conftest import write_small_scene
-from tests.storage.results import small_key
+from tests.storage.results import small_key, small_result
 
 
 @pytest.fixture
@@ -178,6 +178,19 @@ def test_a_broken_scene_is_put_aside_with_its_reason(
     assert not os.path.lexists(bad)
     assert "put aside" in capsys.readouterr().out
     assert run(job) == 0
+
+
+@pytest.mark.parametrize(("inbox", "store"), [("a", "a"), ("a", "a/store"), ("a/inbox", "a")])
+def test_an_inbox_and_a_store_in_one_folder_are_refused(
+    inbox: str, store: str, job: InboxJob, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mixed = replace(job, inbox=tmp_path / inbox, store=tmp_path / store)
+    Store(mixed.store).publish(small_result())
+    mixed.inbox.mkdir(exist_ok=True)
+    before = sorted(mixed.store.rglob("*"))
+    assert run(mixed) == 2
+    assert "expected both apart" in capsys.readouterr().err
+    assert sorted(mixed.store.rglob("*")) == before
 
 
 def test_a_rig_with_nan_in_the_store_is_a_reason(job: InboxJob, fake_metrology: list[str]) -> None:

@@ -106,7 +106,15 @@ def test_other_image_formats_hold_the_same(scene_folder: Path, suffix: str) -> N
         (lambda d: d.update(panel="P\n"), "letters, digits"),
         (lambda d: d["fringe"].update(steps=4.0), "fringe.steps: found 4.0, expected a valid integer"),
         (lambda d: d["fringe"].update(counts=[70, 64, 60]), "common factor"),
-        (lambda d: d.update(exposures=[]), "exposures"),
+        (lambda d: d.update(exposures=[]), "exposures: found [], expected a list of at least 1"),
+        (lambda d: d.update(exposures=1.0), "exposures: found 1.0, expected a list"),
+        (lambda d: d.update(exposures=["1.0"]), 'exposures.0: found "1.0", expected a valid number'),
+        (lambda d: d.update(fringe=None), "fringe: found null, expected a table of keys"),
+        (lambda d: d.update(panel="P" * 65), "expected at most 64 characters"),
+        (lambda d: d.update(captured_at="9999-12-31T23:59:59-12:00"), "expected a time that UTC has, too"),
+        (lambda d: d.update(operator="a\x1b[31m"), "expected one line of printable text"),
+        (lambda d: d.update(operator="\ud800"), "expected one line of printable text"),
+        (lambda d: d["frames"].update(left=[["a.png"]]), "scene.json: found 1 frames in frames.left.0"),
         (lambda d: d.update(exposures=[-1.0]), "exposures.0: found -1.0, expected greater than 0"),
         (lambda d: d.update(exposures=[1.0, 2.0]), "for 1 exposures, expected 2"),
         (lambda d: d["frames"]["left"][0].pop(), "found 11 frames in frames.left.0, expected 12"),
@@ -223,3 +231,15 @@ def test_a_rig_of_other_sizes_does_not_fit(scene_folder: Path, rig: Rig) -> None
     other = replace(rig, right=replace(rig.right, width=65))
     with pytest.raises(SceneError, match="found 64×48 pixels, expected 65×48 as the right camera of rig 'rig-a' has"):
         scene.check_fits(other)
+
+
+def test_fringes_that_the_projector_cannot_show_are_refused(scene_folder: Path, rig: Rig) -> None:
+    finest = rig.projector.width // 2
+    for count, fits in ((finest, True), (finest + 1, False), (10**30, False)):
+        edit(scene_folder, lambda d, count=count: d["fringe"]["counts"].__setitem__(0, count))  # type: ignore[misc]
+        scene = load_scene(scene_folder)
+        if fits:
+            scene.check_fits(rig)
+            continue
+        with pytest.raises(SceneError, match=rf"scene.json: found {count} fringes, expected at most {finest} across"):
+            scene.check_fits(rig)
