@@ -26,16 +26,30 @@ _STYLE = """<style>
 </style>"""
 
 
+# A rivet in a skin. Drawn here: a symbol's name would make the browser ask a server on the internet for it.
+_ICON = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 24">
+<rect width="24" height="24" rx="5" fill="#0072B2"/>
+<circle cx="12" cy="12" r="7" fill="none" stroke="#fff" stroke-width="2"/>
+<circle cx="12" cy="12" r="2.5" fill="#fff"/></svg>"""
+_HOME = "overview"
+
+
 def main() -> None:
     """Build the pages and run the one that the URL names."""
-    st.set_page_config("Flushline", ":material/flare:", layout="wide", initial_sidebar_state="collapsed")
+    st.set_page_config("Flushline", _ICON, layout="wide", initial_sidebar_state="collapsed")
     st.html(_STYLE)
     pages = {
-        name: st.Page(body, title=title, icon=icon, url_path=name, default=name == "overview")
+        name: st.Page(body, title=title, icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)
         for name, (title, icon, body) in PAGES.items()
     }
     frame.remember_pages(pages)
-    st.navigation(list(pages.values()), position="top").run()
+    # The home page's address is the server's; who types its name gets there, too.
+    typed = st.Page(_go_home, title=PAGES[_HOME][0], url_path=_HOME, visibility="hidden")
+    st.navigation([*pages.values(), typed], position="top").run()
+
+
+def _go_home() -> None:
+    frame.go(_HOME, **st.query_params.to_dict())
 
 
 if __name__ == "__main__":

@@ -184,7 +184,9 @@ def seam_section(cloud: StoredCloud, station: Any, neighbours: Array) -> SeamSec
     sigma = np.maximum(np.nan_to_num(cloud.sigma_z[rows, columns].astype(float), nan=1e-3), 1e-5)
     fitted = fit_skin_lines(np.column_stack([local, sigma])[usable], -inner, inner, _SKIN_BAND_MM)
     if fitted is None:
-        return f"{int(usable.sum())} usable points on both sides"
+        across = local[usable, 0]
+        left, right = (int(((side > inner) & (side < inner + _SKIN_BAND_MM)).sum()) for side in (-across, across))
+        return f"{left} usable points on side A and {right} on side B"
     c = np.asarray(fitted[0], float)
     line_a, line_b = np.array([c[0], c[1], c[4]]), np.array([c[2], c[3], c[4]])
     x, h = local[:, 0], local[:, 1] * 0 + local[:, 2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from typing import Literal, get_args
@@ -98,6 +99,11 @@ class Habits:
             return None
         aware = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return aware.astimezone(self.zone)
+
+
+def with_minus(text: str) -> str:
+    """A stored reason with the minus that the pages write; hyphens, as in ISO 14253-1, stay."""
+    return re.sub(r"(?<!\w)-(?=\d)", _MINUS, text)
 
 
 def habits_of(locale: str | None, timezone: str | None, style: str | None = None) -> Habits:

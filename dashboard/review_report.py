@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from dashboard.data import Archive
-from dashboard.habits import Habits
+from dashboard.habits import Habits, with_minus
 from dashboard.palette import BLUE, GREEN, RED
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
@@ -84,12 +84,13 @@ def _row(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -
         decided = f"{row['disposition']}, {row['who']}, {habits.time(row['decided_at'])}"
     if not pd.isna(row["signed_by"]):
         decided += f" (signed off by {row['signed_by']})"
+    reason = "" if pd.isna(row["reason"]) else with_minus(row["reason"])
     cells = [
         f"<td>{_picture(row, archive) if picture else ''}</td>",
         *(f"<td>{_text(row[name])}</td>" for name in ("aircraft_serial", "panel", "station", "feature_id")),
         f'<td class="n">{_text(habits.number(row["value_mm"], sign=True))}</td>',
         f'<td class="n">{_text(habits.number(row["u95_mm"]))}</td>',
-        f"<td>{_text(row['decision'])}</td><td>{_text('' if pd.isna(row['reason']) else row['reason'])}</td>",
+        f"<td>{_text(row['decision'])}</td><td>{_text(reason)}</td>",
         f"<td>{_text(decided)}</td>",
     ]
     severity = row["severity"] if row["severity"] in ("red", "blue", "green") else ""

@@ -8,10 +8,16 @@ from __future__ import annotations
 
 def preload() -> None:
     """Import the pages and make the first figure and styled table, which load most of their libraries when used."""
+    import logging
+
     import pandas as pd
     import plotly.graph_objects as go
 
+    caches = logging.getLogger("streamlit.runtime.caching.cache_data_api")
+    caches.disabled = True  # it warns of every cache that is declared before the server runs
     import dashboard.app  # noqa: F401
+
+    caches.disabled = False
 
     go.Figure(go.Scatter(x=[0], y=[0])).to_json()
     pd.DataFrame({"x": [0.0]}).style.format("{:.1f}").to_html()

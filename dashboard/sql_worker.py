@@ -45,7 +45,7 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
     import pyarrow as pa
 
     from metrology.errors import UsageError
-    from storage.archive.store import Store, query_error
+    from storage.archive.store import Store, query_problem
     from storage.review import ReviewLog
 
     connection = Store(root).connect()
@@ -63,7 +63,7 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
     try:
         rows = connection.sql(sql)
     except duckdb.InvalidInputException as problem:
-        raise query_error(problem) from None
+        raise UsageError(query_problem(problem)) from None
     if rows is None:
         raise UsageError("this statement returns no rows; only SELECT and the like make sense here")
     table = rows.limit(most_rows + 1).to_arrow_table()

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import pandas as pd
 import streamlit as st
 
-from dashboard.habits import NOTHING, Habits
+from dashboard.habits import NOTHING, Habits, with_minus
 from dashboard.palette import DECISION_MARKS
 
 Mode = Literal["single-row", "multi-row", "none"]
@@ -86,6 +86,8 @@ def _fitting(height: int, rows: int) -> int:
 def _writer(name: str, values: pd.Series, habits: Habits) -> Callable[[object], str] | None:
     if name == "decision":
         return lambda value: DECISION_MARKS.get(str(value), str(value))
+    if name == "reason":
+        return lambda value: with_minus(str(value))
     if isinstance(values.dtype, pd.DatetimeTZDtype):
         return habits.time
     if pd.api.types.is_integer_dtype(values.dtype):

@@ -12,7 +12,7 @@ from decimal import Decimal
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from metrology.errors import StoreError
-from storage.archive.store import query_error
+from storage.archive.store import query_problem
 
 if TYPE_CHECKING:
     import duckdb
@@ -31,7 +31,7 @@ def run_query(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBP
             raise StoreError("query: found no statement, expected a SELECT")
         return connection.execute(sql)
     except duckdb.Error as problem:
-        raise query_error(problem) from None
+        raise StoreError(f"query: {query_problem(problem)}") from None
 
 
 def write_rows(result: duckdb.DuckDBPyConnection, row_format: RowFormat, output: IO[bytes]) -> None:
@@ -43,7 +43,7 @@ def write_rows(result: duckdb.DuckDBPyConnection, row_format: RowFormat, output:
         writer = {"table": _write_table, "csv": _write_csv, "json": _write_json}[row_format]
         writer(names, _rows(result), output)
     except duckdb.Error as problem:
-        raise query_error(problem) from None
+        raise StoreError(f"query: {query_problem(problem)}") from None
 
 
 def _rows(result: duckdb.DuckDBPyConnection) -> Iterator[tuple[Any, ...]]:

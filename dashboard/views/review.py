@@ -83,7 +83,7 @@ def _filters(desk: Desk) -> Wanted:
         "Verdict",
         OPEN_DECISIONS,
         selection_mode="multi",
-        default=["fail", "conditional fail", "not measured"],
+        default=OPEN_DECISIONS,
         key="verdict",
         bind="query-params",
     )
@@ -289,9 +289,8 @@ def _sign_off(desk: Desk, scene: Any) -> None:
             else:
                 st.rerun()
     if waiting:
-        st.caption(
-            f"{desk.habits.whole(waiting)} findings of this scan still need a disposition before it can be signed off."
-        )
+        verb = "finding of this scan still needs" if waiting == 1 else "findings of this scan still need"
+        st.caption(f"{desk.habits.whole(waiting)} {verb} a disposition before it can be signed off.")
 
 
 def _waiting(desk: Desk, scene: Any) -> int:

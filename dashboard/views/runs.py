@@ -54,7 +54,7 @@ def _runs(desk: Desk, selection: Selection) -> None:
                 "warned": "With warnings",
                 "first": "First stored",
                 "last": "Last stored",
-                "seconds_total": "Seconds per scene (median)",
+                "seconds_total": "Median, s",
             },
             desk.habits,
             key="nights",

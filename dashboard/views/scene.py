@@ -14,6 +14,7 @@ from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_
 from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
 from dashboard.findings import feature_from_parameter, feature_parameter
 from dashboard.frame import Desk, link, plain
+from dashboard.habits import with_minus
 from dashboard.palette import DECISION_BADGES, DECISION_MARKS
 from dashboard.pictures import load_picture
 from dashboard.scenes import (
@@ -24,7 +25,7 @@ from dashboard.scenes import (
     seam_neighbours,
     worst_feature,
 )
-from metrology.errors import FlushlineError
+from metrology.errors import FlushlineError, StoreError
 from metrology.tolerance import Limit
 from storage.cloud import StoredCloud
 from storage.review import Feature
@@ -164,7 +165,10 @@ def _field(desk: Desk, row: Any, most: int) -> FieldDeviation | None:
 
 def _overlay(desk: Desk, row: Any) -> None:
     path = desk.archive.file(row.overlay_path)
-    st.image(str(path), width="stretch")
+    try:
+        st.image(str(path), width="stretch")
+    except OSError:  # what Pillow raises for a damaged picture
+        raise StoreError(f"{path}: found no readable picture, expected the scene's overlay") from None
     name = f"{row.scene_id}_overlay.png"
     with st.container(horizontal=True):
         st.download_button("Download for the projector (PNG)", path.read_bytes(), name, "image/png")
@@ -303,7 +307,7 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
     _values(desk, measured, chosen, limits)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
-        st.markdown(f":small[**Why:** {plain(reason)}]")
+        st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
     if compact:
         return
     try:

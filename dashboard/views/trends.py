@@ -42,6 +42,8 @@ from metrology.tolerance import Limit
 TITLE = "Trends"
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
 _VIEWS = ("Control chart and capability", "Pareto of panels", "Map of the panel")
+# Points from which control limits are usually taken as settled (Montgomery, Statistical Quality Control).
+_SETTLED = 20
 _MEASURES = {"mean value": "mean", "share outside": "outside"}
 
 
@@ -148,6 +150,12 @@ def _open_clicked(event: Any) -> None:
 
 def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n: int) -> None:
     if not violations:
+        if n < _SETTLED:
+            st.markdown(
+                f":gray[○] No point breaks a {title} rule, but control limits from {n} of at least {_SETTLED} points "
+                "say little yet."
+            )
+            return
         st.markdown(f":green[●] In control: no point breaks a {title} rule ({n} points).")
         return
     said = "; ".join(

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from storage.cloud import StoredCloud
 
 
-def query_error(problem: duckdb.Error) -> StoreError:
+def query_problem(problem: duckdb.Error) -> str:
     """What DuckDB says of a query, in one line."""
     text = " ".join(str(problem).split())
     if "attached in read-only mode" in text:
-        text = "found a statement that writes, expected one that only reads, such as SELECT"
-    return StoreError(f"query: {text}")
+        return "found a statement that writes to the read-only archive, expected a SELECT"
+    return text
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class Store:
                     raise StoreError("query: found a statement without a result, expected a SELECT")
                 return rows.to_arrow_table()
             except duckdb.Error as problem:
-                raise query_error(problem) from None
+                raise StoreError(f"query: {query_problem(problem)}") from None
 
     def paths(self, scene_id: str) -> ScenePaths:
         """Where the files of a scene's current run lie; from object storage they are fetched."""

@@ -166,3 +166,20 @@ def test_pages_fit_a_small_screen(server: tuple[str, Path], chromium: Any, pictu
         assert page.evaluate("document.querySelector('[data-testid=stMain]').scrollWidth") <= 1366
         if path in ("archive", "runs"):
             shoot(page, pictures, path)
+
+
+def test_the_home_page_by_its_name(server: tuple[str, Path], chromium: Any) -> None:
+    page = new_page(chromium)
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(f"{server[0]}/overview?aircraft=MSN-0424")
+    page.get_by_text("Where work waits").wait_for()
+    settle(page)
+    assert page.get_by_text("Page not found").count() == 0
+    assert page.url == f"{server[0]}/?aircraft=MSN-0424"
+    page.get_by_role("link", name="Trends").first.click()
+    page.get_by_text("Ppk", exact=True).wait_for()
+    page.go_back()
+    page.get_by_text("Where work waits").wait_for()
+    # A factory's network has no internet: everything comes from this server.
+    assert [url for url in asked if not url.startswith((server[0], "data:", "blob:"))] == []

@@ -154,6 +154,37 @@ def test_hostile_stores_never_raise(change: str, writable: Path, open_page: Open
         assert not any("something it did not expect" in error.value for error in page.error), name
 
 
+@pytest.mark.parametrize("content", [None, b"", b"no picture"], ids=["gone", "empty", "garbage"])
+@pytest.mark.parametrize("file", ["cloud.parquet", "preview.png", "overlay.png", "rig.json", "manifest.json"])
+def test_a_damaged_bundle_is_said_in_one_line(
+    file: str, content: bytes | None, writable: Path, open_page: Open
+) -> None:
+    for path in writable.glob(f"bundles/**/{file}"):
+        path.unlink()
+        if content is not None:
+            path.write_bytes(content)
+    views = [("scene", view) for view in ("Picture", "Deviation map", "3-D", "Overlay", "Files")]
+    for name, view in (*views, ("review", "")):
+        page = open_page(name, writable, scene=LAST, **({"view": view} if view else {}))
+        assert not page.exception, (name, view)
+        assert not any("something it did not expect" in error.value for error in page.error), (name, view)
+    if file == "overlay.png" and content is not None:
+        (error,) = open_page("scene", writable, scene=LAST, view="Overlay").error
+        assert "overlay.png: found no readable picture" in error.value.replace("\\", "")
+
+
+def test_the_review_lists_all_that_the_overview_counts(filled: Path, open_page: Open) -> None:
+    waiting = next(m.value for m in open_page("overview", filled).metric if m.label == "Waiting for a person")
+    listed = next(c.value for c in open_page("review", filled).caption if " findings" in c.value)
+    assert listed.startswith(f"{waiting} findings")
+
+
+def test_few_points_are_not_called_in_control(filled: Path, open_page: Open) -> None:
+    said = texts(open_page("trends", filled, what="rivet", panel="LH-F12", station="S2"))
+    assert "In control" not in said
+    assert "say little yet" in said or "Not steady" in said
+
+
 @pytest.mark.parametrize("view", ["Deviation map", "3-D", "Overlay", "Table", "Files"])
 def test_every_view_of_a_scene(view: str, filled: Path, open_page: Open) -> None:
     clean(open_page("scene", filled, scene=LAST, view=view))

@@ -22,7 +22,7 @@ from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_
 from dashboard.figures.scene import cloud_figure, scene_figure
 from dashboard.findings import Selection, Wanted, feature_from_parameter, feature_parameter, findings
 from dashboard.frame import plain
-from dashboard.habits import Habits, habits_of
+from dashboard.habits import Habits, habits_of, with_minus
 from dashboard.launch import check_address, command, login_is_configured
 from dashboard.pictures import load_picture
 from dashboard.review_report import csv_report, html_report
@@ -54,6 +54,8 @@ def test_numbers_and_times_as_people_write_them() -> None:
     assert Habits().time(MOMENT) == "2026-11-20 20:05"
     assert german.measured(0.0612, 0.003, "mm").replace("\u00a0", " ") == "+0,061 ± 0,003 mm"
     assert Habits().number(-0.0001) == "0.000"
+    reason = "step -0.275 ± 0.003 mm outside -0.200 … +0.200 (D-12 3-4); ISO 14253-1, rig-2026-11-02"
+    assert with_minus(reason) == reason.replace("-0.", "−0.")
 
 
 @pytest.mark.parametrize("nothing", [None, float("nan"), float("inf"), "x", pd.NaT])

@@ -258,8 +258,16 @@ def test_query_writes_parquet(tmp_path: Path) -> None:
     [
         ("", "csv", "query: found no statement, expected a SELECT"),
         ("-- nothing", "parquet", "expected a SELECT"),
-        ("DELETE FROM rivets", "csv", "query: found a statement that writes, expected one that only reads"),
-        ("DROP TABLE rivets", "parquet", "query: found a statement that writes, expected one that only reads"),
+        (
+            "DELETE FROM rivets",
+            "csv",
+            "query: found a statement that writes to the read-only archive, expected a SELECT",
+        ),
+        (
+            "DROP TABLE rivets",
+            "parquet",
+            "query: found a statement that writes to the read-only archive, expected a SELECT",
+        ),
         ("SELECT height FROM rivets", "csv", "height_mean_mm"),
         ("SELECT * FROM '/etc/passwd'", "csv", "query: "),
     ],
