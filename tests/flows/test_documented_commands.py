@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli import build_parser
+from flows.cli import build_parser, main
+from storage.archive import Store
 from storage.archive.views import VIEWS
+from tests.storage.results import small_result
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -27,8 +29,30 @@ def test_documented_commands_are_taken(page: Path, capsys: pytest.CaptureFixture
     for command in commands(page):
         try:
             build_parser().parse_args(shlex.split(command)[1:])
-        except SystemExit:
-            pytest.fail(f"{page.name}: {command}: {capsys.readouterr().err}")
+        except SystemExit as left:
+            if left.code != 0:  # --help leaves with 0
+                pytest.fail(f"{page.name}: {command}: {capsys.readouterr().err}")
+
+
+QUERIES = [command for page in PAGES for command in commands(page) if command.startswith("flushline query")]
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with one scene."""
+    root = tmp_path_factory.mktemp("documented") / "store"
+    Store(root).publish(small_result())
+    return root
+
+
+@pytest.mark.parametrize("command", QUERIES)
+def test_documented_queries_are_answered(
+    command: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # some write a file
+    arguments = shlex.split(command)[1:]
+    arguments[arguments.index("--store") + 1] = str(store)
+    assert main(arguments) == 0
 
 
 def test_the_archives_page_names_every_view() -> None:
