@@ -22,19 +22,24 @@ from storage.models import first_problem
 
 @dataclass(frozen=True)
 class SceneChecks:
-    """When a scan is refused.
+    """When a scan is refused, or said to be doubtful.
 
     Attributes
     ----------
     min_valid_fraction : float
         Share of the left camera's pixels that must have a point; a scan with less shows no skin.
+    max_saturated_fraction : float
+        Share of the skin that may be saturated in every exposure before a warning says so. Glints on heads and edges
+        take up less than a hundredth; where a twentieth is saturated, there are gaps larger than a rivet head.
     """
 
     min_valid_fraction: float = 0.02
+    max_saturated_fraction: float = 0.05
 
     def __post_init__(self) -> None:
-        if not 0 <= self.min_valid_fraction < 1:
-            raise UsageError(f"min_valid_fraction: found {self.min_valid_fraction:g}, expected 0 … 1")
+        for name in ("min_valid_fraction", "max_saturated_fraction"):
+            if not 0 <= getattr(self, name) < 1:
+                raise UsageError(f"{name}: found {getattr(self, name):g}, expected 0 … 1")
 
 
 @dataclass(frozen=True)

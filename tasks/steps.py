@@ -230,7 +230,7 @@ def assemble(
 ) -> InspectionResult:
     """Everything that is to be stored."""
     key = loaded.scene.key
-    warnings = [*loaded.warnings, *registered.warnings]
+    warnings = [*loaded.warnings, *_overexposure(reconstruction, settings.checks), *registered.warnings]
     if health.verdict == "warning":
         warnings.append(f"rig {loaded.rig.id}: {health.reason}")
     if spec.example:
@@ -318,6 +318,21 @@ def _check_skin_is_seen(scene: Scene, reconstruction: Reconstruction, checks: Sc
         f"{scene.folder}: found points for {valid:.1%} of the pixels ({share:.0%} {_CAUSE[cause]}), "
         f"expected at least {checks.min_valid_fraction:.0%}: a lit skin in the field of both cameras"
     )
+
+
+def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
+    """A warning where much of the skin is saturated: neither points nor a picture, so nothing is found there."""
+    # One pixel in sixteen tells the share to a thousandth.
+    sampled = slice(None, None, 4)
+    saturated = (reconstruction.flags[sampled, sampled] & PixelFlag.SATURATED) != 0
+    skin = saturated | np.isfinite(reconstruction.points[sampled, sampled, 2])
+    share = float(saturated[skin].mean()) if skin.any() else 0.0
+    if share <= checks.max_saturated_fraction:
+        return []
+    return [
+        f"overexposed: {share:.0%} of the skin is saturated in every exposure; rivets and seams there are not found or "
+        "not measured; take a shorter exposure as well"
+    ]
 
 
 _CAUSE = {

@@ -35,6 +35,20 @@ def test_a_dark_scan_is_refused_with_its_cause(scene: Scene) -> None:
         steps._check_skin_is_seen(scene, dark, SceneChecks())
 
 
+@pytest.mark.parametrize(("lost_share", "said"), [(0.5, True), (0.02, False)])
+def test_an_overexposed_scan_says_so(lost_share: float, said: bool) -> None:
+    rng = np.random.default_rng(1)
+    reconstruction = small_result().reconstruction
+    lost = reconstruction.valid & (rng.random(reconstruction.valid.shape) < lost_share)
+    flags, points = reconstruction.flags.copy(), reconstruction.points.copy()
+    flags[lost] |= np.uint16(PixelFlag.SATURATED)
+    points[lost] = np.nan
+    warnings = steps._overexposure(replace(reconstruction, flags=flags, points=points), SceneChecks())
+    assert len(warnings) == said
+    # A share of some hundred pixels looked at, to four standard deviations.
+    assert not said or 0.4 < int(warnings[0].split("%")[0].removeprefix("overexposed: ")) / 100 < 0.6
+
+
 def test_a_rig_that_does_not_fit_is_refused(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     health = RigHealth(0.06, 0.004, 200, 41.5, 400, "refused", "the decoded projector coordinate is off by 41.5 px")
     monkeypatch.setattr(steps.rig_health, "epipolar_health", lambda *_: health)
