@@ -23,6 +23,9 @@ _BIN_PX = 1.0 / 3.0
 _MIN_BINS = 4
 # Relative grey level below which the sensor's noise outweighs the grain.
 _DARKEST = 0.05
+# A station's scatter counts up to so many times the usual; beyond, what stands beside the gap is no skin but the end of
+# the light or a hole, and the station is to look odd.
+_MOST_SCATTER = 8.0
 
 
 # Fields of `Profiles` that are not by station.
@@ -120,7 +123,8 @@ def collect(
             normals[c] += one.gradient
     # Grain is the same stuff all along the seam, and a station alone tells its scatter poorly; but one whose skin
     # scatters more has a highlight's border or a scratch on it.
-    usual = np.array([np.median(own[np.isfinite(own)]) if np.isfinite(own).any() else 1.0 for own in scatter.T])
+    usual = np.array([np.median(one[np.isfinite(one)]) if np.isfinite(one).any() else 1.0 for one in scatter.T])
+    own = np.minimum(np.fmax(scatter, usual), _MOST_SCATTER * usual)
     expected = np.array([half for *_, half, _ in rows])
     stations = np.array([i for i, *_ in rows])
     return Profiles(
@@ -130,7 +134,7 @@ def collect(
         x=x,
         grey=grey,
         # Grain is a share of the brightness: in the dark there is little of it.
-        variance=np.fmax(scatter, usual)[:, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
+        variance=own[:, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
         sizes=sizes,
         tilts=tilts,
         eyes=eyes,
