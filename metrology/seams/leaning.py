@@ -1,4 +1,4 @@
-"""How the skins lean and bend, taken from a longer stretch of the seam than how high they stand.
+"""Skin lines steadied by the stations before and behind: how the skins lean and bend, and how the step runs on.
 
 A station's own strip tells heights well, but carries them over to the edges along slopes, and most of the step's noise
 is theirs: with n points on each side, over a length l, their middles a distance D apart across the gap,
@@ -7,6 +7,12 @@ curvature change little, and evenly, from one station to the next. They are pred
 and behind it that share no point with it, by straight lines along the seam, and the prediction is one more measurement
 of the skin lines beside the station's own points. Where slopes do not change evenly, predictions miss by more than
 noise, and by so much less they count.
+
+Then the step itself is predicted likewise. A step may change from one station to the next, and that is what is to be
+measured: so a station is not only judged by how much predictions miss hereabouts, but also by how much its own does.
+With variance σ² of what it says itself, and a miss of m, it moves by less than ``σ²/|m|``, and never by more than σ:
+what stands out of the noise stays, and only a station's noise is lessened. Most is gained where a seam leaves the image
+through a corner and one side shows a few millimetres of skin.
 """
 
 from __future__ import annotations
@@ -21,18 +27,20 @@ from metrology.seams.sections import Section, SkinLine
 
 Array = NDArray[np.float64]
 
-# Stations this near take part, mm: seven strips of 4 mm that share no point leave an eighth of the slopes' variance;
-# more would gain little, and the farther away, the less evenly slopes change.
-_REACH_MM = 16.0
 # A straight line and its uncertainty need more than two.
 _FEWEST_STATIONS = 4
-# Mean slope, kink (B less A) and curvature, from a's c_0, c_1, b's c_0, c_1 and the common c_2.
-_LEAN = np.array([[0, 0.5, 0, 0.5, 0], [0, -1.0, 0, 1.0, 0], [0, 0, 0, 0, 1.0]])
+# Mean slope, kink (B less A), curvature, and step in the gap's middle, from a's c_0, c_1, b's c_0, c_1, common c_2.
+_TRAITS = np.array([[0, 0.5, 0, 0.5, 0], [0, -1.0, 0, 1.0, 0], [0, 0, 0, 0, 1.0], [-1.0, 0, 1.0, 0, 0]])
+_LEAN, _STEP = slice(0, 3), 3
+# Stations this near take part, mm. Slopes: seven strips of 4 mm that share no point leave an eighth of their variance;
+# more would gain little, and the farther away, the less evenly slopes change. Step: at a seam's end all the others lie
+# on one side, and a straight line is four times as uncertain (variance) at its end as in its middle: twice as far.
+_REACH_MM = np.array([16.0, 16.0, 16.0, 32.0])
 _ROUNDING_MM = 1e-6
 
 
 def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float) -> list[Section | None]:
-    """The sections with slopes and curvature from their own points and from their neighbours.
+    """The sections with their own points' skin lines and what their neighbours tell of them.
 
     Parameters
     ----------
@@ -50,54 +58,102 @@ def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float
     index = np.array([k for k, section in enumerate(sections) if section is not None])
     lines = np.array([[*section.a.coefficients[:2], *section.b.coefficients] for section in own])
     covariance = np.array([section.covariance for section in own])
-    lean, scatter = lines @ _LEAN.T, _LEAN @ covariance @ _LEAN.T
-    predicted, variance = _predictions(own, s_mm[index], lean, scatter, 2 * half_length)
-    told = np.flatnonzero(np.isfinite(variance).all(axis=1))
+    told, near, predicted, variance = _predictions(own, s_mm[index], lines, covariance, 2 * half_length)
     index, own = index[told], [own[i] for i in told]
     lines, covariance = lines[told], covariance[told]
-    # Kalman's gain.
-    gain = covariance @ _LEAN.T @ np.linalg.inv(scatter[told] + variance[told][..., None] * np.eye(3))
-    lines = lines + (gain @ (predicted - lean)[told][..., None])[..., 0]
-    covariance = covariance - gain @ _LEAN @ covariance
+    variance = _with_unevenness(lines, covariance, near, predicted, variance)
+    lines, covariance = _lean_told(lines, covariance, predicted, variance)
+    lines, covariance = _step_told(lines, covariance, near, predicted, variance)
     for k, section, line, left in zip(index, own, lines, covariance, strict=True):
         a, b = SkinLine(line[[0, 1, 4]], section.a.n), SkinLine(line[2:], section.b.n)
         result[k] = replace(section, a=a, b=b, covariance=left)
     return result
 
 
-def _predictions(own: Sequence[Section], s: Array, lean: Array, scatter: Array, apart_mm: float) -> tuple[Array, Array]:
-    """Slopes and curvature (n, 3) of each section as the others tell them, and their variances; infinite where they
-    do not.
+def _with_unevenness(lines: Array, covariance: Array, near: Array, predicted: Array, variance: Array) -> Array:
+    """(m, 4, 4) `variance` and what predictions of slopes and curvature miss by hereabouts beyond noise."""
+    lean = _TRAITS[_LEAN]
+    known = np.einsum("kii->ki", variance[:, _LEAN, _LEAN] + lean @ covariance @ lean.T)
+    excess = _mean_near((predicted[:, _LEAN] - lines @ lean.T) ** 2 - known, near[..., _LEAN])
+    variance = variance.copy()
+    np.einsum("kii->ki", variance)[:, _LEAN] += np.maximum(excess, 0.0)
+    return variance
+
+
+def _lean_told(lines: Array, covariance: Array, predicted: Array, variance: Array) -> tuple[Array, Array]:
+    """Lines and covariances with slopes and curvature as predicted."""
+    lean = _TRAITS[_LEAN]
+    missed = predicted[:, _LEAN] - lines @ lean.T
+    # Kalman's gain.
+    gain = covariance @ lean.T @ np.linalg.inv(lean @ covariance @ lean.T + variance[:, _LEAN, _LEAN])
+    return lines + (gain @ missed[..., None])[..., 0], covariance - gain @ lean @ covariance
+
+
+def _step_told(lines: Array, covariance: Array, near: Array, predicted: Array, variance: Array) -> tuple[Array, Array]:
+    """Lines and covariances with the step as predicted, once slopes and curvature have been.
+
+    The predicted step's noise goes with that of the predicted slopes: what is left of it without them is the new
+    measurement.
+    """
+    shared = np.linalg.solve(variance[:, _LEAN, _LEAN], variance[:, _LEAN, _STEP, None])[..., 0]
+    trait = _TRAITS[_STEP] - shared @ _TRAITS[_LEAN]
+    alone = predicted[:, _STEP] - np.sum(shared * predicted[:, _LEAN], axis=1)
+    noise = variance[:, _STEP, _STEP] - np.sum(shared * variance[:, _LEAN, _STEP], axis=1)
+    missed = alone - np.sum(trait * lines, axis=1)
+    carried = (covariance @ trait[..., None])[..., 0]
+    scatter = np.sum(trait * carried, axis=1)
+    excess = missed**2 - noise - scatter
+    hereabouts = _mean_near(excess[:, None], near[..., _STEP:])[:, 0]
+    noise = noise + np.maximum(np.maximum(hereabouts, excess), 0.0)
+    gain = carried / (scatter + noise)[:, None]
+    return lines + gain * missed[:, None], covariance - gain[..., None] * carried[:, None]
+
+
+def _mean_near(values: Array, near: Array) -> Array:
+    """(n, k) mean of values (n, k) over the stations near each, near being (n, n, k)."""
+    return np.einsum("ijk,jk->ik", near, values) / near.sum(axis=1)
+
+
+def _predictions(
+    own: Sequence[Section], s: Array, lines: Array, covariance: Array, apart_mm: float
+) -> tuple[NDArray[np.intp], Array, Array, Array]:
+    """What the others tell of each section.
 
     Parameters
     ----------
     s : (n,) ndarray
         mm along the seam.
-    lean, scatter : (n, 3), (n, 3, 3) ndarray
-        Each section's own, and its covariance.
+    lines, covariance : (n, 5), (n, 5, 5) ndarray
+        Each section's own.
     apart_mm : float
         Sections this far apart share no point.
+
+    Returns
+    -------
+    told : (m,) ndarray of int
+        The sections of which they tell anything.
+    near : (m, m, 4) ndarray
+        1 where one of those is near another.
+    predicted, variance : (m, 4), (m, 4, 4) ndarray
+        Traits, and the covariance that the others' points leave.
     """
     away = s[None] - s[:, None]
-    within = np.abs(away) <= _REACH_MM + _ROUNDING_MM
-    others = within & (np.abs(away) >= apart_mm - _ROUNDING_MM)
+    within = np.abs(away)[..., None] <= _REACH_MM + _ROUNDING_MM
+    others = within & (np.abs(away) >= apart_mm - _ROUNDING_MM)[..., None]
     # Neighbouring strips overlap: so many say as much as one.
     overlap = max(1.0, apart_mm / float(np.median(np.diff(s))))
-    own_variance = np.einsum("nii->ni", scatter)
-    weights = others[..., None] / (overlap * own_variance[None])
-    values = np.broadcast_to(lean[None], (len(s), len(s), 3)).copy()
+    scatter = _TRAITS @ covariance @ _TRAITS.T
+    weights = others / np.einsum("nii->ni", scatter)[None]
+    values = np.broadcast_to((lines @ _TRAITS.T)[None], weights.shape).copy()
     # A section's mean slope is that in its own frame; seen from another one its frame's slope comes on top.
     across, up = (np.array([section.frame.axes[k] for section in own]) for k in (0, 2))
     values[..., 0] -= across @ up.T
     d = away[..., None]
     w, wd, wdd = ((weights * power).sum(axis=1) for power in (1.0, d, d * d))
-    wv, wdv = ((weights * values * power).sum(axis=1) for power in (1.0, d))
     determinant = w * wdd - wd * wd
-    told = (others.sum(axis=1) >= _FEWEST_STATIONS)[:, None] & (determinant > 0)
-    determinant = np.where(told, determinant, 1.0)
-    predicted, variance = (wdd * wv - wd * wdv) / determinant, wdd / determinant
-    # What the predictions hereabouts miss by beyond noise.
-    excess = np.where(told, (predicted - lean) ** 2 - variance - own_variance, 0.0)
-    near = within.astype(float)
-    variance = variance + np.maximum(near @ excess, 0.0) / np.maximum(near @ told, 1.0)
-    return predicted, np.where(told, variance, np.inf)
+    told = np.flatnonzero(((others.sum(axis=1) >= _FEWEST_STATIONS) & (determinant > 0)).all(axis=1))
+    # The straight line's value here, as a sum over the others.
+    shares = weights[told] * (wdd[told, None] - wd[told, None] * d[told]) / determinant[told, None]
+    predicted = np.sum(shares * values[told], axis=1)
+    variance = overlap * np.einsum("kic,kid,icd->kcd", shares, shares, scatter)
+    return told, within[np.ix_(told, told)].astype(float), predicted, variance
