@@ -154,12 +154,11 @@ def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-un
     a, b = ellipse[2], ellipse[3]
     ca = math.cos(ellipse[4])
     sa = math.sin(ellipse[4])
-    mean = 0.0
-    for o in range(-_FLANK, _FLANK + 1):
-        mean += math.exp(-0.5 * (o / sigma) ** 2) / (2 * _FLANK + 1)
-    norm = 0.0
-    for o in range(-_FLANK, _FLANK + 1):
-        norm += (math.exp(-0.5 * (o / sigma) ** 2) - mean) ** 2
+    weights = np.empty(2 * _FLANK + 1)
+    for i in range(2 * _FLANK + 1):
+        weights[i] = math.exp(-0.5 * ((i - _FLANK) / sigma) ** 2)
+    weights -= weights.mean()
+    weights /= (weights**2).sum()
     angles = len(place)
     for k in range(angles):
         t = 2.0 * math.pi * k / angles
@@ -175,7 +174,6 @@ def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-un
         reach[k, 0] = x
         reach[k, 1] = y
         for o in range(-_FLANK, _FLANK + 1):
-            weight = (math.exp(-0.5 * (o / sigma) ** 2) - mean) / norm
             px = x + o * gx
             py = y + o * gy
             ix = math.floor(px)
@@ -183,6 +181,7 @@ def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-un
             fx = px - ix
             fy = py - iy
             i = o + _FLANK
+            weight = weights[i]
             place[k, i] = iy * width + ix
             share[k, i, 0] = weight * (1.0 - fy) * (1.0 - fx)
             share[k, i, 1] = weight * (1.0 - fy) * fx

@@ -363,8 +363,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     limits : (6,) float64
         Reach of the band, px; least and largest semi-axis, px; least axis ratio; least and largest σ, px.
     iterations : int
-    out : (13,) float64, output
-        u, v, A, B, C, σ, mean amplitude, mean step, noise, score, coverage, step score, share on the image.
+    out : (12,) float64, output
+        u, v, A, B, C, σ, mean amplitude, mean step, noise, score, coverage, share on the image.
     covariance : (5, 5) float64, output
 
     Returns
@@ -563,19 +563,12 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         _add_prior(geometry, shape, variance / shape_sd**2, normal, step)
     if not _scaled(normal, UNKNOWNS, 1e-9, work, diagonal):
         return False
-    step_sd = 0.0
-    for j in range(6):
-        # Columns of the inverse: the geometry's, then the brightness step's.
-        column = GEOMETRY + j if j < 5 else BACKGROUND
+    for j in range(5):
         step[:] = 0.0
-        step[column] = diagonal[column]
+        step[GEOMETRY + j] = diagonal[GEOMETRY + j]
         _substitute(work, UNKNOWNS, step)
-        if j < 5:
-            for k in range(5):
-                value_jk = step[GEOMETRY + k] * diagonal[GEOMETRY + k]
-                covariance[j, k] = value_jk * variance * _WEIGHTED_COVARIANCE
-        else:
-            step_sd = math.sqrt(step[column] * diagonal[column]) * noise
+        for k in range(5):
+            covariance[j, k] = step[GEOMETRY + k] * diagonal[GEOMETRY + k] * variance * _WEIGHTED_COVARIANCE
     # Noise makes the squared amplitude, and with it the information on the ring's place, look larger than it is.
     squares = 0.0
     excess = 0.0
@@ -600,6 +593,5 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     out[8] = noise / math.sqrt(inflation)
     out[9] = abs(mean) * math.sqrt(norm) / noise
     out[10] = hits / SECTORS
-    out[11] = abs(params[BACKGROUND]) / (step_sd + 1e-12)
-    out[12] = share
+    out[11] = share
     return True
