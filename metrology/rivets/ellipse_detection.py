@@ -136,15 +136,17 @@ def _verified_rings(
 ) -> list[Ring]:
     """The rings that suspects lead to, some more than once, until `enough` are confident."""
     rings: list[Ring] = []
+    clear = _places([])
     for start in starts:
-        confident = [r for r in rings if r.confident]
-        if enough is not None and len(confident) >= enough:
+        if enough is not None and len(clear) >= enough:
             break
-        beside = shadowed(start.parameters[None], _places(confident))[0]
-        if not beside and not any(_same(start, r.ellipse) for r in rings):
-            ring = _verified(image, start, shapes, radii, settings)
-            if ring is not None:
-                rings.append(ring)
+        if shadowed(start.parameters[None], clear)[0] or any(_same(start, r.ellipse) for r in rings):
+            continue
+        ring = _verified(image, start, shapes, radii, settings)
+        if ring is not None:
+            rings.append(ring)
+            if ring.confident:
+                clear = np.concatenate([clear, _places([ring])])
     return rings
 
 
@@ -155,11 +157,8 @@ def _places(rings: Sequence[Ring]) -> Array:
 
 def _same(ellipse: Ellipse, other: Ellipse) -> bool:
     """Whether a suspect would only lead to a ring that has been found."""
-    radius = other.radius
-    return (
-        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
-        and abs(ellipse.radius - radius) < 0.15 * radius
-    )
+    near = math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
+    return near and abs(ellipse.radius - other.radius) < 0.15 * other.radius
 
 
 def _within(ellipse: Ellipse, other: Ellipse) -> bool:
