@@ -23,10 +23,10 @@ Float32 = NDArray[np.float32]
 # Standard deviation of uu + vv by that of uu, in white noise: √(1 + 1 + 2/3).
 _BOTH = math.sqrt(8 / 3)
 _MOST_VOTE = 3.0  # of a pixel: a glint does not outvote a rim
-_SHADING_PX = 9  # over which light may curve and is taken off: six times the ridges' scale, so that a line loses little
+_SHADING_PX = 9  # over which the mean curvature, that of the light, is taken off: of a line's it holds next to nothing
 _REACH = 2  # px of the level round a suspect that are voted in, for the centre and for the radius
 _PLACES = 32  # nearby at which the same votes are counted
-_MOST_ANGLES = 96
+_MOST_ANGLES = 96  # neighbouring pixels on the larger rings: more would vote the same
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def _poll(votes, margin, ellipses, polarity, scores):  # type: ignore[no-untyped
     votes : (h, w) float32
         See `ballot`; with a margin on all sides, wider than the largest ellipse and the reach.
     margin : int
+        Pixels on each side.
     ellipses : (n, 5) float64, changed
         u, v, semi-axes, angle; without the margin.
     polarity : float
@@ -122,7 +123,8 @@ def _poll(votes, margin, ellipses, polarity, scores):  # type: ignore[no-untyped
         iv = round(v)
         if iu < 0 or iv < 0 or iu >= width - 2 * margin or iv >= height - 2 * margin:
             continue
-        if max(a, b) + 3.0 * _REACH + 2.0 > margin:
+        # Flatter ones would grow by more than the margin allows for; no head is seen so aslant.
+        if max(a, b) + 3.0 * _REACH + 2.0 > margin or min(a, b) < 0.4 * max(a, b):
             continue
         at = (iv + margin) * width + iu + margin
         best = -1e9
