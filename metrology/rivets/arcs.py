@@ -88,8 +88,9 @@ def _glint_cores(guu, guv, gvv, noise, core):  # type: ignore[no-untyped-def]
             b = guv[y, x]
             c = gvv[y, x]
             # The weaker of the two principal curvatures of a bright summit; a line has none along it.
-            weaker = -0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)
-            core[y, x] = weaker > _GLINT * noise[y, x]
+            mean = -0.5 * (a + c)
+            least = _GLINT * noise[y, x]
+            core[y, x] = mean > least and mean - math.sqrt(0.25 * (a - c) ** 2 + b * b) > least
 
 
 @kernel

@@ -48,13 +48,12 @@ class Ballot:
     def of(cls, field: RidgeField, largest: float) -> Ballot:
         """The votes in a field for ellipses with semi-axes up to `largest` pixels, and half as much for flat ones."""
         curvature = field.derivatives.uu + field.derivatives.vv
-        curvature -= cv2.blur(curvature, (_SHADING_PX, _SHADING_PX))
-        curvature /= _BOTH * field.noise
-        np.clip(curvature, -_MOST_VOTE, _MOST_VOTE, out=curvature)
-        curvature[(field.glint > 0) | np.isnan(curvature)] = 0.0
+        shading = cv2.blur(curvature, (_SHADING_PX, _SHADING_PX))
         margin = int(1.5 * largest) + 3 * _REACH + 3
-        votes = cv2.copyMakeBorder(curvature, margin, margin, margin, margin, cv2.BORDER_CONSTANT)
-        return cls(np.asarray(votes, np.float32), margin)
+        height, width = curvature.shape
+        votes = np.zeros((height + 2 * margin, width + 2 * margin), np.float32)
+        _cast(curvature, shading, field.noise, field.glint, votes[margin:-margin, margin:-margin])
+        return cls(votes, margin)
 
     def poll(self, ellipses: NDArray[np.float64], polarity: float) -> NDArray[np.float64]:
         """Move ellipses to where most votes agree; (n, 2) scores, see `_poll`."""
@@ -63,6 +62,17 @@ class Ballot:
         _poll(self.votes, self.margin, moved, polarity, scores)
         ellipses[:] = moved
         return scores
+
+
+@kernel
+def _cast(curvature, shading, noise, glint, votes):  # type: ignore[no-untyped-def]
+    """Each pixel's vote; none where a glint is or nothing is known."""
+    height, width = curvature.shape
+    for y in range(height):
+        for x in range(width):
+            vote = (curvature[y, x] - shading[y, x]) / (_BOTH * noise[y, x])
+            if glint[y, x] == 0 and not np.isnan(vote):
+                votes[y, x] = min(max(vote, -_MOST_VOTE), _MOST_VOTE)
 
 
 @kernel
