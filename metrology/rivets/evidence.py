@@ -269,7 +269,7 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
         Half-width of the ring looked for, px.
     found : (5,) float64, output
     """
-    angles = 48
+    angles = 32
     place, reach, share = _room(angles)
     response = np.empty(angles)
     width = image.shape[1]
