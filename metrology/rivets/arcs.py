@@ -20,9 +20,6 @@ from metrology.ridges import Derivatives, gaussian_derivatives
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
-_GLINT = 10.0  # least curvature of a glint in its flatter direction, by the noise's
-_SKIRT = 2.0  # reach of a glint's skirt from its core, scales of the derivatives
-
 
 @dataclass(frozen=True)
 class Arcs:
@@ -79,30 +76,13 @@ def curvature_noise(guu: Float32, gvv: Float32, blocks: int = 14) -> Float32:
 
 
 @kernel
-def _glint_cores(guu, guv, gvv, noise, core):  # type: ignore[no-untyped-def]
-    """Mark where the image bulges brightly in both directions by more than `_GLINT` times the noise."""
-    height, width = guu.shape
-    for y in range(height):
-        for x in range(width):
-            a = guu[y, x]
-            b = guv[y, x]
-            c = gvv[y, x]
-            # The weaker of the two principal curvatures of a bright summit; a line has none along it.
-            mean = -0.5 * (a + c)
-            least = _GLINT * noise[y, x]
-            core[y, x] = mean > least and mean - math.sqrt(0.25 * (a - c) ** 2 + b * b) > least
-
-
-@kernel
-def _ridge_points(gu, gv, guu, guv, gvv, noise, glint, polarity, threshold, index, out):  # type: ignore[no-untyped-def]
+def _ridge_points(gu, gv, guu, guv, gvv, noise, polarity, threshold, index, out):  # type: ignore[no-untyped-def]
     """Steger's ridge points: where the profile across the ridge has its extremum within the pixel."""
     height, width = guu.shape
     n = 0
     for y in range(1, height - 1):
         for x in range(1, width - 1):
             index[y, x] = -1
-            if glint[y, x]:
-                continue
             a = guu[y, x] * polarity
             b = guv[y, x] * polarity
             c = gvv[y, x] * polarity
@@ -268,24 +248,15 @@ def _curvatures(points, chain, window, noise, result):  # type: ignore[no-untype
 
 @dataclass(frozen=True)
 class RidgeField:
-    """Derivatives of an image at one scale, the noise of the second ones (see `curvature_noise`), and where glints are.
-
-    A glint's skirt curves like a dark ring round it. Where a glint is, neither arcs nor votes are taken.
-    """
+    """Derivatives of an image at one scale, and the noise of the second ones (see `curvature_noise`)."""
 
     derivatives: Derivatives
     noise: Float32
-    glint: NDArray[np.uint8]
 
     @classmethod
     def of(cls, image: Float32, sigma: float) -> RidgeField:
-        d = gaussian_derivatives(image, sigma)
-        noise = curvature_noise(d.uu, d.vv)
-        core = np.zeros(noise.shape, np.uint8)
-        _glint_cores(d.uu, d.uv, d.vv, noise, core)
-        reach = int(np.ceil(_SKIRT * sigma))
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-        return cls(d, noise, np.asarray(cv2.dilate(core, disc), np.uint8))
+        derivatives = gaussian_derivatives(image, sigma)
+        return cls(derivatives, curvature_noise(derivatives.uu, derivatives.vv))
 
 
 def trace_arcs(
@@ -309,9 +280,7 @@ def trace_arcs(
     index = np.full(shape, -1, np.int32)
     points = np.empty((field.noise.size // 3, 5))
     d = field.derivatives
-    count = _ridge_points(
-        d.u, d.v, d.uu, d.uv, d.vv, field.noise, field.glint, float(polarity), thresholds[0], index, points
-    )
+    count = _ridge_points(d.u, d.v, d.uu, d.uv, d.vv, field.noise, float(polarity), thresholds[0], index, points)
     points = points[:count]
     order, chain = np.empty(count, np.int64), np.empty(count, np.int64)
     total = _link(points, index, thresholds[1], order, chain)

@@ -11,34 +11,24 @@ from numpy.typing import NDArray
 
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_steps, settle
-from metrology.rivets.ring import SHAPE_SD, RingFit, fit_ring
+from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
-from metrology.rivets.suspects import (
-    ANY_SHAPE,
-    KNOWN_SHAPE,
-    STRONG,
-    Evidence,
-    Traces,
-    candidates,
-    confirmed,
-    levels_for,
-    shadowed,
-    suspects,
-    trace,
-)
+from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, Traces, levels_for, suspects, trace
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
+_SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
+_APART = 0.85  # of the sum of two rings' radii, at least, between their centres
 _CLEAR = 2.0  # ridges of this many times the least strength are of clear rings
 _TELLING = 12  # confident rings: their mean elongation is told to a third of what one ring's is
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
 _WORTH_A_TRY_PX = 0.7  # from the first start: the fit leads back from less
-_SHAPE_TOLERANCE = 5 * SHAPE_SD  # of a ring's elongation
-# Two scratches that cross a small circle cover it at four places of three σ each, aslant: 4 · 3σ √2 / 2πr of it. Beyond
-# that a rim covers more than chance does: of sectors without one 5.5 % ± 4.7 % show it (24 of them, at 1.6 sigma).
-_CROSSED, _CHANCE = 2.7, 0.1
+_SHAPE_TOLERANCE = 0.15  # of a ring's elongation: five standard deviations of what is expected (see `fit_ring`)
+# Two scratches that cross a small circle cover it at four places of three σ each, aslant: 4 · 3σ √2 / 2πr of it. A rim
+# covers a tenth more.
+_CROSSED, _BEYOND = 2.7, 0.1
 _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its amplitude
 
 
@@ -102,23 +92,16 @@ def detect_ellipses(
     def rings(
         known: CircleShapes | None, evidence: Evidence, arcs: Sequence[Traces], likely: Sequence[Ring] = ()
     ) -> list[Ring]:
-        supported = [c for t in arcs for c in candidates(t, known or CircleShapes.round(), settings)]
-        clear = _places([r for r in likely if r.confident])
-        starts = [r.ellipse for r in likely] + suspects(image, [c.beside(clear) for c in supported], evidence)
-        enough = _TELLING if evidence is STRONG else None
-        found = _verified_rings(image, starts, known, bounds, settings, enough)
-        if known is not None:
-            # The second stage: votes in the neighbourhood of what has led nowhere.
-            second = confirmed([c.beside(_places(found)) for c in supported], settings)
-            again = (_verified(image, start, known, bounds, settings, retry=False) for start in second)
-            found += [ring for ring in again if ring is not None]
-        return found
+        starts = [r.ellipse for r in likely]
+        for t in arcs:
+            starts += suspects(image, t, known or CircleShapes.round(), settings, evidence)
+        return _verified_rings(image, starts, known, bounds, settings, enough=_TELLING if evidence is STRONG else None)
 
     if shapes is not None:
         return suppress_repeats(rings(shapes, KNOWN_SHAPE, traces))
     # The clearest rings tell what circles look like; where they are too few, all that are beyond doubt.
-    strong_arcs = [t.stronger(_CLEAR * settings.ridge_low) for t in traces]
-    for arcs in (strong_arcs, traces):
+    clear = [t.stronger(_CLEAR * settings.ridge_low) for t in traces]
+    for arcs in (clear, traces):
         strong = rings(None, STRONG, arcs)
         learnt = shapes_of([r.ellipse for r in suppress_repeats(strong) if r.confident], image.shape)
         if learnt is not None:
@@ -136,29 +119,40 @@ def _verified_rings(
 ) -> list[Ring]:
     """The rings that suspects lead to, some more than once, until `enough` are confident."""
     rings: list[Ring] = []
-    clear = _places([])
+    found: list[tuple[Ellipse, float, bool]] = []
     for start in starts:
-        if enough is not None and len(clear) >= enough:
+        if enough is not None and sum(confident for _, _, confident in found) >= enough:
             break
-        if shadowed(start.parameters[None], clear)[0] or any(_same(start, r.ellipse) for r in rings):
-            continue
-        ring = _verified(image, start, shapes, radii, settings)
-        if ring is not None:
-            rings.append(ring)
-            if ring.confident:
-                clear = np.concatenate([clear, _places([ring])])
+        size = start.radius
+        if not any(
+            _same(start, size, e, radius) or (confident and _shadowed(start, size, e, radius))
+            for e, radius, confident in found
+        ):
+            ring = _verified(image, start, shapes, radii, settings)
+            if ring is not None:
+                rings.append(ring)
+                found.append((ring.ellipse, ring.ellipse.radius, ring.confident))
     return rings
 
 
-def _places(rings: Sequence[Ring]) -> Array:
-    """(n, 3) centres and radii of rings, px."""
-    return np.array([[r.ellipse.u, r.ellipse.v, r.ellipse.radius] for r in rings]).reshape(-1, 3)
-
-
-def _same(ellipse: Ellipse, other: Ellipse) -> bool:
+def _same(ellipse: Ellipse, radius: float, other: Ellipse, other_radius: float) -> bool:
     """Whether a suspect would only lead to a ring that has been found."""
-    near = math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
-    return near and abs(ellipse.radius - other.radius) < 0.15 * other.radius
+    return (
+        math.hypot(ellipse.u - other.u, ellipse.v - other.v) < 0.2 * other.b
+        and abs(radius - other_radius) < 0.15 * other_radius
+    )
+
+
+def _shadowed(ellipse: Ellipse, radius: float, other: Ellipse, other_radius: float) -> bool:
+    """Whether a suspect cannot be another head beside a clear ring: heads do not overlap.
+
+    The flanks of a clear ring, its highlights and its recess make such, and curves that share a part of it. Larger ones
+    about the same centre may be heads round a recess.
+    """
+    distance = math.hypot(ellipse.u - other.u, ellipse.v - other.v)
+    if distance < 0.3 * other.b:
+        return radius < _SHADOW * other_radius
+    return distance < _APART * (radius + other_radius)
 
 
 def _within(ellipse: Ellipse, other: Ellipse) -> bool:
@@ -166,14 +160,9 @@ def _within(ellipse: Ellipse, other: Ellipse) -> bool:
 
 
 def _verified(
-    image: Float32,
-    start: Ellipse,
-    shapes: CircleShapes | None,
-    radii: tuple[float, float],
-    settings: RivetSettings,
-    retry: bool = True,
+    image: Float32, start: Ellipse, shapes: CircleShapes | None, radii: tuple[float, float], settings: RivetSettings
 ) -> Ring | None:
-    """The ring at a suspect, if it is one; where the fit fails, `retry` from near by."""
+    """The ring at a suspect, if it is one."""
     reach = float(np.clip(0.6 * start.b, 4.5, 7.5))
     limits = np.array([reach, 0.85 * radii[0], 1.15 * radii[1], 0.55, 0.5, 2.0])
     shape = None
@@ -181,7 +170,7 @@ def _verified(
         start = shapes.ellipse(start.u, start.v, start.radius)
         shape = start.shape
     fit = _fitted(image, start, shape, limits, settings)
-    if fit is None and retry:
+    if fit is None:
         # A glint or a gap in the ring has pulled the suspect aside: once more from where a whole ring shows best.
         near = np.empty(5)
         settle(image, start.parameters, _USUAL_SIGMA_PX, near)
@@ -217,7 +206,7 @@ def _is_rim(ring: RingFit, settings: RivetSettings) -> bool:
     beside_head = abs(ring.amplitude) - 0.5 * max(0.0, np.sign(ring.amplitude) * ring.step)
     return bool(
         ring.score >= settings.min_score
-        and ring.coverage >= max(settings.min_coverage, _CROSSED * ring.sigma_px / ring.ellipse.radius + _CHANCE)
+        and ring.coverage >= max(settings.min_coverage, _CROSSED * ring.sigma_px / ring.ellipse.radius + _BEYOND)
         and ring.sigma_px < min(2.1, 0.4 * ring.ellipse.b)
         and beside_head > 0.1 * abs(ring.amplitude)
         and abs(ring.amplitude) > settings.min_ring_share * abs(ring.step)

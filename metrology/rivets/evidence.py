@@ -154,11 +154,12 @@ def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-un
     a, b = ellipse[2], ellipse[3]
     ca = math.cos(ellipse[4])
     sa = math.sin(ellipse[4])
-    weights = np.empty(2 * _FLANK + 1)
-    for i in range(2 * _FLANK + 1):
-        weights[i] = math.exp(-0.5 * ((i - _FLANK) / sigma) ** 2)
-    weights -= weights.mean()
-    weights /= (weights**2).sum()
+    mean = 0.0
+    for o in range(-_FLANK, _FLANK + 1):
+        mean += math.exp(-0.5 * (o / sigma) ** 2) / (2 * _FLANK + 1)
+    norm = 0.0
+    for o in range(-_FLANK, _FLANK + 1):
+        norm += (math.exp(-0.5 * (o / sigma) ** 2) - mean) ** 2
     angles = len(place)
     for k in range(angles):
         t = 2.0 * math.pi * k / angles
@@ -174,6 +175,7 @@ def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-un
         reach[k, 0] = x
         reach[k, 1] = y
         for o in range(-_FLANK, _FLANK + 1):
+            weight = (math.exp(-0.5 * (o / sigma) ** 2) - mean) / norm
             px = x + o * gx
             py = y + o * gy
             ix = math.floor(px)
@@ -181,7 +183,6 @@ def _template(ellipse, sigma, width, place, reach, share):  # type: ignore[no-un
             fx = px - ix
             fy = py - iy
             i = o + _FLANK
-            weight = weights[i]
             place[k, i] = iy * width + ix
             share[k, i, 0] = weight * (1.0 - fy) * (1.0 - fx)
             share[k, i, 1] = weight * (1.0 - fy) * fx
@@ -269,7 +270,7 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
         Half-width of the ring looked for, px.
     found : (5,) float64, output
     """
-    angles = 32
+    angles = 48
     place, reach, share = _room(angles)
     response = np.empty(angles)
     width = image.shape[1]

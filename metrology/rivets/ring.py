@@ -23,10 +23,6 @@ from metrology.rivets.ring_kernel import fit_ring_kernel
 
 Array = NDArray[np.float64]
 
-# Of an ellipse's elongation about what the surface, or rings on one panel, tell: skin seen 35° from its normal whose
-# slope is known to two degrees.
-SHAPE_SD = 0.03
-
 
 @dataclass(frozen=True)
 class RingFit:
@@ -51,6 +47,8 @@ class RingFit:
         Amplitude over its standard deviation.
     coverage : float
         Share of the ring's sectors in which it shows.
+    step_score : float
+        Step over its standard deviation.
     inside_image : float
         Share of the ring that lies on the image.
     """
@@ -64,6 +62,7 @@ class RingFit:
     noise: float
     score: float
     coverage: float
+    step_score: float
     inside_image: float
 
 
@@ -79,7 +78,7 @@ def fit_ring(
     sigma_px: float,
     limits: Array,
     shape: Array | None = None,
-    shape_sd: float = SHAPE_SD,
+    shape_sd: float = 0.03,
     iterations: int = 11,
 ) -> RingFit | None:
     """Fit the ring model near a starting ellipse; None where there is none.
@@ -96,7 +95,7 @@ def fit_ring(
     shape_sd : float
         Its relative standard deviation.
     """
-    out, covariance, expected = np.zeros(12), np.zeros((5, 5)), np.zeros(3)
+    out, covariance, expected = np.zeros(13), np.zeros((5, 5)), np.zeros(3)
     if shape is not None:
         inverse = np.linalg.inv(shape)
         expected[:] = inverse[0, 0], inverse[1, 1], inverse[0, 1]
@@ -122,5 +121,6 @@ def fit_ring(
         noise=out[8],
         score=out[9],
         coverage=out[10],
-        inside_image=out[11],
+        step_score=out[11],
+        inside_image=out[12],
     )

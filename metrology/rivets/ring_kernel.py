@@ -363,8 +363,8 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     limits : (6,) float64
         Reach of the band, px; least and largest semi-axis, px; least axis ratio; least and largest σ, px.
     iterations : int
-    out : (12,) float64, output
-        u, v, A, B, C, σ, mean amplitude, mean step, noise, score, coverage, share on the image.
+    out : (13,) float64, output
+        u, v, A, B, C, σ, mean amplitude, mean step, noise, score, coverage, step score, share on the image.
     covariance : (5, 5) float64, output
 
     Returns
@@ -553,29 +553,29 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     # Brushed metal leaves residuals that are not independent: compare the scatter of the sectors' sums with what
     # independent noise gives.
     ratio = 0.0
-    products = 0.0
     for j in range(5):
-        expected = normal[GEOMETRY + j, GEOMETRY + j] * variance + 1e-30
-        ratio += (gradients[:, j] ** 2).sum() / expected
-        for sector in range(SECTORS):
-            products += gradients[sector, j] * gradients[sector - 1, j] / expected
-    # The fit has taken five degrees of freedom from the sectors' sums, and from neighbours' products as much as makes
-    # all products with one sector's sum nothing.
+        ratio += (gradients[:, j] ** 2).sum() / (normal[GEOMETRY + j, GEOMETRY + j] * variance + 1e-30)
+    # The fit has taken five degrees of freedom from the sectors' sums.
     inflation = max(1.0, ratio / 5.0 * SECTORS / (SECTORS - 5.0))
-    # A streak is longer than a sector: neighbours' sums go together.
-    together = max(1.0, 1.0 + 2.0 * products / (ratio + 1e-30) + 10.0 / (SECTORS - 5.0))
     variance *= inflation
     noise = math.sqrt(variance)
     if shape_sd > 0.0:
         _add_prior(geometry, shape, variance / shape_sd**2, normal, step)
     if not _scaled(normal, UNKNOWNS, 1e-9, work, diagonal):
         return False
-    for j in range(5):
+    step_sd = 0.0
+    for j in range(6):
+        # Columns of the inverse: the geometry's, then the brightness step's.
+        column = GEOMETRY + j if j < 5 else BACKGROUND
         step[:] = 0.0
-        step[GEOMETRY + j] = diagonal[GEOMETRY + j]
+        step[column] = diagonal[column]
         _substitute(work, UNKNOWNS, step)
-        for k in range(5):
-            covariance[j, k] = step[GEOMETRY + k] * diagonal[GEOMETRY + k] * variance * _WEIGHTED_COVARIANCE
+        if j < 5:
+            for k in range(5):
+                value_jk = step[GEOMETRY + k] * diagonal[GEOMETRY + k]
+                covariance[j, k] = value_jk * variance * _WEIGHTED_COVARIANCE
+        else:
+            step_sd = math.sqrt(step[column] * diagonal[column]) * noise
     # Noise makes the squared amplitude, and with it the information on the ring's place, look larger than it is.
     squares = 0.0
     excess = 0.0
@@ -585,7 +585,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         _substitute(work, UNKNOWNS, step)
         squares += params[DENSE + k] ** 2
         excess += step[DENSE + k] * diagonal[DENSE + k] * variance
-    covariance[:] *= together / max(1.0 - excess / (squares + 1e-30), _LEAST_SHARE)
+    covariance[:] /= max(1.0 - excess / (squares + 1e-30), _LEAST_SHARE)
     mean = scores.sum() / norm
     sign = 1.0 if mean > 0.0 else -1.0
     hits = 0
@@ -600,5 +600,6 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     out[8] = noise / math.sqrt(inflation)
     out[9] = abs(mean) * math.sqrt(norm) / noise
     out[10] = hits / SECTORS
-    out[11] = share
+    out[11] = abs(params[BACKGROUND]) / (step_sd + 1e-12)
+    out[12] = share
     return True

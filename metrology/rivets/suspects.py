@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,7 +12,6 @@ from metrology.rivets.arc_fit import fit_candidates, strike_repeats
 from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import ring_evidence
-from metrology.rivets.local_votes import Ballot
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import CircleShapes
 
@@ -27,17 +25,9 @@ _WINDOW = 7  # ridge points to either side from which an arc's curvature is take
 _RADIUS_STEP = 0.5  # between radii that are voted for, px of the level
 _PLANE_RATIO = 1.35  # of the radii that share an accumulator
 _PEAKS = 150  # kept per accumulator
-# Of an ellipse by ridge points. The sagitta of a quarter turn, 0.29 r, is three times the position noise for the
-# smallest heads looked for at half resolution (4 px of the level): a shorter arc may as well be straight.
-_LEAST_COVERAGE = 0.25
-_SUSPECT_COVERAGE = 0.38  # of a suspect that is fitted without being voted on
+_LEAST_COVERAGE = 0.38  # of a suspect by ridge points
+_LEAST_TRACE = 0.25  # the same where the image shows the ring plainly
 _SECTORS = 24
-# Of the tens of thousands of places in an image that are voted in, noise alone comes that far in one of thousands
-# of images.
-_LEAST_VOTES = 5.5
-# Heads do not overlap: about a clear ring no other is looked for within so many of its radii, nor, beside it, where the
-# centres are closer than this share of both radii.
-_SHADOW, _APART = 1.6, 0.85
 
 
 @dataclass(frozen=True)
@@ -81,17 +71,16 @@ KNOWN_SHAPE, ANY_SHAPE, STRONG = Evidence(11.0, 0.66), Evidence(6.0, 0.5), Evide
 
 @dataclass(frozen=True)
 class Traces:
-    """Arcs of an image at one resolution, dark ones and bright ones, and the votes of its pixels."""
+    """Arcs of an image at one resolution: dark ones and bright ones."""
 
     level: Level
     size: tuple[int, int]
     dark: Arcs
     bright: Arcs
-    ballot: Ballot
 
     def stronger(self, least: float) -> Traces:
         """The points of at least this strength."""
-        return Traces(self.level, self.size, self.dark.stronger(least), self.bright.stronger(least), self.ballot)
+        return Traces(self.level, self.size, self.dark.stronger(least), self.bright.stronger(least))
 
 
 def trace(image: Float32, level: Level, settings: RivetSettings) -> Traces:
@@ -103,86 +92,27 @@ def trace(image: Float32, level: Level, settings: RivetSettings) -> Traces:
     field = RidgeField.of(small, _FULL_SCALE if k == 1 else _REDUCED_SCALE)
     thresholds = settings.ridge_low, settings.ridge_high
     dark, bright = (trace_arcs(field, polarity, thresholds, _WINDOW, _POSITION_NOISE) for polarity in (1, -1))
-    return Traces(level, (small.shape[0], small.shape[1]), dark, bright, Ballot.of(field, level.most / k))
+    return Traces(level, (small.shape[0], small.shape[1]), dark, bright)
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """Ellipses that arcs of one polarity support.
-
-    Attributes
-    ----------
-    traces : Traces
-    polarity : float
-        +1 dark, −1 bright.
-    rows : (n, 7) ndarray
-        Ellipses (u, v, semi-axes, angle) in pixels of the level, then coverage and agreement.
-    """
-
-    traces: Traces
-    polarity: float
-    rows: Array
-
-    @property
-    def in_image(self) -> Array:
-        """The rows in pixels of the image."""
-        k = self.traces.level.reduction
-        return np.column_stack([(self.rows[:, :2] + 0.5) * k - 0.5, self.rows[:, 2:4] * k, self.rows[:, 4:]])
-
-    def beside(self, rings: Array) -> Candidates:
-        """Those that may be heads beside the rings (rows of u, v, radius), in pixels of the image."""
-        return Candidates(self.traces, self.polarity, self.rows[~shadowed(self.in_image, rings)])
-
-
-def candidates(traces: Traces, shapes: CircleShapes, settings: RivetSettings) -> list[Candidates]:
-    """Ellipses that arcs support, dark ones and bright ones."""
-    both = []
+def suspects(
+    image: Float32, traces: Traces, shapes: CircleShapes, settings: RivetSettings, evidence: Evidence
+) -> list[Ellipse]:
+    """Ellipses that arcs support and whose ring shows in the image, in its pixels, best supported first."""
+    k = traces.level.reduction
+    found = []
     for polarity, arcs in ((1.0, traces.dark), (-1.0, traces.bright)):
-        rows = _candidates(arcs, traces.size, traces.level, shapes, settings)
-        both.append(Candidates(traces, polarity, _distinct(rows[rows[:, 5] >= _LEAST_COVERAGE])))
-    return both
-
-
-def suspects(image: Float32, supported: Sequence[Candidates], evidence: Evidence) -> list[Ellipse]:
-    """Candidates whose ring shows in the image, in its pixels, best supported first."""
-    found = [np.empty((0, 7))]
-    for some in supported:
-        rows = some.in_image
-        rows = rows[rows[:, 5] >= _SUSPECT_COVERAGE]
-        shown = np.zeros((len(rows), 2))
-        ring_evidence(image, rows[:, :5], np.full(len(rows), some.polarity), _SECTORS, shown)
-        found.append(rows[(shown[:, 0] > evidence.score) & (shown[:, 1] >= evidence.hits)])
-    return [Ellipse.of(row[:5]) for row in _distinct(np.concatenate(found))]
-
-
-def confirmed(supported: Sequence[Candidates], settings: RivetSettings) -> list[Ellipse]:
-    """Candidates put where most votes of the pixels round them agree, where these confirm them; in pixels of the image.
-
-    Half of the sectors without a rim vote for it by chance.
-    """
-    found = [np.empty((0, 7))]
-    for some in supported:
-        rows = some.rows.copy()
-        rows[:, 5:] = some.traces.ballot.poll(rows[:, :5], some.polarity)
-        clear = (rows[:, 5] > _LEAST_VOTES) & (rows[:, 6] > 0.5 * (1 + settings.min_coverage))
-        found.append(Candidates(some.traces, some.polarity, rows[clear]).in_image)
-    return [Ellipse.of(row[:5]) for row in _distinct(np.concatenate(found))]
-
-
-def shadowed(ellipses: Array, rings: Array) -> NDArray[np.bool_]:
-    """Which ellipses (rows of u, v, semi-axes, …) cannot be other heads beside rings (rows of u, v, radius).
-
-    The flanks of a ring, its highlights and its recess make such, and curves that share a part of it. Larger ones about
-    the same centre may be heads round a recess.
-    """
-    if len(rings) == 0:
-        return np.zeros(len(ellipses), bool)
-    radii = np.sqrt(ellipses[:, 2:3] * ellipses[:, 3:4])
-    distance = np.hypot(ellipses[:, :1] - rings[:, 0], ellipses[:, 1:2] - rings[:, 1])
-    within = np.where(
-        distance < 0.3 * rings[:, 2], radii < _SHADOW * rings[:, 2], distance < _APART * (radii + rings[:, 2])
-    )
-    return np.asarray(within.any(axis=1))
+        candidates = _candidates(arcs, traces.size, traces.level, shapes, settings)
+        least = _LEAST_COVERAGE if evidence is STRONG else _LEAST_TRACE
+        candidates = _distinct(candidates[candidates[:, 5] >= least])
+        candidates[:, :2] = (candidates[:, :2] + 0.5) * k - 0.5
+        candidates[:, 2:4] *= k
+        shown = np.zeros((len(candidates), 2))
+        ring_evidence(image, candidates[:, :5], np.full(len(candidates), polarity), _SECTORS, shown)
+        traced = candidates[:, 5] >= _LEAST_COVERAGE
+        plain = (shown[:, 0] > STRONG.score / 1.5) & (shown[:, 1] >= STRONG.hits)
+        found.append(candidates[(traced | plain) & (shown[:, 0] > evidence.score) & (shown[:, 1] >= evidence.hits)])
+    return [Ellipse.of(c[:5]) for c in _distinct(np.concatenate(found))]
 
 
 def _candidates(
@@ -207,10 +137,10 @@ def _candidates(
     return np.column_stack([ellipses, coverage, agreement])
 
 
-def _distinct(rows: Array) -> Array:
+def _distinct(candidates: Array) -> Array:
     """Candidates in order of support without those that repeat a better one."""
-    order = np.argsort(-rows[:, 5] * rows[:, 6], kind="stable")
-    rows = rows[order]
-    alive = np.ones(len(rows), np.bool_)
-    strike_repeats(rows, alive)
-    return rows[alive]
+    order = np.argsort(-candidates[:, 5] * candidates[:, 6], kind="stable")
+    candidates = candidates[order]
+    alive = np.ones(len(candidates), np.bool_)
+    strike_repeats(candidates, alive)
+    return candidates[alive]

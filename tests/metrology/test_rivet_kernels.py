@@ -11,7 +11,6 @@ from metrology.rivets.arc_fit import fit_conic
 from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_evidence, ring_steps, settle
-from metrology.rivets.local_votes import Ballot
 from metrology.rivets.ring_kernel import (
     DENSE,
     GEOMETRY,
@@ -235,49 +234,3 @@ def test_a_suspect_beside_its_ring_settles_on_it(rng: np.random.Generator) -> No
         image, np.array([ELLIPSE.u + 2.0, ELLIPSE.v - 1.0, ELLIPSE.a + 2.0, ELLIPSE.b + 1.6, ELLIPSE.angle]), 1.0, found
     )
     assert found == pytest.approx(ELLIPSE.parameters, abs=0.7)
-
-
-def votes_on(ballot: Ballot, ellipse: np.ndarray) -> float:
-    """Mean vote of the pixels nearest to an ellipse, by numpy."""
-    u, v = Ellipse.of(ellipse).points(96).T
-    return float(
-        ballot.votes[
-            np.floor(v + 0.5).astype(int) + ballot.margin, np.floor(u + 0.5).astype(int) + ballot.margin
-        ].mean()
-    )
-
-
-def test_votes_put_a_suspect_on_its_faint_ring_and_refuse_bare_noise(rng: np.random.Generator) -> None:
-    """A ring of the noise's own strength, which no single pixel shows, under steep light."""
-    v, u = np.mgrid[:120, :140].astype(float)
-    light = 100 + 60 * np.exp(-0.5 * (((u - 30) / 22) ** 2 + ((v - 90) / 22) ** 2))
-    noise = rng.normal(0, 1, u.shape)
-    truth = np.array([70.3, 58.6, 17.0, 15.0, 0.4])
-    ring = np.exp(-0.5 * ((Ellipse(*truth).level(u, v) - 1) * 16) ** 2)
-    start = truth + np.array([1.6, -1.4, 1.1, 1.0, 0.0])
-    for contrast, polarity in ((-2.0, 1.0), (2.0, -1.0)):
-        ballot = Ballot.of(RidgeField.of((light + contrast * ring + noise).astype(np.float32), 1.0), 23)
-        moved = start[None].copy()
-        score, sectors = ballot.poll(moved, polarity)[0]
-        assert np.abs(moved[0] - truth)[:4].max() < 1.1
-        assert score > 5.5
-        assert sectors > 0.8
-        assert polarity * votes_on(ballot, moved[0]) > polarity * votes_on(ballot, start)
-        assert polarity * votes_on(ballot, moved[0]) > 0.9 * polarity * votes_on(ballot, truth)
-    bare = Ballot.of(RidgeField.of((light + noise).astype(np.float32), 1.0), 23)
-    assert bare.poll(start[None].copy(), 1.0)[0, 0] < 5.5
-
-
-def test_a_glints_skirt_is_no_dark_ring_and_a_clear_rim_no_glint(rng: np.random.Generator) -> None:
-    v, u = np.mgrid[:120, :200].astype(float)
-    glint = 90 * np.exp(-0.5 * (((u - 50) / 2.0) ** 2 + ((v - 60) / 1.5) ** 2))
-    rim = 25 * np.exp(-0.5 * ((np.hypot(u - 140, v - 60) - 14) / 1.0) ** 2)
-    field = RidgeField.of((100 + glint + rim + rng.normal(0, 1, u.shape)).astype(np.float32), 1.0)
-    distance = np.hypot(u - 50, v - 60)
-    assert field.glint[distance < 3].all()
-    assert not field.glint[distance > 12].any()
-    dark = trace_arcs(field, 1, (8.0, 10.0), 7, 0.35)
-    assert not (np.hypot(dark.u - 50, dark.v - 60) < 4).any()
-    ballot = Ballot.of(field, 23)
-    votes = ballot.votes[ballot.margin : -ballot.margin, ballot.margin : -ballot.margin]
-    assert (votes[field.glint > 0] == 0).all()
