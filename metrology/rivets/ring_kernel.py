@@ -553,10 +553,17 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
     # Brushed metal leaves residuals that are not independent: compare the scatter of the sectors' sums with what
     # independent noise gives.
     ratio = 0.0
+    products = 0.0
     for j in range(5):
-        ratio += (gradients[:, j] ** 2).sum() / (normal[GEOMETRY + j, GEOMETRY + j] * variance + 1e-30)
-    # The fit has taken five degrees of freedom from the sectors' sums.
+        expected = normal[GEOMETRY + j, GEOMETRY + j] * variance + 1e-30
+        ratio += (gradients[:, j] ** 2).sum() / expected
+        for sector in range(SECTORS):
+            products += gradients[sector, j] * gradients[sector - 1, j] / expected
+    # The fit has taken five degrees of freedom from the sectors' sums, and from neighbours' products as much as makes
+    # all products with one sector's sum nothing.
     inflation = max(1.0, ratio / 5.0 * SECTORS / (SECTORS - 5.0))
+    # A streak is longer than a sector: neighbours' sums go together.
+    together = max(1.0, 1.0 + 2.0 * products / (ratio + 1e-30) + 10.0 / (SECTORS - 5.0))
     variance *= inflation
     noise = math.sqrt(variance)
     if shape_sd > 0.0:
@@ -585,7 +592,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         _substitute(work, UNKNOWNS, step)
         squares += params[DENSE + k] ** 2
         excess += step[DENSE + k] * diagonal[DENSE + k] * variance
-    covariance[:] /= max(1.0 - excess / (squares + 1e-30), _LEAST_SHARE)
+    covariance[:] *= together / max(1.0 - excess / (squares + 1e-30), _LEAST_SHARE)
     mean = scores.sum() / norm
     sign = 1.0 if mean > 0.0 else -1.0
     hits = 0
