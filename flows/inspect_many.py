@@ -130,5 +130,5 @@ def _passes(work: Callable[[], object], job: Job, debug: bool) -> bool:
 
 
 def _decisions(features: Sequence[Rivet | SeamStation]) -> str:
-    counted = Counter(feature.decision for feature in features)
-    return f" ({', '.join(f'{n} {decision}' for decision, n in counted.most_common())})" if counted else ""
+    decisions = Counter(feature.decision for feature in features)
+    return f" ({', '.join(f'{n} {decision}' for decision, n in decisions.most_common())})" if decisions else ""
