@@ -8,7 +8,7 @@ brightness of every region (`gap_view`). The ideal edges D′ and G′ lie a cha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,10 @@ Mask = NDArray[np.bool_]
 
 # Stations whose squared residuals exceed the usual ones so many times show something else than this gap.
 _ODD = 8.0
-# From so many widths on their scatter tells their uncertainty.
-_MIN_WIDTHS = 8
+# From so many widths on their scatter tells their uncertainty: that it is more than expected, and (to a fifth) less.
+_MIN_WIDTHS, _MANY_WIDTHS = 8, 32
+# Where they scatter so many times more than expected, pixels' noise is taken for larger by that, and all fitted anew.
+_STREAKY = 1.5
 _MAD = 1.4826
 
 
@@ -70,8 +72,11 @@ def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
     floors : sequence of Floor
         What may close the gap below; the pictures decide.
     """
-    shape, borders, sigma_common = fit_shape(profiles, floors)
-    final = fit_borders_from(profiles, borders, shape)
+    shape, sigma_common, final = _fit(profiles, floors)
+    scatter = _scatter(final)
+    if scatter > _STREAKY:
+        profiles = replace(profiles, variance=scatter**2 * profiles.variance)
+        shape, sigma_common, final = _fit(profiles, floors)
     sound = _is_sound(final, profiles)
     if not sound.all() and sound.any():
         # Where a shadow or a scratch was taken for a border, its neighbours know better.
@@ -80,14 +85,13 @@ def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
         again = fit_borders_from(profiles.at(np.flatnonzero(~sound)), np.stack(near, axis=1), shape)
         final = final.with_stations(~sound, again)
         sound = _is_sound(final, profiles)
-    own = np.sqrt(ACROSS @ np.linalg.inv(final.normals[:, :2, :2]) @ ACROSS)
     return GapFit(
         borders=final.borders,
         chamfers_mm=shape.shared[[WIDTH_A, WIDTH_B]],
         chamfer_slope=float(shape.shared[SLOPE]),
         leans=shape.shared[LEAN] + profiles.places * shape.shared[LEAN_CHANGE],
         sealed=shape.known.floor.sealed,
-        sigma_own_mm=own * _excess_scatter(final.widths, own),
+        sigma_own_mm=_sigma(final) * _scatter(final),
         sigma_common_mm=sigma_common,
         sound=sound,
     )
@@ -99,12 +103,27 @@ def _is_sound(state: State, profiles: Profiles) -> Mask:
     return np.asarray(per_bin < _ODD * np.median(per_bin))
 
 
-def _excess_scatter(widths: Array, sigma: Array) -> float:
-    """By how much widths of stations that share no pixel scatter more than expected; 1 where they do not.
+def _fit(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, float, State]:
+    """The shape with the standard deviation of the mean width, and all stations' borders."""
+    shape, borders, sigma_common = fit_shape(profiles, floors)
+    return shape, sigma_common, fit_borders_from(profiles, borders, shape)
 
-    Neighbouring stations' strips overlap, the next but one does not.
+
+def _sigma(state: State) -> Array:
+    """(n,) of each station's width with the shape known, mm."""
+    return np.asarray(np.sqrt(ACROSS @ np.linalg.inv(state.normals[:, :2, :2]) @ ACROSS))
+
+
+def _scatter(state: State) -> float:
+    """How much widths of stations that share no pixel scatter about their neighbours' mean, relative to expectation.
+
+    Neighbouring stations' strips overlap, the next but one does not. Pixels' errors go together along streaks, which
+    makes it more than expected; the errors of rendering that are reckoned with are much the same at all stations, which
+    makes it less.
     """
+    widths, sigma = state.widths, _sigma(state)
     if len(widths) < _MIN_WIDTHS:
         return 1.0
-    difference = np.abs(widths[2:] - widths[:-2]) / np.hypot(sigma[2:], sigma[:-2])
-    return max(1.0, _MAD * float(np.median(difference)))
+    expected = np.sqrt(sigma[2:-2] ** 2 + 0.25 * (sigma[:-4] ** 2 + sigma[4:] ** 2))
+    ratio = _MAD * float(np.median(np.abs(widths[2:-2] - 0.5 * (widths[:-4] + widths[4:])) / expected))
+    return ratio if len(widths) >= _MANY_WIDTHS else max(1.0, ratio)

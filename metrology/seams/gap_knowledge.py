@@ -23,6 +23,7 @@ from metrology.seams.gap_view import (
     LIT_WALL,
     SKIN_A,
     SKIN_B,
+    SKY,
     SLOPE_A,
     SLOPE_B,
 )
@@ -143,20 +144,21 @@ def _levels(ambient: float, grazing: float) -> list[tuple[float, float]]:
     cameras: anything from 0.1 to 0.8, which is 0.25 for four that are alike. Walls are cut through metal that sends
     back about half of what it gets: of the ambient light half the sky at most, of the direct light what `grazing` (the
     tangent of the lamp's angle) leaves. In the depth of a gap there is less sky; but as far as what does not follow the
-    fringes is the sensor's dark level, all of it is there.
+    fringes is the sensor's dark level, all of it is there, and does not darken towards the walls.
     """
     dark, spread, direct = 0.25 * ambient, 0.35 * ambient, 0.5 * grazing
     known = {
         SKIN_A: (1.0, 0.1), SKIN_B: (1.0, 0.1), SLOPE_A: (0.0, 0.01), SLOPE_B: (0.0, 0.01),
         CHAMFER_A: (0.45, 0.5), CHAMFER_B: (0.45, 0.5), LIT_FLOOR: (0.4, 0.4),
         LIT_WALL: (dark + direct, spread + direct), DARK_WALL: (dark, spread), DARK_FLOOR: (dark, spread),
+        SKY: (dark, spread),
     }  # fmt: skip
     return [known[level] for level in range(LEVELS)]
 
 
 def _level_scatter() -> Array:
     scatter = np.full(LEVELS, 0.05)
-    scatter[[SLOPE_A, SLOPE_B]] = 0.02
+    scatter[[SLOPE_A, SLOPE_B, SKY]] = 0.02
     return scatter
 
 

@@ -6,8 +6,9 @@ Coordinates are x across from A to B and h above the reference curve, the mean o
 Walking along the polyline from the eye's side, a piece is seen (or lit) where ξ goes beyond all that went before.
 
 The brightness of a region (a chamfer, what is lit of the walls or of the floor, what lies in shadow) is uniform, that
-of each skin linear. So the image is linear in the regions' levels: level k times a basis function, the region's visible
-intervals folded with the point spread (`blur`).
+of each skin linear; a floor, lit or not, darkens towards its walls as they hide the sky from it. So the image is linear
+in the regions' levels: level k times a basis function, the region's visible intervals folded with the point spread
+(`blur`).
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ import numpy as np
 
 from metrology.jit import kernel
 
-# Regions with a level of their own, the columns of the basis; each skin has a slope besides.
+# Regions with a level of their own, the columns of the basis; each skin has a slope besides, and the floor what the sky
+# gives it in the gap's middle.
 (
-    SKIN_A, SLOPE_A, CHAMFER_A, LIT_WALL, DARK_WALL, LIT_FLOOR, DARK_FLOOR, CHAMFER_B, SKIN_B, SLOPE_B, LEVELS,
-) = range(11)  # fmt: skip
+    SKIN_A, SLOPE_A, CHAMFER_A, LIT_WALL, DARK_WALL, LIT_FLOOR, DARK_FLOOR, CHAMFER_B, SKIN_B, SLOPE_B, SKY, LEVELS,
+) = range(12)  # fmt: skip
 # Parameters of one station's outline: x of both borders C, the chamfers' widths, the floor's depth (mm), the walls'
 # lean and the chamfers' slope (tangents).
 A, B, CHAMFER_WIDTH_A, CHAMFER_WIDTH_B, DEPTH, LEAN, CHAMFER_SLOPE, OUTLINE = range(8)
@@ -29,6 +31,13 @@ A, B, CHAMFER_WIDTH_A, CHAMFER_WIDTH_B, DEPTH, LEAN, CHAMFER_SLOPE, OUTLINE = ra
 NOMINAL, MORE_LENS, MORE_SPILL, TABLES = range(4)
 
 _VERTICES = 8
+# Of the polyline's pieces, this one.
+_FLOOR = 3
+# A floor's lit and its dark part are cut into so many pieces if its edges see less sky than its middle by this share.
+_FLOOR_PARTS = 8
+_EVEN = 0.02
+# Most pieces of a polyline, and columns of each: x0, h0, x1, h1, region, change of the sky.
+_PIECES, _COLUMNS = 32, 6
 # The skins' pieces reach beyond every sample, mm.
 _FAR_MM = 50.0
 # Change by which the image's derivatives are taken: mm, tangent, px of lens or share of spill.
@@ -61,7 +70,7 @@ def _outline(outline, sealed, tilt, x, h):  # type: ignore[no-untyped-def]
 
 @kernel
 def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyped-def]
-    """The polyline cut at the shadows' borders, from A to B: rows x0, h0, x1, h1, region. Returns their number."""
+    """The polyline cut at the shadows' borders, from A to B: rows of `_COLUMNS`. Returns their number."""
     _outline(outline, sealed, tilt, x, h)
     regions = (SKIN_A, CHAMFER_A, LIT_WALL, LIT_FLOOR, LIT_WALL, CHAMFER_B, SKIN_B)
     shaded = (SKIN_A, DARK_FLOOR, DARK_WALL, DARK_FLOOR, DARK_WALL, DARK_FLOOR, SKIN_B)
@@ -80,15 +89,16 @@ def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyp
             extreme = end
         middle_x = x[near] + share * (x[far] - x[near])
         middle_h = h[near] + share * (h[far] - h[near])
+        parts = 1
+        if i == _FLOOR and not sealed and _sky(x, h, x[3]) < (1.0 - _EVEN) * _sky(x, h, 0.5 * (x[3] + x[4])):
+            parts = _FLOOR_PARTS
         if share > 0.0:
-            _add(pieces, count, x[near], h[near], middle_x, middle_h, shaded[i], from_b)
-            count += 1
+            count = _add(pieces, count, x[near], h[near], middle_x, middle_h, shaded[i], from_b, parts, x, h)
         if share < 1.0:
-            _add(pieces, count, middle_x, middle_h, x[far], h[far], regions[i], from_b)
-            count += 1
+            count = _add(pieces, count, middle_x, middle_h, x[far], h[far], regions[i], from_b, parts, x, h)
     if from_b:
         for i in range(count // 2):
-            for column in range(5):
+            for column in range(_COLUMNS):
                 swap = pieces[i, column]
                 pieces[i, column] = pieces[count - 1 - i, column]
                 pieces[count - 1 - i, column] = swap
@@ -96,15 +106,38 @@ def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyp
 
 
 @kernel
-def _add(pieces, i, x0, h0, x1, h1, region, backwards):  # type: ignore[no-untyped-def]
-    if backwards:
-        x0, h0, x1, h1 = x1, h1, x0, h0
-    pieces[i, 0], pieces[i, 1], pieces[i, 2], pieces[i, 3], pieces[i, 4] = x0, h0, x1, h1, region
+def _sky(x, h, at):  # type: ignore[no-untyped-def]
+    """Share of the sky that a place on the floor sees: view factor of a long slot's opening, chamfers and all."""
+    seen = 0.0
+    for sign, first, second in ((-1.0, 1, 2), (1.0, 6, 5)):
+        least = 1.0
+        for vertex in (first, second):
+            aside, rise = sign * (x[vertex] - at), h[vertex] - h[3]
+            if rise > 0.0:
+                least = min(least, max(aside, 0.0) / math.hypot(aside, rise))
+        seen += 0.5 * least
+    return seen
 
 
 @kernel
-def _visible(pieces, count, eye, middle, ends, regions):  # type: ignore[no-untyped-def]
-    """Visible intervals in rising ξ: `ends` holds where each ends, `regions` what it is. Returns their number."""
+def _add(pieces, count, x0, h0, x1, h1, region, backwards, parts, x, h):  # type: ignore[no-untyped-def]
+    """Add a piece of the polyline, in parts that see the sky each in its own way. Returns the pieces' number."""
+    step_x, step_h = (x1 - x0) / parts, (h1 - h0) / parts
+    middle = _sky(x, h, 0.5 * (x[3] + x[4])) if parts > 1 else 1.0
+    for part in range(parts):
+        row = pieces[count + part]
+        row[0], row[1] = x0 + part * step_x, h0 + part * step_h
+        row[2], row[3] = row[0] + step_x, row[1] + step_h
+        if backwards:
+            row[0], row[1], row[2], row[3] = row[2], row[3], row[0], row[1]
+        row[4] = region
+        row[5] = _sky(x, h, x0 + (part + 0.5) * step_x) / middle - 1.0 if parts > 1 else 0.0
+    return count + parts
+
+
+@kernel
+def _visible(pieces, count, eye, middle, ends, shown):  # type: ignore[no-untyped-def]
+    """Visible intervals in rising ξ: `ends` holds where each ends, `shown` which piece it is. Returns their number."""
     from_b = eye[0] > middle
     sign = -1.0 if from_b else 1.0
     extreme = -np.inf
@@ -114,7 +147,7 @@ def _visible(pieces, count, eye, middle, ends, regions):  # type: ignore[no-unty
         x, h = (pieces[i, 0], pieces[i, 1]) if from_b else (pieces[i, 2], pieces[i, 3])
         end = sign * _project(x, h, eye[0], eye[1])
         if end > extreme:
-            ends[found], regions[found] = sign * end, int(pieces[i, 4])
+            ends[found], shown[found] = sign * end, i
             extreme = end
             found += 1
     if from_b:
@@ -122,7 +155,7 @@ def _visible(pieces, count, eye, middle, ends, regions):  # type: ignore[no-unty
         for i in range(found // 2):
             j = found - 1 - i
             ends[i], ends[j] = ends[j], ends[i]
-            regions[i], regions[j] = regions[j], regions[i]
+            shown[i], shown[j] = shown[j], shown[i]
         for i in range(found - 1):
             ends[i] = ends[i + 1]
     return found
@@ -143,9 +176,9 @@ def _step(table, px):  # type: ignore[no-untyped-def]
 @kernel
 def _basis(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, basis):  # type: ignore[no-untyped-def]
     """Basis functions at n positions on the reference curve."""
-    x, h, pieces, ends, regions = work
+    x, h, pieces, ends, shown = work
     count = _pieces(outline, sealed, tilt, lamp, x, h, pieces)
-    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, regions)
+    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, shown)
     a, b = _project(x[1], h[1], eye[0], eye[1]), _project(x[6], h[6], eye[0], eye[1])
     for s in range(n):
         for level in range(LEVELS):
@@ -154,7 +187,9 @@ def _basis(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, bas
         begun = 1.0
         for i in range(found):
             ended = _step(table, (samples[s] - ends[i]) * px_mm) if i < found - 1 else 0.0
-            basis[s, regions[i]] += begun - ended
+            piece = pieces[shown[i]]
+            basis[s, int(piece[4])] += begun - ended
+            basis[s, SKY] += (begun - ended) * piece[5]
             begun = ended
         basis[s, SLOPE_A] = (samples[s] - a) * basis[s, SKIN_A]
         basis[s, SLOPE_B] = (samples[s] - b) * basis[s, SKIN_B]
@@ -163,22 +198,31 @@ def _basis(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, bas
 @kernel
 def _picture(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, level, picture):  # type: ignore[no-untyped-def]
     """The basis functions times their levels, which needs no basis."""
-    x, h, pieces, ends, regions = work
+    x, h, pieces, ends, shown = work
     count = _pieces(outline, sealed, tilt, lamp, x, h, pieces)
-    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, regions)
+    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, shown)
     a, b = _project(x[1], h[1], eye[0], eye[1]), _project(x[6], h[6], eye[0], eye[1])
     for s in range(n):
         picture[s], begun = 0.0, 1.0
         for i in range(found):
             ended = _step(table, (samples[s] - ends[i]) * px_mm) if i < found - 1 else 0.0
             if begun != ended:
-                brightness = level[regions[i]]
-                if regions[i] == SKIN_A:
+                piece = pieces[shown[i]]
+                region = int(piece[4])
+                brightness = level[region] + level[SKY] * piece[5]
+                if region == SKIN_A:
                     brightness += level[SLOPE_A] * (samples[s] - a)
-                elif regions[i] == SKIN_B:
+                elif region == SKIN_B:
                     brightness += level[SLOPE_B] * (samples[s] - b)
                 picture[s] += (begun - ended) * brightness
                 begun = ended
+
+
+@kernel
+def workspace():  # type: ignore[no-untyped-def]
+    """What `_basis` and `_picture` write on."""
+    pieces = np.empty((_PIECES, _COLUMNS))
+    return np.empty(_VERTICES), np.empty(_VERTICES), pieces, np.empty(_PIECES + 1), np.empty(_PIECES + 1, np.int64)
 
 
 @kernel
@@ -193,7 +237,7 @@ def normal_equations(  # type: ignore[no-untyped-def]
     goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones with the `precisions`.
     """
     stations, cameras, most = samples.shape
-    work = (np.empty(8), np.empty(8), np.empty((16, 5)), np.empty(17), np.empty(17, np.int64))
+    work = workspace()
     basis, changed = np.empty((most, LEVELS)), np.empty(most)
     columns = 10 if with_shape else 2
     jacobian, residual, picture = np.empty((most, columns)), np.empty(most), np.empty(most)

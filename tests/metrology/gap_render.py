@@ -29,6 +29,8 @@ class Gap:
     depth_mm: float = 3.0
     sealed: bool = False
     chamfer_slope: float = 1.0
+    # What the sky gives the middle of the floor, of its brightness.
+    sky: float = 0.0
 
     @property
     def outline(self) -> Array:
@@ -72,11 +74,26 @@ def crossings(outline: Array, start: Array, end: Array) -> list[tuple[float, int
     return found
 
 
+def sky_seen(gap: Gap, x: float) -> float:
+    """Share of the sky's light that a place on the floor gets: directions (2-D, by their cosine) that meet nothing."""
+    start = np.array([x, -gap.depth_mm + 1e-6])
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 721)[1:-1]
+    free = [not crossings(gap.outline, start, start + 20 * np.array([np.sin(a), np.cos(a)])) for a in angles]
+    return float(np.cos(angles) @ free / np.cos(angles).sum())
+
+
 def picture(gap: Gap, eye: Array, lamp: Array, reach_mm: float, px_mm: float, lens_px: float) -> tuple[Array, Array]:
     """Fine positions on the reference curve, and the blurred brightness there."""
     xi = np.arange(-reach_mm - 1, reach_mm + 1, FINE_MM)
     pieces = [seen(gap, float(x), eye, lamp) for x in xi]
     sharp = np.array([LIT[piece] if lit else SHADED[piece] for piece, lit in pieces])
+    if gap.sky > 0:
+        inside = np.linspace(-0.5, 0.5, 41)[1:-1] * gap.width_mm
+        seen_there = np.array([sky_seen(gap, float(x)) for x in inside])
+        # Where on the floor the ray from the eye through ξ arrives.
+        floor_x = xi + (xi - eye[0]) * gap.depth_mm / eye[1]
+        change = np.interp(floor_x, inside, seen_there / seen_there[len(inside) // 2] - 1.0)
+        sharp += np.array([gap.sky if piece == FLOOR else 0.0 for piece, _ in pieces]) * change
     lens = gaussian_filter1d(sharp, lens_px / px_mm / FINE_MM, mode="nearest")
     return xi, uniform_filter1d(lens, round(1 / px_mm / FINE_MM), mode="nearest")
 

@@ -27,7 +27,8 @@ from metrology.seams.sections import Section, SkinLine
 from metrology.seams.skin_lines import fit_skin_lines
 from metrology.surfaces import Frame
 
-SLOPES = [gap_view.SLOPE_A, gap_view.SLOPE_B]
+# Columns of the basis that change a region's brightness and are none.
+CHANGES = [gap_view.SLOPE_A, gap_view.SLOPE_B, gap_view.SKY]
 
 
 def chamfered_section(width, step, chamfer, noise, rng):
@@ -116,7 +117,7 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     ])  # fmt: skip
     # A blur of a hundredth of a pixel.
     table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), gap_view.NODES_PER_PX, 3.0)
-    work = (np.empty(8), np.empty(8), np.empty((16, 5)), np.empty(17), np.empty(17, np.int64))
+    work = gap_view.workspace()
     basis = np.empty((len(samples), gap_view.LEVELS))
     tilt = np.array([-gap.step_mm / 2, 0.0])
     gap_view._basis(samples, len(samples), outline, gap.sealed, tilt, eye, lamp, px_mm, table, work, basis)
@@ -128,14 +129,28 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
         gap_render.WALL_B: (gap_view.LIT_WALL, gap_view.DARK_WALL),
         gap_render.FLOOR: (gap_view.LIT_FLOOR, gap_view.DARK_FLOOR),
     }  # fmt: skip
-    assert np.allclose(np.delete(basis, SLOPES, axis=1).sum(axis=1), 1)
+    assert np.allclose(np.delete(basis, CHANGES, axis=1).sum(axis=1), 1)
     clear = basis.max(axis=1) > 0.999
     # Within half a pixel of a border both mix.
     assert clear.mean() > 0.5
-    for x, row in zip(samples[clear], np.delete(basis, SLOPES, axis=1)[clear], strict=True):
+    for x, row in zip(samples[clear], np.delete(basis, CHANGES, axis=1)[clear], strict=True):
         piece, lit = seen(gap, float(x), eye, lamp)
         expected = regions[piece][0 if lit else 1]
         assert row[expected - (expected > gap_view.SLOPE_A)] > 0.99
+
+
+@pytest.mark.parametrize("gap", [Gap(4.0, 0.3, 0.5, 2.0), Gap(2.5, 0.0, -0.3, 3.0), Gap(0.5, 0.3)])
+def test_floor_darkens_as_its_walls_hide_the_sky(gap):
+    x, h = gap.outline.T
+    for place in gap.width_mm * np.array([-0.49, -0.3, 0.0, 0.4]):
+        assert gap_view._sky(x.copy(), h.copy(), place) == pytest.approx(gap_render.sky_seen(gap, place), abs=0.005)
+
+
+def test_wide_gap_over_a_floor_dark_at_its_walls(rng):
+    gap = Gap(4.4, 0.3, -0.8, 2.1, sky=0.03)
+    fit = fit_gap(profiles(gap, 24, rng), possible_floors(2.1))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    assert np.abs(widths - gap.width_mm).mean() < 0.01
 
 
 def test_normal_equations_are_the_cost_s_derivatives(rng):
