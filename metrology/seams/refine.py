@@ -47,9 +47,11 @@ _LEAST_CONTRAST = 0.3
 _MOST_WIDTH = 2.0
 # The line is taken for a parabola over about ± this length: true to 0.005 px where it swings by 5 px in 800 px.
 _SMOOTH_PX = 30.0
-# The line is sought beyond its ends, so many nodes at a time; so many bad ones in a run end it.
-_AHEAD = 6
-_END_RUN = 2
+# The line is sought beyond its ends, so many nodes at a time: past a band 16 px wide that crosses it at 30° (five nodes)
+# and as far again. It is looked for on the parabola through so many nodes behind, which a swing of 5 px in 800 px leaves
+# by 2 px over that length, less than a border is caught from.
+_AHEAD = 12
+_BEHIND = 20
 _FEWEST_NODES = 4
 _LEAST_SHARE = 0.3
 # What the fit does not know of (a border's own roughness) spares no node, px.
@@ -150,27 +152,41 @@ def _smooth_line(points: Array, weights: Array) -> Array:
 
 
 def _grown(relative: Float32, nodes: Array, width_px: float) -> Array:
-    """Nodes continued straight beyond the last one for as long as the band goes on there."""
-    height, width = relative.shape
-    limit = np.array([width - 1, height - 1])
+    """Nodes continued beyond the last one for as long as the band goes on there."""
+    limit = np.array(relative.shape[::-1]) - 1
     while True:
-        ahead = nodes[-1] - nodes[max(0, len(nodes) - _AHEAD)]
-        ahead /= np.linalg.norm(ahead) + 1e-12
-        further = nodes[-1] + _STEP_PX * np.arange(1, _AHEAD + 1)[:, None] * ahead
-        further = further[((further >= 0) & (further <= limit)).all(axis=1)]
-        if len(further) < 2:
-            return nodes
-        known = nodes[-_AHEAD:]
+        known = nodes[-_BEHIND:]
+        index = np.arange(len(known) + _AHEAD)
+        further = _parabola(index[: len(known)], known, index[len(known) :])
+        further = further[np.cumprod(((further >= 0) & (further <= limit)).all(axis=1)) > 0]
         fits = _fit(relative, np.concatenate([known, further]), width_px)
-        good = fits.consistent()[len(known) :]
-        missing = np.convolve(~good, np.ones(_END_RUN), "full")[: len(good)] >= _END_RUN
-        until = int(missing.argmax()) if missing.any() else len(good)
-        if not good[:until].any():
+        good = fits.consistent()
+        count = _following(good[len(known) :])
+        if count == 0 or good.sum() < _FEWEST_NODES:
             return nodes
-        count = int(np.flatnonzero(good[:until])[-1]) + 1
-        nodes = np.concatenate([nodes, further[:count]])
-        if count < len(further):
-            return nodes
+        # The band's own middle leads on.
+        moved = _moved(np.concatenate([known, further]), fits, good)
+        good[len(known) + count :] = False
+        ahead = _parabola(index[: len(good)][good], moved[good], index[len(known) : len(known) + count])
+        nodes = np.concatenate([nodes, ahead])
+
+
+def _parabola(index: Array, points: Array, at: Array) -> Array:
+    """Points (m, 2) on the parabola through others (n, 2), each coordinate by least squares."""
+    u, v = np.polyfit(index, points, 2).T
+    return np.stack([np.polyval(u, at), np.polyval(v, at)], axis=-1)
+
+
+def _following(good: Mask) -> int:
+    """How many nodes ahead are the line's: it is interrupted where as many good ones follow in a row as are bad."""
+    count = 0
+    while good[count:].any():
+        gap = int(good[count:].argmax())
+        run = int(np.append(~good[count + gap :], True).argmax())
+        if run < gap:
+            break
+        count += gap + run
+    return count
 
 
 def _moved(nodes: Array, fits: _Fits, good: Mask) -> Array:
