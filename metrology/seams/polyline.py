@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -15,10 +16,10 @@ Mask = NDArray[np.bool_]
 
 # An entry of no weight still holds the curve where nothing else does: between far nodes, beyond the last.
 _LEAST_WEIGHT = 1e-4
-# Third differences: parabolas are free. Their penalties tried lie within a factor of two of any, from nearly none
-# (points stay) to nearly all (a parabola).
-_PENALTY_ORDER = 3
-_STIFFNESSES = 4.0 ** np.arange(-3.0, 18.0)
+# Fourth differences: cubics are free, for the curvature of a seam changes smoothly, too. Their penalties tried lie
+# within a factor of two of any, from nearly none (points stay) to nearly all (a cubic through 300 points).
+_PENALTY_ORDER = 4
+_STIFFNESSES = 4.0 ** np.arange(-3.0, 21.0)
 
 
 def arc_length(points: Array) -> Array:
@@ -88,7 +89,7 @@ def smoothed(points: Array, scale_px: float, weights: ArrayLike | None = None) -
 def smoothest(points: Array, weights: ArrayLike) -> Array:
     """The curve through evenly spaced points that their own scatter asks for, as smooth or as bent as that may be.
 
-    Least squares with the third differences' squares as penalty, which leaves parabolas free; how much they count is
+    Least squares with the fourth differences' squares as penalty, which leaves cubics free; how much they count is
     what makes the points likeliest (restricted maximum likelihood of the mixed model; G. Wahba, Ann. Stat. 13 (1985)
     1378–1402), told by the coordinate across the chord. The noise's size comes out of the same likelihood.
 
@@ -103,10 +104,11 @@ def smoothest(points: Array, weights: ArrayLike) -> Array:
     free = len(points) - _PENALTY_ORDER
     along = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
     across = np.array([-along[1], along[0]])
-    # The chord is free of penalty; without it little is left to lose digits on.
-    chord = np.linspace(points[0], points[-1], len(points))
-    points = points - chord
-    best, curve = np.inf, points
+    # The cubic is free of penalty; without it little is left to lose digits on.
+    powers, root = legvander(np.linspace(-1, 1, len(points)), _PENALTY_ORDER - 1), np.sqrt(w)[:, None]
+    cubic = powers @ np.linalg.lstsq(root * powers, root * points)[0]
+    points = points - cubic
+    curves, unlikelihoods = [], []
     for stiffness in _STIFFNESSES:
         system = stiffness * _penalty(len(points))
         system[-1] += w
@@ -119,20 +121,20 @@ def smoothest(points: Array, weights: ArrayLike) -> Array:
         bends = np.diff(smooth @ across, _PENALTY_ORDER)
         residual = float(w @ ((points - smooth) @ across) ** 2 + stiffness * bends @ bends)
         determinant = 2 * float(np.log(factor[-1]).sum()) - free * np.log(stiffness)
-        unlikelihood = free * np.log(residual + 1e-300) + determinant
-        if unlikelihood < best:
-            best, curve = unlikelihood, smooth
-    return np.asarray(chord + curve)
+        curves.append(smooth)
+        unlikelihoods.append(free * np.log(residual + 1e-300) + determinant)
+    odds = np.exp(-0.5 * (np.array(unlikelihoods) - min(unlikelihoods)))
+    return np.asarray(cubic + np.tensordot(odds / odds.sum(), curves, axes=1))
 
 
 @cache
 def _penalty(n: int) -> Array:
-    """(4, n) bands of the matrix of third differences' squares, upper form of LAPACK: the diagonal is the last row."""
-    weights = (-1.0, 3.0, -3.0, 1.0)
-    bands = np.zeros((4, n))
+    """(5, n) bands of the matrix of fourth differences' squares, upper form of LAPACK: the diagonal is the last row."""
+    weights = (1.0, -4.0, 6.0, -4.0, 1.0)
+    bands = np.zeros((5, n))
     for i, first in enumerate(weights):
-        for j in range(i, 4):
-            bands[3 - (j - i), j : n - 3 + j] += first * weights[j]
+        for j in range(i, 5):
+            bands[4 - (j - i), j : n - 4 + j] += first * weights[j]
     return bands
 
 

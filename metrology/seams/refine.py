@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.polynomial import polyfit, polyval
 from numpy.typing import NDArray
 
 from metrology.seams.band_kernel import borders_at_nodes
@@ -47,9 +48,9 @@ _LEAST_CONTRAST = 0.3
 _MOST_WIDTH = 2.0
 # The line is taken for a parabola over about ± this length: true to 0.005 px where it swings by 5 px in 800 px.
 _SMOOTH_PX = 30.0
-# The line is sought beyond its ends, so many nodes at a time: past a band 16 px wide that crosses it at 30° (five nodes)
-# and as far again. It is looked for on the parabola through so many nodes behind, which a swing of 5 px in 800 px leaves
-# by 2 px over that length, less than a border is caught from.
+# The line is sought beyond its ends, so many nodes at a time: past a band 16 px wide that crosses it at 30° (five
+# nodes) and as far again. It is looked for on the parabola through so many nodes behind, which a swing of 5 px in 800
+# px leaves by 2 px over the first half: borders are caught from there.
 _AHEAD = 12
 _BEHIND = 20
 _FEWEST_NODES = 4
@@ -145,9 +146,10 @@ def _smooth_line(points: Array, weights: Array) -> Array:
     """The smooth line through good nodes, without those that something beside the line pulls away from it."""
     line, good = smoothed(points, _SMOOTH_PX, weights), weights > 0
     away = np.linalg.norm(points - line, axis=1)
-    limit = max(_DISTURBED_SIGMAS * 1.4826 * float(np.median(away[good])), _DISTURBED_PX)
+    sigmas = away * np.sqrt(weights)
+    limit = _DISTURBED_SIGMAS * 1.4826 * float(np.median(sigmas[good]))
     # What disturbs a node reaches into the next one's window.
-    disturbed = np.convolve(good & (away > limit), [1, 1, 1], "same") > 0
+    disturbed = np.convolve((sigmas > limit) & (away > _DISTURBED_PX), [1, 1, 1], "same") > 0
     return smoothest(points, np.where(disturbed, 0.0, weights))
 
 
@@ -156,25 +158,26 @@ def _grown(relative: Float32, nodes: Array, width_px: float) -> Array:
     limit = np.array(relative.shape[::-1]) - 1
     while True:
         known = nodes[-_BEHIND:]
-        index = np.arange(len(known) + _AHEAD)
+        index = np.arange(float(len(known) + _AHEAD))
         further = _parabola(index[: len(known)], known, index[len(known) :])
-        further = further[np.cumprod(((further >= 0) & (further <= limit)).all(axis=1)) > 0]
-        fits = _fit(relative, np.concatenate([known, further]), width_px)
+        within = ((further >= 0) & (further <= limit)).all(axis=1)
+        further = further[: np.append(within, False).argmin()]
+        trial = np.concatenate([known, further])
+        fits = _fit(relative, trial, width_px)
         good = fits.consistent()
         count = _following(good[len(known) :])
+        until = len(known) + count
+        good[until:] = False
         if count == 0 or good.sum() < _FEWEST_NODES:
             return nodes
         # The band's own middle leads on.
-        moved = _moved(np.concatenate([known, further]), fits, good)
-        good[len(known) + count :] = False
-        ahead = _parabola(index[: len(good)][good], moved[good], index[len(known) : len(known) + count])
-        nodes = np.concatenate([nodes, ahead])
+        middle = _moved(trial, fits, good)
+        nodes = np.concatenate([nodes, _parabola(index[: len(trial)][good], middle[good], index[len(known) : until])])
 
 
 def _parabola(index: Array, points: Array, at: Array) -> Array:
     """Points (m, 2) on the parabola through others (n, 2), each coordinate by least squares."""
-    u, v = np.polyfit(index, points, 2).T
-    return np.stack([np.polyval(u, at), np.polyval(v, at)], axis=-1)
+    return np.asarray(polyval(at, polyfit(index, points, 2)).T)
 
 
 def _following(good: Mask) -> int:

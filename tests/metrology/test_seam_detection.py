@@ -123,6 +123,38 @@ def test_smoothest_curve_follows_bends_and_nothing_else(rng):
     assert np.abs(smoothest(points, weights)[:, 1] - true).max() < 0.1
 
 
+def test_smoothest_curve_leaves_cubics_and_weighs_all_stiffnesses(rng):
+    t = np.linspace(-1, 1, 90)
+    cubic = np.stack([800 * t, 30 * t - 9 * t**2 + 4 * t**3], axis=1)
+    weights = rng.uniform(0.3, 3, t.size)
+    assert smoothest(cubic, weights) == pytest.approx(cubic, abs=1e-6)
+    # Each stiffness' curve by its definition, and its likelihood with the free cubics and the noise's size integrated
+    # out, by determinants.
+    y = np.sin(3 * t) + rng.normal(0, 0.2, t.size) / np.sqrt(weights)
+    bends = np.diff(np.eye(t.size), 4, axis=0)
+    total, mean = 0.0, np.zeros(t.size)
+    for stiffness in 4.0 ** np.arange(-3, 21):
+        system = np.diag(weights) + stiffness * bends.T @ bends
+        curve = np.linalg.solve(system, weights * y)
+        cost = weights @ (y - curve) ** 2 + stiffness * np.sum((bends @ curve) ** 2)
+        log_odds = 0.5 * ((t.size - 4) * np.log(stiffness / cost) - np.linalg.slogdet(system)[1])
+        total, mean = total + np.exp(log_odds + 200), mean + np.exp(log_odds + 200) * curve
+    found = smoothest(np.stack([1e4 * t, y], axis=1), weights)[:, 1]
+    assert found == pytest.approx(mean / total, abs=1e-4)
+
+
+@pytest.mark.parametrize("angle", [75, 118])
+def test_a_faint_line_is_followed_across_another_one(angle, rng):
+    # Beyond the other line, on brighter skin, this one is too faint to be looked for: 7 % darker.
+    other = Band((310, 300), angle, 10.0, 45.0, other_side=6.0)
+    band = Band((410, 310), 10, 7.0, 9.0, bow_px=3.0)
+    lines = detect_lines(paint([band, other], IMAGE, rng))
+    assert len(lines) == 2
+    line = min(lines, key=lambda found: np.abs(band.offsets(found.centre_px)).mean())
+    assert line.length_px > 0.97 * chord_length(band)
+    assert np.abs(band.offsets(line.centre_px)).max() < 0.4
+
+
 def test_a_line_that_fades_is_one_line(rng):
     # Half of its length only is as dark as a line must be.
     band = Band((410, 310), 12, 6.0, 14.0)
