@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from metrology.seams.band_kernel import borders_at_nodes
 from metrology.seams.blur import EdgeResponse, PixelBlur
+from metrology.seams.medians import row_medians
 from metrology.seams.polyline import Array, normals, resample, smoothed, smoothest
 
 Float32 = NDArray[np.float32]
@@ -112,11 +113,11 @@ class _Fits:
         usual = float(np.median(self.contrast[good]))
         good &= self.contrast * np.sign(usual) > _LEAST_CONTRAST * abs(usual)
         good &= self.width < _MOST_WIDTH * np.median(self.width[good]) if good.any() else good
-        kept = good.copy()
-        for i in np.flatnonzero(good):
-            near = slice(max(0, i - _NEIGHBOURS), i + _NEIGHBOURS + 1)
-            kept[i] = abs(self.offset[i] - np.median(self.offset[near][good[near]])) < _DEPARTURE_PX
-        return kept
+        near = np.arange(len(good))[:, None] + np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+        within = (near >= 0) & (near < len(good))
+        near = np.clip(near, 0, len(good) - 1)
+        departure = self.offset - row_medians(self.offset[near], within & good[near])
+        return np.asarray(good & (np.abs(departure) < _DEPARTURE_PX))
 
 
 def fit_nodes(relative: Float32, points: Array, width_px: float) -> Nodes | None:
@@ -162,6 +163,8 @@ def _grown(relative: Float32, nodes: Array, width_px: float) -> Array:
         further = _parabola(index[: len(known)], known, index[len(known) :])
         within = ((further >= 0) & (further <= limit)).all(axis=1)
         further = further[: np.append(within, False).argmin()]
+        if len(further) == 0:
+            return nodes
         trial = np.concatenate([known, further])
         fits = _fit(relative, trial, width_px)
         good = fits.consistent()

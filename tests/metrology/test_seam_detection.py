@@ -143,16 +143,17 @@ def test_smoothest_curve_leaves_cubics_and_weighs_all_stiffnesses(rng):
     assert found == pytest.approx(mean / total, abs=1e-4)
 
 
-@pytest.mark.parametrize("angle", [75, 118])
-def test_a_faint_line_is_followed_across_another_one(angle, rng):
-    # Beyond the other line, on brighter skin, this one is too faint to be looked for: 7 % darker.
-    other = Band((310, 300), angle, 10.0, 45.0, other_side=6.0)
-    band = Band((410, 310), 10, 7.0, 9.0, bow_px=3.0)
+@pytest.mark.parametrize("angle", [55, 130])
+def test_a_faint_line_is_followed_across_another_one_and_round_a_bend(angle, rng):
+    # On this side of the other line it is too faint to be looked for, 6–7 % darker, over two thirds of its length.
+    other = Band((250, 300), angle, 16.0, 45.0, other_side=6.0)
+    band = Band((410, 310), 10, 7.0, 8.0, bow_px=4.0, period_px=1000.0)
     lines = detect_lines(paint([band, other], IMAGE, rng))
     assert len(lines) == 2
     line = min(lines, key=lambda found: np.abs(band.offsets(found.centre_px)).mean())
     assert line.length_px > 0.97 * chord_length(band)
-    assert np.abs(band.offsets(line.centre_px)).max() < 0.4
+    # Three times what noise usually does at 8 levels.
+    assert np.abs(band.offsets(line.centre_px)).max() < 0.3
 
 
 def test_a_line_that_fades_is_one_line(rng):
