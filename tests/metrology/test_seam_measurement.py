@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gap_render import Gap, profiles, seen
 from scipy.ndimage import gaussian_filter1d
-from seam_scan import seam_scan
+from seam_scan import SHAPE, seam_scan
 
 from metrology.errors import UsageError
 from metrology.results import SeamStation
@@ -25,6 +25,7 @@ from metrology.seams.piecewise import fit_pieces, paper_gap, side_of_section
 from metrology.seams.plates import beyond
 from metrology.seams.sections import Section, SkinLine
 from metrology.seams.skin_lines import fit_skin_lines
+from metrology.seams.tracks import lay_on_skin
 from metrology.surfaces import Frame
 
 # Columns of the basis that change a region's brightness and are none.
@@ -335,6 +336,24 @@ def test_correlated_points_are_worth_fewer(rng):
 def test_too_few_points_are_no_skin_line(rng):
     points = skin_points(rng)
     assert fit_skin_lines(points[points[:, 0] < 0], -1.0, 1.0, 3.0) is None
+
+
+@pytest.mark.parametrize("angle", [0, 1.5, 40, 90])
+def test_stations_lie_on_a_tilted_skin(angle, rng):
+    # A plane, 1/z affine in the pixel: 0.06 mm deeper for each pixel to the right.
+    v, u = np.indices(SHAPE).astype(float)
+    scan = seam_scan([], [], rng)
+
+    def depth(u, v):
+        return 700 / (1 - 9e-5 * (u - 450) - 5e-5 * (v - 350))
+
+    rays = np.concatenate([scan.rig.left.normalized(np.stack([u, v], axis=-1)), np.ones((*SHAPE, 1))], axis=-1)
+    scan = replace(scan, points=(rays * depth(u, v)[..., None]).astype(np.float32))
+    along = np.array([np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))])
+    line = np.array([450.3, 350.4]) + np.arange(-320.0, 320.0)[:, None] * along
+    track = lay_on_skin(line, np.full(len(line), 8.0), scan, np.ones(SHAPE, bool), 3.0)
+    assert track is not None
+    assert track.points[:, 2] == pytest.approx(depth(*track.pixels.T), abs=5e-4)
 
 
 def test_points_beyond_another_seam_lie_on_another_plate():
