@@ -128,11 +128,34 @@ def _circle(x, y, use):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):  # type: ignore[no-untyped-def]
+def _seen(cu, cv, l11, l21, l22, a, b, radius, ellipse):  # type: ignore[no-untyped-def]
+    """Image of the circle (a, b, radius) in the frame of the expected shape, of which l is the Cholesky factor."""
+    uu = l11 * l11
+    uv = l11 * l21
+    vv = l21 * l21 + l22 * l22
+    half = math.sqrt(0.25 * (uu - vv) ** 2 + uv**2)
+    large = 0.5 * (uu + vv) + half
+    ellipse[0] = cu + l11 * a
+    ellipse[1] = cv + l21 * a + l22 * b
+    ellipse[2] = radius * math.sqrt(large)
+    ellipse[3] = radius / math.sqrt(large)
+    ellipse[4] = 0.5 * math.atan2(2.0 * uv, uu - vv)
+
+
+@kernel
+def _elongation(ellipse):  # type: ignore[no-untyped-def]
+    """See `shapes.log_shape`."""
+    e = math.log(ellipse[2] / ellipse[3])
+    return e * math.cos(2.0 * ellipse[4]), e * math.sin(2.0 * ellipse[4])
+
+
+@kernel
+def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse):  # type: ignore[no-untyped-def]
     """Ellipse through the ridge points round a candidate.
 
     First the radius that most points share, then a circle in the frame where the expected shape is a circle (three
-    unknowns, safe on short arcs), then a general conic with shrinking tolerance where enough of it is covered.
+    unknowns, safe on short arcs), then a general conic with shrinking tolerance where enough of it is covered. A conic
+    that is no longer the expected shape has taken in a glint or a scratch: there it stays a circle.
 
     Parameters
     ----------
@@ -144,6 +167,8 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):  # type: 
         rows[y]: the first point with v ≥ y.
     shape : (3,) float64
         Entries uu, vv, uv of the expected shape matrix of determinant 1.
+    freedom : float
+        By how much a conic's elongation may depart from the expected one, see `shapes.log_shape`.
     ellipse : (5,) float64, output
 
     Returns
@@ -222,15 +247,9 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):  # type: 
         b = q
         mode = d
         tolerance = max(1.4, 0.75 * tolerance)
-    cu += l11 * a
-    cv += l21 * a + l22 * b
-    half = math.sqrt(0.25 * (shape[0] - shape[1]) ** 2 + shape[2] ** 2)
-    large = 0.5 * (shape[0] + shape[1]) + half
-    ellipse[0] = cu
-    ellipse[1] = cv
-    ellipse[2] = mode * math.sqrt(large)
-    ellipse[3] = mode / math.sqrt(large)
-    ellipse[4] = 0.5 * math.atan2(2.0 * shape[2], shape[0] - shape[1])
+    _seen(cu, cv, l11, l21, l22, a, b, mode, ellipse)
+    expected_x, expected_y = _elongation(ellipse)
+    large = ellipse[2] / ellipse[3]
     trial = np.empty(5)
     coverage = 0.0
     distance = 0.0
@@ -264,20 +283,27 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, ellipse):  # type: 
         if step == 4 or coverage < 0.5:
             break
         trial[:] = ellipse
-        if not fit_conic(pu[:n], pv[:n], use, trial):
+        if fit_conic(pu[:n], pv[:n], use, trial):
+            ex, ey = _elongation(trial)
+            as_large = trial[3] >= 0.45 * radius and trial[2] <= 1.7 * radius * math.sqrt(large)
+            if as_large and math.hypot(ex - expected_x, ey - expected_y) < freedom:
+                ellipse[:] = trial
+                continue
+        a, b, mode = _circle(x[:n], y[:n], use)
+        if mode < 0.6 * radius or mode > 1.6 * radius:
             break
-        if trial[3] < 0.5 * trial[2] or trial[2] > 1.7 * radius * math.sqrt(large) or trial[3] < 0.45 * radius:
-            break
-        ellipse[:] = trial
+        _seen(cu, cv, l11, l21, l22, a, b, mode, ellipse)
     return coverage, 1.0 - distance
 
 
 @kernel
-def fit_candidates(candidates, u, v, nu, nv, rows, shapes, ellipses, coverage, agreement):  # type: ignore[no-untyped-def]
+def fit_candidates(  # type: ignore[no-untyped-def]
+    candidates, u, v, nu, nv, rows, shapes, freedom, ellipses, coverage, agreement
+):
     """`fit_candidate` for each row (u, v, radius) of `candidates`, with its own expected shape."""
     for i in range(len(candidates)):
         coverage[i], agreement[i] = fit_candidate(
-            candidates[i, 0], candidates[i, 1], candidates[i, 2], u, v, nu, nv, rows, shapes[i], ellipses[i]
+            candidates[i, 0], candidates[i, 1], candidates[i, 2], u, v, nu, nv, rows, shapes[i], freedom, ellipses[i]
         )
 
 

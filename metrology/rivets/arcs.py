@@ -188,11 +188,11 @@ def _link(points, index, high, order, chain):  # type: ignore[no-untyped-def]
 
 @kernel
 def _curvatures(points, chain, window, noise, result):  # type: ignore[no-untyped-def]
-    """Local parabola through each chain, in the frame of the point's own normal.
+    """Local circle through each chain, in the frame of the point's own normal.
 
-    With y = a + b x + c x² across against along, the curvature is 2c / (1 + b²)^1.5 and its variance that of c; the
-    scatter across is at least `noise` pixels. Points whose chain is too short keep their own normal and an unknown
-    curvature. result: nu, nv, curvature, sd.
+    With y = a + b x + c (x² + y²) across against along, the curvature is 2c / √(1 + b²) and its variance that of c; the
+    scatter across is at least `noise` pixels. No parabola: on the smallest heads the window is half a turn. Points
+    whose chain is too short keep their own normal and an unknown curvature. result: nu, nv, curvature, sd.
     """
     n = len(points)
     for i in range(n):
@@ -213,8 +213,9 @@ def _curvatures(points, chain, window, noise, result):  # type: ignore[no-untype
         s0 = 0.0
         s1 = 0.0
         s2 = 0.0
-        s3 = 0.0
-        s4 = 0.0
+        w0 = 0.0
+        w1 = 0.0
+        w2 = 0.0
         t0 = 0.0
         t1 = 0.0
         t2 = 0.0
@@ -223,26 +224,28 @@ def _curvatures(points, chain, window, noise, result):  # type: ignore[no-untype
             dy = points[k, 1] - points[i, 1]
             x = -dx * ny + dy * nx
             y = dx * nx + dy * ny
+            w = x * x + y * y
             s0 += 1.0
             s1 += x
             s2 += x * x
-            s3 += x * x * x
-            s4 += x * x * x * x
+            w0 += w
+            w1 += x * w
+            w2 += w * w
             t0 += y
             t1 += x * y
-            t2 += x * x * y
-        det = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
+            t2 += w * y
+        det = s0 * (s2 * w2 - w1 * w1) - s1 * (s1 * w2 - w1 * w0) + w0 * (s1 * w1 - s2 * w0)
         if det < 1e-6:
             continue
-        b = (s0 * (t1 * s4 - t2 * s3) - t0 * (s1 * s4 - s2 * s3) + s2 * (s1 * t2 - s2 * t1)) / det
-        c = (s0 * (s2 * t2 - s3 * t1) - s1 * (s1 * t2 - s2 * t1) + t0 * (s1 * s3 - s2 * s2)) / det
+        b = (s0 * (t1 * w2 - t2 * w1) - t0 * (s1 * w2 - w1 * w0) + w0 * (s1 * t2 - t1 * w0)) / det
+        c = (s0 * (s2 * t2 - t1 * w1) - s1 * (s1 * t2 - t1 * w0) + t0 * (s1 * w1 - s2 * w0)) / det
         if abs(b) > 1.0:
             continue
         norm = math.sqrt(1.0 + b * b)
         # The normal of y = a + b x at x = 0 is (-b, 1) in the frame (tangent, normal); the tangent is (-ny, nx).
         result[i, 0] = (nx + b * ny) / norm
         result[i, 1] = (ny - b * nx) / norm
-        result[i, 2] = 2.0 * c / norm**3
+        result[i, 2] = 2.0 * c / norm
         result[i, 3] = 2.0 * noise * math.sqrt((s0 * s2 - s1 * s1) / det)
 
 

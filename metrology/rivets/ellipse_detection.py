@@ -13,7 +13,7 @@ from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_steps, settle
 from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
-from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
+from metrology.rivets.shapes import SHAPE_TOLERANCE, CircleShapes, log_shape, shapes_of
 from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, Traces, levels_for, suspects, trace
 
 Array = NDArray[np.float64]
@@ -25,7 +25,6 @@ _CLEAR = 2.0  # ridges of this many times the least strength are of clear rings
 _TELLING = 12  # confident rings: their mean elongation is told to a third of what one ring's is
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
 _WORTH_A_TRY_PX = 0.7  # from the first start: the fit leads back from less
-_SHAPE_TOLERANCE = 0.15  # of a ring's elongation: five standard deviations of what is expected (see `fit_ring`)
 # Two scratches that cross a small circle cover it at four places of three σ each, aslant: 4 · 3σ √2 / 2πr of it. A rim
 # covers a tenth more.
 _CROSSED, _BEYOND = 2.7, 0.1
@@ -181,7 +180,7 @@ def _verified(
         return None
     if shape is None and fit.coverage < settings.min_coverage_alone:
         return None
-    if shape is not None and np.linalg.norm(log_shape(fit.ellipse) - log_shape(start)) > _SHAPE_TOLERANCE:
+    if shape is not None and np.linalg.norm(log_shape(fit.ellipse) - log_shape(start)) > SHAPE_TOLERANCE:
         return None
     ring = Ring(fit, float(distinction(image, fit.ellipse.parameters, fit.sigma_px)))
     return ring if ring.quality >= settings.min_quality else None

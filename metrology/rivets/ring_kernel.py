@@ -196,7 +196,7 @@ def _tukey(residual, noise):  # type: ignore[no-untyped-def]
 
 @kernel
 def _hide_clusters(x, y, magnitude, limit, reach, hidden):  # type: ignore[no-untyped-def]
-    """Hide pixels with three or more beyond `limit` within `reach`: a glint's skirt does not stand out itself."""
+    """Hide pixels, too, with three or more beyond `limit` within `reach`: a glint's skirt does not stand out itself."""
     n = len(x)
     low_x = x.min()
     low_y = y.min()
@@ -211,12 +211,13 @@ def _hide_clusters(x, y, magnitude, limit, reach, hidden):  # type: ignore[no-un
                 for u in range(max(px - reach, 0), min(px + reach + 1, width)):
                     count[v, u] += 1
     for i in range(n):
-        hidden[i] = count[int(y[i] - low_y), int(x[i] - low_x)] >= 3
+        if count[int(y[i] - low_y), int(x[i] - low_x)] >= 3:
+            hidden[i] = True
 
 
 @kernel
 def _glint_limit(direction, magnitude):  # type: ignore[no-untyped-def]
-    """Departure from the band's median beyond which a pixel is a glint.
+    """Departure, from the band's median or from the model, beyond which a pixel is a glint.
 
     Twice what the median direction reaches: a ring departs all round, a glint in a few directions.
     """
@@ -448,10 +449,15 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
                 rows[block],
             )
         for i in range(pixels):
+            residual[i] = rows[slot[i] // LANES, RESIDUAL * LANES + slot[i] % LANES]
+            magnitude[i] = abs(residual[i])
+        if iteration == 1:
+            # On a slope of light the band's median tells no glint: only what departs from the light does.
+            limit = _glint_limit(direction[:half], magnitude[:half])
+            _hide_clusters(x[:half], y[:half], magnitude[:half], limit, 3, hidden[:half])
+        for i in range(pixels):
             block = slot[i] // LANES
             lane = slot[i] % LANES
-            residual[i] = rows[block, RESIDUAL * LANES + lane]
-            magnitude[i] = abs(residual[i])
             weight[block, lane] = 0.0 if hidden[i] else 1.0 if iteration == 0 else _tukey(residual[i], noise)
         dense[:] = 0.0
         knots[:] = 0.0
@@ -493,6 +499,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
             floor = 0.15 if iteration < settled else 0.05
             noise = 1.4826 * np.median(magnitude[:pixels]) + floor * strength + 1e-6
             if iteration == settled:
+                hidden[:] = False
                 _hide_clusters(x, y, magnitude, TUKEY * noise, 2, hidden)
         if linear:
             continue

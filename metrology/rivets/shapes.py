@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 
 Array = NDArray[np.float64]
+
+SHAPE_TOLERANCE = 0.15  # of an elongation: five standard deviations of what is expected (see `ring.fit_ring`)
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,9 @@ class CircleShapes:
     cell: float
 
     @property
-    def known(self) -> bool:
-        """Whether the shapes come from a surface."""
-        return self.matrices.size > 3
+    def freedom(self) -> float:
+        """By how much an ellipse may depart from the shape; nothing is flatter than 1 : 2 where none is known."""
+        return SHAPE_TOLERANCE if self.matrices.size > 3 else math.log(2)
 
     @classmethod
     def round(cls) -> CircleShapes:

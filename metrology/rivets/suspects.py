@@ -110,7 +110,7 @@ def suspects(
         shown = np.zeros((len(candidates), 2))
         ring_evidence(image, candidates[:, :5], np.full(len(candidates), polarity), _SECTORS, shown)
         traced = candidates[:, 5] >= _LEAST_COVERAGE
-        plain = (shown[:, 0] > STRONG.score / 1.5) & (shown[:, 1] >= STRONG.hits)
+        plain = (shown[:, 0] > KNOWN_SHAPE.score) & (shown[:, 1] >= KNOWN_SHAPE.hits)
         found.append(candidates[(traced | plain) & (shown[:, 0] > evidence.score) & (shown[:, 1] >= evidence.hits)])
     return [Ellipse.of(c[:5]) for c in _distinct(np.concatenate(found))]
 
@@ -131,9 +131,8 @@ def _candidates(
     rows = np.searchsorted(v, np.arange(size[0] + 2)).astype(np.int64)
     expected = shapes.at(starts[:, 0] * k, starts[:, 1] * k)
     ellipses, coverage, agreement = np.zeros((len(starts), 5)), np.zeros(len(starts)), np.zeros(len(starts))
-    fit_candidates(
-        starts, arcs.u[order], v, arcs.nu[order], arcs.nv[order], rows, expected, ellipses, coverage, agreement
-    )
+    points = arcs.u[order], v, arcs.nu[order], arcs.nv[order]
+    fit_candidates(starts, *points, rows, expected, shapes.freedom, ellipses, coverage, agreement)
     return np.column_stack([ellipses, coverage, agreement])
 
 

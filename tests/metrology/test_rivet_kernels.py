@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.special import erfc
 
-from metrology.rivets.arc_fit import fit_conic
+from metrology.rivets.arc_fit import fit_candidate, fit_conic
 from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_evidence, ring_steps, settle
@@ -198,6 +198,35 @@ def test_arcs_of_a_circle_vote_for_its_centre_and_a_line_for_nothing(rng: np.ran
     # Only the line's ends, where its curvature is not known well, may vote.
     beside_middle = (np.abs(found[:, 0] - 158) < 35) & (np.abs(found[:, 1] - 70) < 35)
     assert not beside_middle.any()
+
+
+@pytest.mark.parametrize("radius", [4.0, 6.0, 12.0])
+def test_a_circle_of_any_size_has_its_own_curvature(rng: np.random.Generator, radius: float) -> None:
+    """Of the smallest the window is half a turn, through which a parabola would curve nearly twice as much."""
+    v, u = np.mgrid[:400, :400].astype(float)
+    ring = np.exp(-0.5 * (np.hypot(u - 200.3, v - 198.6) - radius) ** 2)
+    image = (100 - 20 * ring + rng.normal(0, 0.3, u.shape)).astype(np.float32)
+    arcs = trace_arcs(RidgeField.of(image, 1.0), 1, (4.0, 6.0), 7, 0.3)
+    found = np.hypot(arcs.u - 200.3, arcs.v - 198.6)
+    known = (np.abs(found - radius) < 1) & (arcs.curvature_sd < 1)
+    assert known.sum() > 25
+    assert np.median(np.abs(arcs.curvature[known])) == pytest.approx(1 / np.median(found[known]), rel=0.03)
+
+
+def test_a_suspect_keeps_the_shape_that_is_known(rng: np.random.Generator) -> None:
+    """Points of an ellipse that no circle looks like here: the free conic follows them, that of known shape does not."""
+    points = ELLIPSE.points(90)[:70] + rng.normal(0, 0.2, (70, 2))
+    d = (points - [ELLIPSE.u, ELLIPSE.v]) @ np.linalg.inv(ELLIPSE.shape)
+    across = d / np.linalg.norm(d, axis=1)[:, None]
+    order = np.argsort(points[:, 1], kind="stable")
+    u, v, nu, nv = (np.ascontiguousarray(c) for c in np.column_stack([points, across])[order].T)
+    rows = np.searchsorted(v, np.arange(122)).astype(np.int64)
+    start = ELLIPSE.u + 1.0, ELLIPSE.v - 1.0, ELLIPSE.radius
+    known, free = np.empty(5), np.empty(5)
+    for freedom, found in ((0.15, known), (np.log(2), free)):
+        fit_candidate(*start, u, v, nu, nv, rows, np.array([1.0, 1.0, 0.0]), freedom, found)
+    assert free[:4] == pytest.approx(ELLIPSE.parameters[:4], abs=0.5)
+    assert known[2] / known[3] < np.exp(0.15)
 
 
 def test_a_tilted_circle_is_voted_for_sharply_when_its_shape_is_known(rng: np.random.Generator) -> None:

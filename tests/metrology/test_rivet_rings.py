@@ -98,6 +98,21 @@ def test_a_glint_on_the_rim_moves_the_centre_little(rng: np.random.Generator) ->
     assert np.hypot(ring.ellipse.u - truth.u, ring.ellipse.v - truth.v) < 0.25
 
 
+def test_a_glint_on_a_slope_of_light_hides_no_rim(rng: np.random.Generator) -> None:
+    """Beside a highlight the light differs round the rim by as much as the glint does: what departs from it counts."""
+    truth = Ellipse(60.2, 59.5, 16.5, 16.0, 0.4)
+    v, u = np.mgrid[:120, :120].astype(float)
+    shown = np.abs(np.arctan2(v - truth.v, u - truth.u) + 2.2) > 0.7
+    light = 110 * np.exp(-0.5 * ((u - 66) ** 2 + (v - 14) ** 2) / 20**2)
+    glint = 120 * np.exp(-0.5 * (((u - 60) / 5) ** 2 + ((v - 71) / 2.5) ** 2))
+    image = (
+        np.where(shown, painted_ring(truth, -10), painted_ring(truth, 0)) + light + glint + rng.normal(0, 2, u.shape)
+    )
+    ring = fit_ring(np.clip(image, 0, 255).astype(np.float32), truth, 1.0, LIMITS, truth.shape)
+    assert ring is not None
+    assert (ring.ellipse.u, ring.ellipse.v) == pytest.approx((truth.u, truth.v), abs=0.5)
+
+
 def test_known_shape_steadies_half_a_ring(rng: np.random.Generator) -> None:
     """With the shape from the surface an arc of 200° gives the centre several times better."""
     truth = Ellipse(60.2, 58.6, 20.0, 16.0, 0.3)
