@@ -214,7 +214,7 @@ def test_a_circle_of_any_size_has_its_own_curvature(rng: np.random.Generator, ra
 
 
 def test_a_suspect_keeps_the_shape_that_is_known(rng: np.random.Generator) -> None:
-    """Points of an ellipse that no circle looks like here: the free conic follows them, that of known shape does not."""
+    """Points of an ellipse that no circle looks like here: a free conic follows them, one of known shape does not."""
     points = ELLIPSE.points(90)[:70] + rng.normal(0, 0.2, (70, 2))
     d = (points - [ELLIPSE.u, ELLIPSE.v]) @ np.linalg.inv(ELLIPSE.shape)
     across = d / np.linalg.norm(d, axis=1)[:, None]
