@@ -128,7 +128,7 @@ def _circle(x, y, use):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _seen(cu, cv, l11, l21, l22, a, b, radius, ellipse):  # type: ignore[no-untyped-def]
+def _image_of_circle(cu, cv, l11, l21, l22, a, b, radius, ellipse):  # type: ignore[no-untyped-def]
     """Image of the circle (a, b, radius) in the frame of the expected shape, of which l is the Cholesky factor."""
     uu = l11 * l11
     uv = l11 * l21
@@ -168,7 +168,7 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
     shape : (3,) float64
         Entries uu, vv, uv of the expected shape matrix of determinant 1.
     freedom : float
-        By how much a conic's elongation may depart from the expected one, see `shapes.log_shape`.
+        By how much a conic's elongation may depart from the expected one, see `shapes.log_shape`; 0: no conic.
     ellipse : (5,) float64, output
 
     Returns
@@ -247,7 +247,7 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
         b = q
         mode = d
         tolerance = max(1.4, 0.75 * tolerance)
-    _seen(cu, cv, l11, l21, l22, a, b, mode, ellipse)
+    _image_of_circle(cu, cv, l11, l21, l22, a, b, mode, ellipse)
     expected_x, expected_y = _elongation(ellipse)
     large = ellipse[2] / ellipse[3]
     trial = np.empty(5)
@@ -283,7 +283,7 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
         if step == 4 or coverage < 0.5:
             break
         trial[:] = ellipse
-        if fit_conic(pu[:n], pv[:n], use, trial):
+        if freedom > 0.0 and fit_conic(pu[:n], pv[:n], use, trial):
             ex, ey = _elongation(trial)
             as_large = trial[3] >= 0.45 * radius and trial[2] <= 1.7 * radius * math.sqrt(large)
             if as_large and math.hypot(ex - expected_x, ey - expected_y) < freedom:
@@ -292,7 +292,7 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
         a, b, mode = _circle(x[:n], y[:n], use)
         if mode < 0.6 * radius or mode > 1.6 * radius:
             break
-        _seen(cu, cv, l11, l21, l22, a, b, mode, ellipse)
+        _image_of_circle(cu, cv, l11, l21, l22, a, b, mode, ellipse)
     return coverage, 1.0 - distance
 
 

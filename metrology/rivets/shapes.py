@@ -25,28 +25,26 @@ class CircleShapes:
         Entries uu, vv, uv of Σ, see `Ellipse.shape`.
     cell : float
         Size of a cell, px.
+    freedom : float
+        By how much the elongation of an ellipse that is looked for may depart from that, see `log_shape`.
     """
 
     matrices: Array
     cell: float
-
-    @property
-    def freedom(self) -> float:
-        """By how much an ellipse may depart from the shape; nothing is flatter than 1 : 2 where none is known."""
-        return SHAPE_TOLERANCE if self.matrices.size > 3 else math.log(2)
+    freedom: float = 0.0
 
     @classmethod
     def round(cls) -> CircleShapes:
-        """Circles look like circles everywhere."""
-        return cls(np.array([[[1.0, 1.0, 0.0]]]), 1e9)
+        """Circles look like circles everywhere, or like anything up to 1 : 2: nothing is known."""
+        return cls(np.array([[[1.0, 1.0, 0.0]]]), 1e9, math.log(2))
 
     @classmethod
-    def of_elongation(cls, elongation: Array, cell: float) -> CircleShapes:
+    def of_elongation(cls, elongation: Array, cell: float, freedom: float = 0.0) -> CircleShapes:
         """From (rows, columns, 2) elongations, see `log_shape`: exp of the symmetric matrix [[x, y], [y, −x]]."""
         e = np.linalg.norm(elongation, axis=-1)
         ratio = np.sinh(e) / np.maximum(e, 1e-9)
         x, y = elongation[..., 0] * ratio, elongation[..., 1] * ratio
-        return cls(np.stack([np.cosh(e) + x, np.cosh(e) - x, y], axis=-1), cell)
+        return cls(np.stack([np.cosh(e) + x, np.cosh(e) - x, y], axis=-1), cell, freedom)
 
     def at(self, u: Array, v: Array) -> Array:
         """(n, 3) shapes at pixels."""
@@ -87,4 +85,4 @@ def shapes_of(ellipses: list[Ellipse], size: tuple[int, ...]) -> CircleShapes | 
     cell = 64.0
     v, u = np.mgrid[0 : np.ceil(size[0] / cell), 0 : np.ceil(size[1] / cell)]
     place = np.stack([np.ones_like(u), (u + 0.5) * cell / size[1], (v + 0.5) * cell / size[0]], axis=-1)[..., :columns]
-    return CircleShapes.of_elongation(place @ model, cell)
+    return CircleShapes.of_elongation(place @ model, cell, SHAPE_TOLERANCE)
