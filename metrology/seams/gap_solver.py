@@ -29,8 +29,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Error of the rendered brightness, relative to the skin's: what stations' residuals have in common is 0.001 to 0.002 on
-# simulated and rendered seams, 0.003 where a wide floor is darker towards its walls. The fit is told more, so that it
-# does not follow what is not modelled.
+# simulated and rendered seams, seldom 0.003. The fit is told more, so that it does not follow what is not modelled.
 _RENDERING, _RENDERING_FOUND = 0.004, 0.003
 # Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy).
 _DOUBTFUL = 3.0

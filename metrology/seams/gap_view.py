@@ -89,13 +89,14 @@ def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyp
             extreme = end
         middle_x = x[near] + share * (x[far] - x[near])
         middle_h = h[near] + share * (h[far] - h[near])
-        parts = 1
-        if i == _FLOOR and not sealed and _sky(x, h, x[3]) < (1.0 - _EVEN) * _sky(x, h, 0.5 * (x[3] + x[4])):
-            parts = _FLOOR_PARTS
+        sky = 0.0
+        if i == _FLOOR and not sealed:
+            middle = _sky(x, h, 0.5 * (x[3] + x[4]))
+            sky = middle if _sky(x, h, x[3]) < (1.0 - _EVEN) * middle else 0.0
         if share > 0.0:
-            count = _add(pieces, count, x[near], h[near], middle_x, middle_h, shaded[i], from_b, parts, x, h)
+            count = _add(pieces, count, x[near], h[near], middle_x, middle_h, shaded[i], from_b, sky, x, h)
         if share < 1.0:
-            count = _add(pieces, count, middle_x, middle_h, x[far], h[far], regions[i], from_b, parts, x, h)
+            count = _add(pieces, count, middle_x, middle_h, x[far], h[far], regions[i], from_b, sky, x, h)
     if from_b:
         for i in range(count // 2):
             for column in range(_COLUMNS):
@@ -120,10 +121,10 @@ def _sky(x, h, at):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add(pieces, count, x0, h0, x1, h1, region, backwards, parts, x, h):  # type: ignore[no-untyped-def]
-    """Add a piece of the polyline, in parts that see the sky each in its own way. Returns the pieces' number."""
+def _add(pieces, count, x0, h0, x1, h1, region, backwards, sky, x, h):  # type: ignore[no-untyped-def]
+    """Add a piece, an uneven floor (whose middle sees `sky`, else 0) in parts. Returns the pieces' number."""
+    parts = _FLOOR_PARTS if sky > 0.0 else 1
     step_x, step_h = (x1 - x0) / parts, (h1 - h0) / parts
-    middle = _sky(x, h, 0.5 * (x[3] + x[4])) if parts > 1 else 1.0
     for part in range(parts):
         row = pieces[count + part]
         row[0], row[1] = x0 + part * step_x, h0 + part * step_h
@@ -131,7 +132,7 @@ def _add(pieces, count, x0, h0, x1, h1, region, backwards, parts, x, h):  # type
         if backwards:
             row[0], row[1], row[2], row[3] = row[2], row[3], row[0], row[1]
         row[4] = region
-        row[5] = _sky(x, h, x0 + (part + 0.5) * step_x) / middle - 1.0 if parts > 1 else 0.0
+        row[5] = _sky(x, h, x0 + (part + 0.5) * step_x) / sky - 1.0 if sky > 0.0 else 0.0
     return count + parts
 
 

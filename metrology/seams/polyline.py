@@ -129,12 +129,13 @@ def smoothest(points: Array, weights: ArrayLike) -> Array:
 
 @cache
 def _penalty(n: int) -> Array:
-    """(5, n) bands of the matrix of fourth differences' squares, upper form of LAPACK: the diagonal is the last row."""
-    weights = (1.0, -4.0, 6.0, -4.0, 1.0)
-    bands = np.zeros((5, n))
+    """(order + 1, n) bands of the matrix of differences' squares, upper form of LAPACK: the diagonal comes last."""
+    order = _PENALTY_ORDER
+    weights = np.diff(np.eye(order + 1), order, axis=0)[0]
+    bands = np.zeros((order + 1, n))
     for i, first in enumerate(weights):
-        for j in range(i, 5):
-            bands[4 - (j - i), j : n - 4 + j] += first * weights[j]
+        for j in range(i, order + 1):
+            bands[order - (j - i), j : n - order + j] += first * weights[j]
     return bands
 
 
