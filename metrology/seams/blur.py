@@ -77,12 +77,15 @@ class EdgeResponse:
 # A fit asks again and again for the same blur: where only borders move, or a step was taken back.
 @lru_cache(maxsize=64)
 def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int, reach_px: float) -> Array:
-    """(n,) values of the blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach; read-only."""
+    """(2, n) values and slopes of the blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach.
+
+    Read-only.
+    """
     half = int(np.ceil(reach_px * nodes_per_px))
     side_u, side_v = (max(abs(side), _THIN) for side in normal)
-    values, _ = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill)
-    values.flags.writeable = False
-    return np.asarray(values)
+    step = np.stack(_tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill))
+    step.flags.writeable = False
+    return step
 
 
 @kernel

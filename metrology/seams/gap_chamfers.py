@@ -2,7 +2,8 @@
 
 A chamfer narrower than the blur looks much like blur, and a square edge is a kind of its own. So no single best fit
 stands for what is known: the rest is fitted for each of many widths, square edges among them, and the chamfers
-are the median over them, each weighted by its likelihood; what the gap's width scatters goes into the uncertainty.
+are the median over them, each weighted by its likelihood; how far apart the gap's likely widths lie goes into the
+uncertainty.
 """
 
 from __future__ import annotations
@@ -25,10 +26,14 @@ _NO_WEIGHT = 12.0
 # Before any picture is seen: drawings ask for broken edges; of four joints one may have been left square.
 _SQUARE_SHARE = 0.25
 _ITERATIONS = 12
+_COVERAGE, _COVERAGE_FACTOR = 0.95, 1.96
 
 
 def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
-    """The shape with the median chamfers, and the standard deviation of the gap's width by not knowing them.
+    """The shape with the median chamfers, and the standard uncertainty of the gap's width by not knowing them.
+
+    It is that of a normal distribution as wide as 95 % of what is likely: where square edges are all but certain, what
+    little speaks for wide chamfers does not count.
 
     Parameters
     ----------
@@ -52,7 +57,9 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
     weights, widths = _weights(np.array(costs), free, chamfers), np.array([np.median(s.widths) for s in states])
     chamfer = float(np.interp(0.5, np.cumsum(weights), chamfers))
     median = _with_chamfers(states[int(np.abs(chamfers - chamfer).argmin())], some, chamfer)
-    return median, float(np.sqrt(weights @ (widths - np.median(median.widths)) ** 2))
+    away = np.abs(widths - np.median(median.widths))
+    order = np.argsort(away)
+    return median, float(np.interp(_COVERAGE, np.cumsum(weights[order]), away[order])) / _COVERAGE_FACTOR
 
 
 def _with_chamfers(start: State, some: Profiles, width_mm: float) -> State:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from metrology.seams.gap_floor import Floor
 from metrology.seams.gap_knowledge import LEAN, LEAN_CHANGE, SLOPE, WIDTH_A, WIDTH_B
+from metrology.seams.gap_levels import COURSE_SCATTER, courses
 from metrology.seams.gap_profiles import Profiles
-from metrology.seams.gap_shape import fit_shape
+from metrology.seams.gap_shape import fit_shape, fit_shape_again
 from metrology.seams.gap_solver import ACROSS, State, fit_borders_from
 
 Array = NDArray[np.float64]
@@ -26,8 +27,10 @@ Mask = NDArray[np.bool_]
 _ODD = 8.0
 # From so many widths on their scatter tells their uncertainty: that it is more than expected, and (to a fifth) less.
 _MIN_WIDTHS, _MANY_WIDTHS = 8, 32
-# Where they scatter so many times more than expected, pixels' noise is taken for larger by that, and all fitted anew.
+# Where they scatter so many times more than expected, pixels' noise is taken for larger by that from then on.
 _STREAKY = 1.5
+# The levels' courses follow from the fit, and the fit from them.
+_LEVEL_ROUNDS = 2
 _MAD = 1.4826
 
 
@@ -72,11 +75,16 @@ def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
     floors : sequence of Floor
         What may close the gap below; the pictures decide.
     """
-    shape, sigma_common, final = _fit(profiles, floors)
+    shape, borders, sigma_common = fit_shape(profiles, floors)
+    final = fit_borders_from(profiles, borders, shape)
     scatter = _scatter(final)
     if scatter > _STREAKY:
         profiles = replace(profiles, variance=scatter**2 * profiles.variance)
-        shape, sigma_common, final = _fit(profiles, floors)
+    for _ in range(_LEVEL_ROUNDS):
+        along = courses(profiles.places, final.levels - final.usual_levels)
+        profiles = replace(profiles, courses=along, level_scatter=COURSE_SCATTER)
+        shape, borders, sigma_common = fit_shape_again(profiles, final)
+        final = fit_borders_from(profiles, borders, shape)
     sound = _is_sound(final, profiles)
     if not sound.all() and sound.any():
         # Where a shadow or a scratch was taken for a border, its neighbours know better.
@@ -101,12 +109,6 @@ def _is_sound(state: State, profiles: Profiles) -> Mask:
     """Whether each station's residuals are like the others'."""
     per_bin = state.costs / np.maximum(profiles.sizes.sum(axis=1), 1)
     return np.asarray(per_bin < _ODD * np.median(per_bin))
-
-
-def _fit(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, float, State]:
-    """The shape with the standard deviation of the mean width, and all stations' borders."""
-    shape, borders, sigma_common = fit_shape(profiles, floors)
-    return shape, sigma_common, fit_borders_from(profiles, borders, shape)
 
 
 def _sigma(state: State) -> Array:

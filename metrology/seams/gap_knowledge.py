@@ -49,18 +49,21 @@ _LENS_PX = (0.55, 0.5)
 # The floor's depth as the points show it varies and errs by this.
 _FLOOR_SIGMA_MM = 0.2
 # Both edges of a joint are broken by one tool, and both cameras have like lenses, to this standard deviation. Turned
-# from highlights, chamfers look alike from both cameras; a lamp 5° aside makes one 9 % brighter than the other.
+# from highlights, a chamfer looks alike from both cameras; that of the other side is turned the other way, and where
+# the skin is glossy one of them may well be half as bright again.
 _ALIKE_EDGES_MM = 0.05
 _ALIKE_LENSES_PX = 0.1
-_ALIKE_CHAMFERS = 0.1
+_ALIKE_VIEWS, _ALIKE_SIDES = 0.1, 0.3
 # Bounds, up to the lenses (the slope's are its own); and of the lenses.
 _LOWEST = (0.0, 0.0, 0.0, -0.5, 0.0, -0.5, 0.0)
 _HIGHEST = (2.0, 2.0, 12.0, 0.5, np.inf, 0.5, 0.24)
 _LENS_BOUNDS_PX = (0.05, 2.0)
 # Of the slope, relative to the drawn one: of 45°, between 27° and 63°.
 _SLOPE_BOUNDS = np.array([0.5, 2.0])
+# Of walls and chamfers.
+_DIRECTIONS = (LEAN, SLOPE, LEAN_CHANGE)
 # What only open gaps have: sealant fills the chamfers too, and hides the walls.
-_OF_OPEN_GAPS = (WIDTH_A, WIDTH_B, DEPTH, LEAN, SLOPE, LEAN_CHANGE)
+_OF_OPEN_GAPS = (WIDTH_A, WIDTH_B, DEPTH, *_DIRECTIONS)
 
 
 class Knowledge:
@@ -92,10 +95,10 @@ class Knowledge:
             self._alike(LENSES, lens, _ALIKE_LENSES_PX)
         levels = range(self.lenses.stop, len(self.mean), LEVELS)
         for first in levels:
-            self._alike(first + CHAMFER_A, first + CHAMFER_B, _ALIKE_CHAMFERS)
+            self._alike(first + CHAMFER_A, first + CHAMFER_B, _ALIKE_SIDES)
         for first, second in itertools.pairwise(levels):
             for chamfer in (CHAMFER_A, CHAMFER_B):
-                self._alike(first + chamfer, second + chamfer, _ALIKE_CHAMFERS)
+                self._alike(first + chamfer, second + chamfer, _ALIKE_VIEWS)
         held = (*fixed, *(_OF_OPEN_GAPS if floor.sealed else ()))
         self.free = np.setdiff1d(np.arange(len(sigma)), held)
 
@@ -110,7 +113,11 @@ class Knowledge:
 
     def of_usual_cameras(self) -> Knowledge:
         """The same with blur and directions held as they are: far from the solution they would go astray."""
-        return Knowledge(self.profiles, self.floor, (LEAN, SLOPE, LEAN_CHANGE, SPILL, *self.lenses))
+        return Knowledge(self.profiles, self.floor, (*_DIRECTIONS, SPILL, *self.lenses))
+
+    def of_square_walls(self) -> Knowledge:
+        """The same with directions held as they are."""
+        return Knowledge(self.profiles, self.floor, _DIRECTIONS)
 
     def cost(self, shared: Array) -> float:
         """Squared standard deviations from the mean."""
@@ -141,26 +148,17 @@ def _levels(ambient: float, grazing: float) -> list[tuple[float, float]]:
     """Of a seam's usual levels, relative to the skin's.
 
     A chamfer at 45° is 0.7 times as bright as skin that is matt, and hardly lit where the skin shines towards the
-    cameras: anything from 0.1 to 0.8, which is 0.25 for four that are alike. Walls are cut through metal that sends
-    back about half of what it gets: of the ambient light half the sky at most, of the direct light what `grazing` (the
-    tangent of the lamp's angle) leaves. In the depth of a gap there is less sky; but as far as what does not follow the
-    fringes is the sensor's dark level, all of it is there, and does not darken towards the walls.
+    cameras: anything from 0.1 to 0.8, which is 0.35 for two views that are alike. Substructure is primed, mostly
+    darker than skin. Walls are cut through metal that sends back about half of what it gets: of the ambient light
+    half the sky at most, of the direct light what `grazing` (the tangent of the lamp's angle) leaves. In the depth
+    of a gap there is less sky; but as far as what does not follow the fringes is the sensor's dark level, all of it
+    is there, and does not darken towards the walls.
     """
     dark, spread, direct = 0.25 * ambient, 0.35 * ambient, 0.5 * grazing
     known = {
         SKIN_A: (1.0, 0.1), SKIN_B: (1.0, 0.1), SLOPE_A: (0.0, 0.01), SLOPE_B: (0.0, 0.01),
-        CHAMFER_A: (0.45, 0.5), CHAMFER_B: (0.45, 0.5), LIT_FLOOR: (0.4, 0.4),
+        CHAMFER_A: (0.45, 0.5), CHAMFER_B: (0.45, 0.5), LIT_FLOOR: (0.4, 0.3),
         LIT_WALL: (dark + direct, spread + direct), DARK_WALL: (dark, spread), DARK_FLOOR: (dark, spread),
         SKY: (dark, spread),
     }  # fmt: skip
     return [known[level] for level in range(LEVELS)]
-
-
-def _level_scatter() -> Array:
-    scatter = np.full(LEVELS, 0.05)
-    scatter[[SLOPE_A, SLOPE_B, SKY]] = 0.02
-    return scatter
-
-
-# (LEVELS,) how much a station's levels scatter about the seam's usual ones: grain, smudges, highlights.
-LEVEL_SCATTER = _level_scatter()

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.rig import Device
+from metrology.seams.gap_levels import LEVEL_SCATTER
+from metrology.seams.gap_view import LEVELS
 from metrology.seams.sampling import binned, sample
 from metrology.seams.sections import Section
 from metrology.seams.views import View, section_map
@@ -29,7 +31,7 @@ _MOST_SCATTER = 8.0
 
 
 # Fields of `Profiles` that are not by station.
-_OF_THE_SEAM = ("normals", "ambient", "chamfer_slope")
+_OF_THE_SEAM = ("normals", "ambient", "chamfer_slope", "level_scatter")
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,10 @@ class Profiles:
         Share of the skin's brightness that does not follow the fringes.
     chamfer_slope : float
         Tangent of the chamfers' angle against the skin.
+    courses : (n, k, LEVELS) ndarray
+        What a station's usual levels differ from the seam's.
+    level_scatter : (LEVELS,) ndarray
+        Standard deviation of a station's own levels about them.
     """
 
     stations: NDArray[np.int64]
@@ -79,6 +85,8 @@ class Profiles:
     normals: Array
     ambient: Array
     chamfer_slope: float
+    courses: Array
+    level_scatter: Array
 
     def at(self, which: NDArray[np.int64]) -> Profiles:
         """Some of the stations."""
@@ -143,6 +151,8 @@ def collect(
         normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
         ambient=np.array([view.ambient for view in views]),
         chamfer_slope=chamfer_slope,
+        courses=np.zeros((n, k, LEVELS)),
+        level_scatter=LEVEL_SCATTER,
     )
 
 

@@ -19,7 +19,7 @@ Indices = NDArray[np.int64]
 # So many stations, evenly spread, tell the shape; so few of them choose where to start from.
 _SHAPE_STATIONS = 24
 _START_STATIONS = 6
-_START_CHAMFERS_MM = (0.05, 0.35, 0.7)
+_START_CHAMFERS_MM = (0.05, 0.35, 0.7, 1.05)
 _START_DEPTHS_MM = (1.0, 3.0)
 _START_ITERATIONS, _ITERATIONS = 10, 30
 # An open gap is taken for real where sealant costs more than this in squared standard deviations: then its chamfers
@@ -35,8 +35,22 @@ def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array
     # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
     looks = [_first_look(few, floor) for floor in floors]
     look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
-    free = fit_shape_from(some, _like(look, few, some), look.shared, look.known, _ITERATIONS)
-    shape, doubt = (free, 0.0) if look.known.floor.sealed else weigh_chamfers(free, some)
+    return _fit_all(profiles, chosen, _like(look, few, some), look.shared, look.known)
+
+
+def fit_shape_again(profiles: Profiles, found: State) -> tuple[State, Array, float]:
+    """The same from what was found for all stations with other variances or levels' courses."""
+    chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
+    known = Knowledge(profiles, found.known.floor)
+    return _fit_all(profiles, chosen, found.borders[chosen], found.shared, known)
+
+
+def _fit_all(
+    profiles: Profiles, chosen: Indices, borders: Array, shared: Array, known: Knowledge
+) -> tuple[State, Array, float]:
+    some = profiles.at(chosen)
+    free = fit_shape_from(some, borders, shared, known, _ITERATIONS)
+    shape, doubt = (free, 0.0) if known.floor.sealed else weigh_chamfers(free, some)
     return shape, _like(shape, some, profiles), float(np.hypot(shape.mean_width_sigma, doubt))
 
 
@@ -45,7 +59,7 @@ def _evenly(n: int, most: int) -> Indices:
 
 
 def _first_look(few: Profiles, floor: Floor) -> State:
-    """A few stations' fit from the best of all starts, with usual cameras until then."""
+    """A few stations' fit from the best of all starts: with usual cameras first, then with square walls."""
     known = Knowledge(few, floor)
     depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else known.mean[[DEPTH]]
     looks = []
@@ -58,7 +72,9 @@ def _first_look(few: Profiles, floor: Floor) -> State:
             borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
             starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
         best = min(starts, key=_cost)
-        looks.append(fit_shape_from(few, best.borders, best.shared, known, _START_ITERATIONS))
+        for freer in (known.of_square_walls(), known):
+            best = fit_shape_from(few, best.borders, best.shared, freer, _START_ITERATIONS)
+        looks.append(best)
     return min(looks, key=_cost)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.seams.blur import PixelBlur, blurred_step
-from metrology.seams.gap_knowledge import LENSES, LEVEL_SCATTER, SPILL, WIDTH_A, WIDTH_B, Knowledge
+from metrology.seams.gap_knowledge import LENSES, SPILL, WIDTH_A, WIDTH_B, Knowledge
 from metrology.seams.gap_profiles import Profiles
 from metrology.seams.gap_view import (
     DIFFERENCE,
@@ -73,6 +73,12 @@ class State:
     def widths(self) -> Array:
         """(n,) from ideal edge to ideal edge, mm."""
         return np.asarray(self.borders @ ACROSS - self.shared[WIDTH_A] - self.shared[WIDTH_B])
+
+    @property
+    def usual_levels(self) -> Array:
+        """(k, LEVELS) of the seam in each camera."""
+        cameras = self.levels.shape[1]
+        return self.shared[LENSES + cameras :].reshape(cameras, LEVELS)
 
     @property
     def limit(self) -> float:
@@ -203,14 +209,14 @@ def _state_at(profiles: Profiles, borders: Array, shared: Array, known: Knowledg
     normal_equations(
         profiles.x, profiles.grey, profiles.variance, profiles.sizes, profiles.places, borders, shared,
         _tables(profiles.normals, shared, with_shape), known.floor.sealed, profiles.tilts, profiles.eyes,
-        profiles.lamps, profiles.px_mm, LEVEL_SCATTER**-2.0, with_shape,
+        profiles.lamps, profiles.px_mm, profiles.level_scatter**-2.0, profiles.courses, with_shape,
         state.normals, state.gradients, state.levels, state.costs,
     )  # fmt: skip
     return state
 
 
 def _tables(normals: Array, shared: Array, with_shape: bool) -> Array:
-    """(k, TABLES, nodes) blurred steps of the cameras, and how they change."""
+    """(k, TABLES, 2, nodes) blurred steps of the cameras, and how they change."""
     spill, lenses = float(shared[SPILL]), [float(lens) for lens in shared[LENSES : LENSES + len(normals)]]
     reach = _BLUR_REACH_PX + _LENS_TAIL * max(lenses)
     changes = {NOMINAL: (0.0, 0.0)}

@@ -41,7 +41,7 @@ _PIECES, _COLUMNS = 32, 6
 # The skins' pieces reach beyond every sample, mm.
 _FAR_MM = 50.0
 # Change by which the image's derivatives are taken: mm, tangent, px of lens or share of spill.
-DIFFERENCE = 2e-3
+DIFFERENCE = 1e-4
 # Nodes of the tables per pixel.
 NODES_PER_PX = 24
 
@@ -164,14 +164,18 @@ def _visible(pieces, count, eye, middle, ends, shown):  # type: ignore[no-untype
 
 @kernel
 def _step(table, px):  # type: ignore[no-untyped-def]
-    """The blurred step, px beyond it, from its table."""
-    place = px * NODES_PER_PX + table.size // 2
+    """The blurred step, px beyond it, from its table of values and slopes."""
+    values, slopes = table
+    place = px * NODES_PER_PX + values.size // 2
     if place <= 0.0:
         return 0.0
-    if place >= table.size - 1:
+    if place >= values.size - 1:
         return 1.0
     i = int(place)
-    return table[i] + (place - i) * (table[i + 1] - table[i])
+    t, rise = place - i, values[i + 1] - values[i]
+    # Cubic with the nodes' slopes (Hermite).
+    bend, twist = slopes[i] / NODES_PER_PX - rise, slopes[i + 1] / NODES_PER_PX - rise
+    return values[i] + t * (rise + (1.0 - t) * ((1.0 - t) * bend - t * twist))
 
 
 @kernel
@@ -229,13 +233,14 @@ def workspace():  # type: ignore[no-untyped-def]
 @kernel
 def normal_equations(  # type: ignore[no-untyped-def]
     samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
-    with_shape, normals, gradients, levels, costs,
+    courses, with_shape, normals, gradients, levels, costs,
 ):  # fmt: skip
     """Least squares of many stations with each one's own levels eliminated.
 
     Of each station's parameters θ (its two borders; then, `with_shape`, what is shared: both chamfers, depth, lean, the
     chamfers' slope, the lean's change along the seam, spill, each camera's lens, and each camera's usual levels) JᵀWJ
-    goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones with the `precisions`.
+    goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones, plus their `courses`,
+    with the `precisions`.
     """
     stations, cameras, most = samples.shape
     work = workspace()
@@ -254,7 +259,8 @@ def normal_equations(  # type: ignore[no-untyped-def]
             if n == 0:
                 continue
             first = 7 + cameras + c * LEVELS
-            usual, level, variance = shared[first : first + LEVELS], levels[s, c], variances[s, c]
+            usual = shared[first : first + LEVELS] + courses[s, c]
+            level, variance = levels[s, c], variances[s, c]
             view = (sealed, tilts[s], eyes[s, c], lamps[s], px_mm[s, c])
             _basis(samples[s, c], n, outline, *view, tables[c, NOMINAL], work, basis)
             _fit_levels(basis, n, greys[s, c], variance, usual, precisions, inner, factor, level)

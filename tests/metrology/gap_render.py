@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
+from metrology.seams import gap_view
+from metrology.seams.gap_levels import LEVEL_SCATTER
 from metrology.seams.gap_profiles import Profiles
 
 Array = NDArray[np.float64]
@@ -31,6 +33,10 @@ class Gap:
     chamfer_slope: float = 1.0
     # What the sky gives the middle of the floor, of its brightness.
     sky: float = 0.0
+    # Brightness of both chamfers in the lamp's light.
+    glints: tuple[float, float] = (float(LIT[CHAMFER_A]), float(LIT[CHAMFER_B]))
+    # Brightness of all but the skin, relative to what it is beside skin without a highlight.
+    dimmed: float = 1.0
 
     @property
     def outline(self) -> Array:
@@ -86,7 +92,10 @@ def picture(gap: Gap, eye: Array, lamp: Array, reach_mm: float, px_mm: float, le
     """Fine positions on the reference curve, and the blurred brightness there."""
     xi = np.arange(-reach_mm - 1, reach_mm + 1, FINE_MM)
     pieces = [seen(gap, float(x), eye, lamp) for x in xi]
-    sharp = np.array([LIT[piece] if lit else SHADED[piece] for piece, lit in pieces])
+    lit_level = LIT.copy()
+    lit_level[[CHAMFER_A, CHAMFER_B]] = gap.glints
+    sharp = np.array([lit_level[piece] if lit else SHADED[piece] for piece, lit in pieces])
+    sharp *= np.array([1.0 if piece in (SKIN_A, SKIN_B) else gap.dimmed for piece, _ in pieces])
     if gap.sky > 0:
         inside = np.linspace(-0.5, 0.5, 41)[1:-1] * gap.width_mm
         seen_there = np.array([sky_seen(gap, float(x)) for x in inside])
@@ -122,4 +131,6 @@ def profiles(gap: Gap, stations: int, rng: np.random.Generator, noise: float = 0
         normals=np.tile([1.0, 0.0], (k, 1)),
         ambient=np.array([0.2, 0.2]),
         chamfer_slope=1.0,
+        courses=np.zeros((stations, k, gap_view.LEVELS)),
+        level_scatter=LEVEL_SCATTER,
     )

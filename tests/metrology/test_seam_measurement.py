@@ -21,6 +21,7 @@ from metrology.seams.gap import GapEdge, gap_width, step_height
 from metrology.seams.gap_fit import fit_gap
 from metrology.seams.gap_floor import Floor, possible_floors
 from metrology.seams.gap_knowledge import Knowledge
+from metrology.seams.gap_levels import courses
 from metrology.seams.piecewise import fit_pieces, paper_gap, side_of_section
 from metrology.seams.plates import beyond
 from metrology.seams.sections import Section, SkinLine
@@ -118,6 +119,7 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     ])  # fmt: skip
     # A blur of a hundredth of a pixel.
     table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), gap_view.NODES_PER_PX, 3.0)
+    assert gap_view._step(table, 0.0) == pytest.approx(0.5)
     work = gap_view.workspace()
     basis = np.empty((len(samples), gap_view.LEVELS))
     tilt = np.array([-gap.step_mm / 2, 0.0])
@@ -229,6 +231,40 @@ def test_chamfers_need_not_lie_at_the_drawn_angle(rng):
     widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
     assert np.abs(widths - gap.width_mm).mean() < 0.015
     assert 0.7 < fit.chamfer_slope < 0.9
+
+
+@pytest.mark.parametrize("glints", [(0.33, 0.55), (0.7, 0.3)])
+def test_glossy_chamfers_of_which_one_is_brighter(glints, rng):
+    gap = Gap(2.0, 0.9, glints=glints)
+    fit = fit_gap(profiles(gap, 24, rng, lens_px=0.8), possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    assert np.abs(widths - gap.width_mm).mean() < 0.015
+    assert fit.chamfers_mm == pytest.approx([0.9, 0.9], abs=0.03)
+
+
+def test_gap_beside_a_highlight_that_changes_along_the_seam():
+    # Profiles are relative to the skin: where it shines, all that does not is darker.
+    gap = Gap(0.8, 0.3, 0.2)
+    plain, dim = (profiles(replace(gap, dimmed=share), 32, np.random.default_rng(1)) for share in (1.0, 0.7))
+    highlight = np.exp(-0.5 * (plain.places / 0.8) ** 2)[:, None, None]
+    fit = fit_gap(replace(plain, grey=plain.grey + highlight * (dim.grey - plain.grey)), possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
+    assert np.abs(widths - gap.width_mm).mean() < 0.015
+    assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.9
+
+
+def test_levels_course_along_a_seam(rng):
+    places = np.linspace(-1, 1, 40)
+    true = 0.1 * places**3 - 0.05 * places + 0.02
+    away = np.repeat(true[:, None, None], 2, axis=1) * np.ones(gap_view.LEVELS)
+    away += rng.normal(0, 0.005, away.shape)
+    away[7] += 0.4
+    course = courses(places, away)
+    skin = [gap_view.SKIN_A, gap_view.SKIN_B, gap_view.SLOPE_A, gap_view.SLOPE_B]
+    assert not course[:, :, skin].any()
+    assert np.abs(np.delete(course, skin, axis=2) - true[:, None, None]).max() < 0.01
+    assert not courses(places[:8], away[:8]).any()
 
 
 @pytest.mark.parametrize("depth", [1.0, 2.5])
