@@ -1,6 +1,7 @@
 """Accuracy and repeatability of seam measurement over simulated seams: the figures in docs/seams.md.
 
-python benchmarks/study_seams.py [--seams 24] [--scans 1] [--only 5 11] [--draw 5] [--angles 6] [--edges image|points]
+python benchmarks/study_seams.py [--seams 24] [--scans 1] [--only 5 11] [--draw 5] [--angles 6] [--shift 3]
+                                  [--edges image|points]
 
 Widths 0.3 to 5 mm, steps −1 to 1 mm, chamfers 0 to 0.6 mm, eight directions, bent skin, sealed ones, dark, bright and
 shiny skin. A seam takes about 15 s of CPU to trace; further scans of it differ by noise alone.
@@ -34,8 +35,11 @@ REFLECTANCES, SPECULARS = (0.5, 0.25, 0.8, 0.5), (0.0, 0.3, 0.0, 0.8)
 RAYS = 500
 
 
-def seam_spec(i: int, count: int, draw: int = 5, angle_sigma_deg: float = 0.0) -> SimulationSpec:
-    """The i-th of `count` seams; what is left to chance differs by `draw`, chamfers' angles from 45° by the sigma."""
+def seam_spec(i: int, count: int, draw: int = 5, angle_sigma_deg: float = 0.0, shift: int = 0) -> SimulationSpec:
+    """The i-th of `count` seams; what is left to chance differs by `draw`, chamfers' angles from 45° by the sigma.
+
+    Gloss repeats every eight seams as chamfers do: a `shift` gives each skin other chamfers.
+    """
     rng = np.random.default_rng([draw, i])
     # Every direction gets narrow and wide seams.
     width = float(np.geomspace(*WIDTHS_MM, count)[(i * 7) % count])
@@ -50,7 +54,7 @@ def seam_spec(i: int, count: int, draw: int = 5, angle_sigma_deg: float = 0.0) -
         course(math.radians(22.5 * (i % 8)), rng.uniform(-1, 1)),
         tuple(float(w) for w in width * (1 + rng.uniform(-0.04, 0.04, 5))),
         tuple(float(s) for s in step + rng.uniform(-0.04, 0.04, 5)),
-        chamfer_mm=0.0 if filled else CHAMFERS_MM[(5 * i + 3) % 8],
+        chamfer_mm=0.0 if filled else CHAMFERS_MM[(5 * i + 3 + shift) % 8],
         chamfer_deg=45.0 + off,
         filled=filled,
         depth_mm=rng.uniform(0, 0.05) if filled else rng.uniform(1.5, 4),
@@ -156,13 +160,14 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=1)
     parser.add_argument("--draw", type=int, default=5)
     parser.add_argument("--angles", type=float, default=0.0, help="standard deviation of the chamfers' angles, degrees")
+    parser.add_argument("--shift", type=int, default=0, help="give each skin the chamfers of another, so many on")
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--edges", choices=("image", "points"), default="image")
     chosen = parser.parse_args()
     settings = SeamSettings(edges=chosen.edges)
     found, seconds = [], []
     for i in chosen.only or range(chosen.seams):
-        spec = seam_spec(i, chosen.seams, chosen.draw, chosen.angles)
+        spec = seam_spec(i, chosen.seams, chosen.draw, chosen.angles, chosen.shift)
         seam = spec.panel.seams[0]
         runs = []
         for run, cpu in scans(spec, chosen.scans, settings):
