@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 Severity = Literal["green", "blue", "red"]
 Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "no limit"]
 
+# From a standard deviation to U95: two-sided 95 % of a normal distribution.
+COVERAGE_95 = 1.96
+
 
 @dataclass(frozen=True)
 class RivetDetection:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
-from metrology.results import Rivet, RivetDetection, SeamLine
+from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
 from metrology.rivets.fits import Fits
 from metrology.rivets.flushness import Flushness, flushness
@@ -24,7 +24,6 @@ from metrology.surfaces import Polynomial
 Array = NDArray[np.float64]
 
 _DIRECTIONS = 12
-_NINETY_FIVE = 1.96
 
 
 def measure_rivets(
@@ -148,9 +147,9 @@ def _row(
         height_mean_mm=f.mean,
         height_min_mm=f.low,
         height_max_mm=f.high,
-        height_u95_mm=_NINETY_FIVE * f.mean_sd,
+        height_u95_mm=COVERAGE_95 * f.mean_sd,
         tilt_deg=float(np.degrees(f.tilt)),
-        tilt_u95_deg=float(np.degrees(_NINETY_FIVE * f.tilt_sd)),
+        tilt_u95_deg=float(np.degrees(COVERAGE_95 * f.tilt_sd)),
         crown_mm=f.crown if head.order == 2 else None,
         n_inner=int((head.weights > 0).sum()),
         n_outer=int((outcome.skin.weights > 0).sum()),

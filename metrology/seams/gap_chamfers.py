@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.results import COVERAGE_95
 from metrology.seams.gap_knowledge import WIDTH_A, WIDTH_B
 from metrology.seams.gap_profiles import Profiles
 from metrology.seams.gap_solver import ACROSS, State, fit_shape_from
@@ -26,7 +27,8 @@ _NO_WEIGHT = 12.0
 # Before any picture is seen: drawings ask for broken edges; of four joints one may have been left square.
 _SQUARE_SHARE = 0.25
 _ITERATIONS = 12
-_COVERAGE, _COVERAGE_FACTOR = 0.95, 1.96
+# Share of what is likely that U95 is to cover.
+_COVERAGE = 0.95
 
 
 def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
@@ -59,7 +61,7 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
     median = _with_chamfers(states[int(np.abs(chamfers - chamfer).argmin())], some, chamfer)
     away = np.abs(widths - np.median(median.widths))
     order = np.argsort(away)
-    return median, float(np.interp(_COVERAGE, np.cumsum(weights[order]), away[order])) / _COVERAGE_FACTOR
+    return median, float(np.interp(_COVERAGE, np.cumsum(weights[order]), away[order])) / COVERAGE_95
 
 
 def _with_chamfers(start: State, some: Profiles, width_mm: float) -> State:

@@ -2,8 +2,8 @@
 
 Profiles are relative to the skin beside each station. A chamfer, a wall and the floor are lit by the same lamp as the
 skin, but do not shine with it: where a highlight makes the skin brighter, they look darker by as much. Such a course is
-smooth; what a station's own level departs from it is grain. So levels are found twice: about one level for the whole
-seam, with all that they may differ along it, and then about their course, to which a station keeps closely. The less
+smooth; what a station's own level departs from it is grain. So levels are found about one level for the whole seam
+first, with all that they may differ along it, and then about their course, to which a station keeps closely. The less
 freedom a station's levels have, the less its noise passes for a border.
 """
 
@@ -59,15 +59,15 @@ def _course(powers: Array, values: Array) -> Array:
     return course
 
 
-def _scatter(usual: float, slopes_and_sky: float, dark: float) -> Array:
-    scatter = np.full(LEVELS, usual)
+def _scatter(lit: float, dark: float) -> Array:
+    scatter = np.full(LEVELS, lit)
     scatter[[DARK_WALL, DARK_FLOOR]] = dark
-    scatter[[SLOPE_A, SLOPE_B, SKY]] = slopes_and_sky
     scatter[[SKIN_A, SKIN_B]] = 0.05
+    scatter[[SLOPE_A, SLOPE_B, SKY]] = 0.02
     return scatter
 
 
 # (LEVELS,) how much a station's levels scatter about the seam's usual ones: course, grain, smudges.
-LEVEL_SCATTER = _scatter(0.05, slopes_and_sky=0.02, dark=0.05)
+LEVEL_SCATTER = _scatter(lit=0.05, dark=0.05)
 # About their course there is grain alone: some hundredths, in the dark a share of little light.
-COURSE_SCATTER = _scatter(0.02, slopes_and_sky=0.02, dark=0.01)
+COURSE_SCATTER = _scatter(lit=0.02, dark=0.01)

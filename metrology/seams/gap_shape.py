@@ -29,26 +29,25 @@ _PROOF = 9.0
 
 def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array, float]:
     """The most likely shape, borders to start from for all stations, and the standard deviation of the mean width."""
-    chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
-    some = profiles.at(chosen)
-    few = some.at(_evenly(len(chosen), _START_STATIONS))
+    some = profiles.at(_evenly(len(profiles.stations), _SHAPE_STATIONS))
+    few = some.at(_evenly(len(some.stations), _START_STATIONS))
     # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
     looks = [_first_look(few, floor) for floor in floors]
     look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
-    return _fit_all(profiles, chosen, _like(look, few, some), look.shared, look.known)
+    return _fit_some(some, profiles, _like(look, few, some), look.shared, look.known)
 
 
 def fit_shape_again(profiles: Profiles, found: State) -> tuple[State, Array, float]:
     """The same from what was found for all stations with other variances or levels' courses."""
     chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
     known = Knowledge(profiles, found.known.floor)
-    return _fit_all(profiles, chosen, found.borders[chosen], found.shared, known)
+    return _fit_some(profiles.at(chosen), profiles, found.borders[chosen], found.shared, known)
 
 
-def _fit_all(
-    profiles: Profiles, chosen: Indices, borders: Array, shared: Array, known: Knowledge
+def _fit_some(
+    some: Profiles, profiles: Profiles, borders: Array, shared: Array, known: Knowledge
 ) -> tuple[State, Array, float]:
-    some = profiles.at(chosen)
+    """Some of the stations fitted from a start; what follows for all of them."""
     free = fit_shape_from(some, borders, shared, known, _ITERATIONS)
     shape, doubt = (free, 0.0) if known.floor.sealed else weigh_chamfers(free, some)
     return shape, _like(shape, some, profiles), float(np.hypot(shape.mean_width_sigma, doubt))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
-from metrology.results import RivetDetection, SeamLine, SeamStation
+from metrology.results import COVERAGE_95, RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
 from metrology.seams.leaning import steadied
@@ -24,8 +24,6 @@ from metrology.seams.tracks import Track, lay_on_skin, oriented
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Two-sided 95 % of a normal distribution.
-_COVERAGE_95 = 1.96
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
 
@@ -139,7 +137,7 @@ def _with_unevenness(rows: list[SeamStation], station_step: float, half_length: 
     bend[apart:-apart] = step[2 * apart :] - 2 * step[apart:-apart] + step[: -2 * apart]
     missed = np.nan_to_num(bend) / (apart * station_step) ** 2 * half_length**2 / 6
     return [
-        replace(row, step_u95_mm=float(np.hypot(row.step_u95_mm, _COVERAGE_95 * off))) if row.step_u95_mm else row
+        replace(row, step_u95_mm=float(np.hypot(row.step_u95_mm, COVERAGE_95 * off))) if row.step_u95_mm else row
         for row, off in zip(rows, missed, strict=True)
     ]
 
@@ -220,7 +218,7 @@ def _row(
     )
     if isinstance(gap, str):
         return row
-    width, u95 = gap_width(section, gap.a, gap.b), _COVERAGE_95 * gap.sigma_width_mm
+    width, u95 = gap_width(section, gap.a, gap.b), COVERAGE_95 * gap.sigma_width_mm
     if width < u95:
         limit = max(width, 0.0) + u95
         return replace(row, reason=f"too narrow for its width to be measured: under {limit:.2f} mm")
@@ -230,4 +228,4 @@ def _row(
 def _step_u95(section: Section, a: float, b: float) -> float:
     """Expanded uncertainty of the step, from the skin lines' covariance."""
     gradient = step_gradient(a, b)
-    return _COVERAGE_95 * float(np.sqrt(gradient @ section.covariance @ gradient))
+    return COVERAGE_95 * float(np.sqrt(gradient @ section.covariance @ gradient))
