@@ -7,11 +7,14 @@ the name they give.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import streamlit as st
 
+from dashboard.log_outs import LogOuts
 from dashboard.settings import RolesModel
 
 Role = Literal["nobody", "viewer", "reviewer"]
@@ -48,24 +51,48 @@ def login_configured() -> bool:
         return False
 
 
-def current_person(roles: RolesModel) -> Person:
-    """Who it is."""
+def current_person(roles: RolesModel, root: Path) -> Person:
+    """Who it is.
+
+    Parameters
+    ----------
+    roles : RolesModel
+    root : Path
+        The store's folder, which knows who logged out.
+    """
     if not login_configured():
         return Person("", "reviewer", False)
     if not st.user.is_logged_in:
         return Person("", "nobody", False)
-    claims = st.user.to_dict()
-    # An address that the provider did not verify is a claim, not an identity.
-    address = str(claims.get("email") or "") if claims.get("email_verified", True) else ""
-    name = address or str(claims.get("sub") or "")
-    return Person(name, role_of(name, roles), True)
+    claims: Mapping[str, object] = st.user.to_dict()
+    if LogOuts(root).ended(claims):
+        return Person("", "nobody", False)
+    name = name_of(claims)
+    return Person(name, role_of(name, claims, roles), True)
 
 
-def role_of(name: str, roles: RolesModel) -> Role:
-    """The role of a person who logged in."""
-    if _listed(name, roles.reviewers):
+def name_of(claims: Mapping[str, object]) -> str:
+    """The address that the provider verified, else its subject.
+
+    An address that is not verified is a claim, not an identity; only the boolean true verifies it, not the text "true".
+    """
+    address = str(claims.get("email") or "") if claims.get("email_verified") is True else ""
+    return address or str(claims.get("sub") or "")
+
+
+def log_out(root: Path) -> None:
+    """End this log-in: copies of its cookie are worth nothing from now on."""
+    LogOuts(root).end(st.user.to_dict())
+    st.logout()
+
+
+def role_of(name: str, claims: Mapping[str, object], roles: RolesModel) -> Role:
+    """The role of a person who logged in, by their name or by the claim that the settings name."""
+    found = claims.get(roles.claim) if roles.claim else None
+    values = {value for value in (found if isinstance(found, list | tuple) else [found]) if isinstance(value, str)}
+    if _listed(name, roles.reviewers) or values & set(roles.reviewer_values):
         return "reviewer"
-    return "viewer" if _listed(name, roles.viewers) else "nobody"
+    return "viewer" if _listed(name, roles.viewers) or values & set(roles.viewer_values) else "nobody"
 
 
 def _listed(name: str, names: tuple[str, ...]) -> bool:

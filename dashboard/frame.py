@@ -7,11 +7,12 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, cast
 
 import streamlit as st
 
-from dashboard.access import Person, current_person, login_configured
+from dashboard.access import Person, current_person, log_out, login_configured
 from dashboard.data import Archive
 from dashboard.habits import STYLE_NAMES, STYLES, Habits, habits_of
 from dashboard.settings import SettingsModel, load_settings, store_root
@@ -60,12 +61,12 @@ def guarded(title: str, render: Callable[[Desk], None], needs_results: bool = Tr
 def _page(title: str, render: Callable[[Desk], None], needs_results: bool) -> None:
     root = store_root()
     settings = load_settings(root)
-    person = current_person(settings.roles)
+    person = current_person(settings.roles, root)
     with st.container(horizontal=True, vertical_alignment="center"):
         st.markdown(f"##### {plain(settings.title)} · {plain(title)}")
-        habits = _corner(settings, person)
+        habits = _corner(settings, person, root)
     if person.role == "nobody":
-        _ask_to_log_in(person)
+        _ask_to_log_in(person, root)
         return
     archive = Archive(root)
     if needs_results and archive.empty:
@@ -74,7 +75,7 @@ def _page(title: str, render: Callable[[Desk], None], needs_results: bool) -> No
     render(Desk(archive, habits, person, settings))
 
 
-def _corner(settings: SettingsModel, person: Person) -> Habits:
+def _corner(settings: SettingsModel, person: Person, root: Path) -> Habits:
     """Upper right: who is here, and how numbers and times are written."""
     with st.container(horizontal=True, horizontal_alignment="right", vertical_alignment="center", gap="small"):
         if not login_configured():
@@ -96,14 +97,14 @@ def _corner(settings: SettingsModel, person: Person) -> Habits:
             st.caption(f"{habits.number(1234.5, 1)} · {habits.time(datetime.now(UTC))}")
             st.caption(f"Times: {guessed.zone}")
             if person.verified:
-                st.button("Log out", on_click=st.logout)
+                st.button("Log out", on_click=log_out, args=(root,))
     return habits
 
 
-def _ask_to_log_in(person: Person) -> None:
+def _ask_to_log_in(person: Person, root: Path) -> None:
     if person.name:
         st.warning("You are logged in, but this dashboard's settings give you no role. Ask whoever runs it.")
-        st.button("Log out and in as someone else", on_click=st.logout)
+        st.button("Log out and in as someone else", on_click=log_out, args=(root,))
         return
     st.info("Please log in to see inspection results.")
     st.button("Log in", on_click=st.login, type="primary")

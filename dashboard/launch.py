@@ -28,7 +28,7 @@ _OPTIONS = {
 def command(port: int, address: str) -> list[str]:
     """The server's command line."""
     options = {**_OPTIONS, "server.port": str(port), "server.address": address}
-    app = Path(__file__).with_name("app.py")
+    app = Path(__file__).with_name("asgi.py")
     return [
         sys.executable,
         "-m",

@@ -7,12 +7,17 @@ prefect_api = "http://flows:4200/api"  # whose flow runs it shows; by default PR
 [roles]
 reviewers = ["m.weber@example.com"]  # may dispose and sign off
 viewers = ["*"]                      # may look; "*" is everyone who logged in
+claim = "groups"                     # or by what the provider says of a person: a claim, and its values for each role
+reviewer_values = ["flushline-qe"]
+viewer_values = ["hall-7"]
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+
+from pydantic import model_validator
 
 from metrology.errors import UsageError
 from storage.documents import read_toml
@@ -24,10 +29,19 @@ SETTINGS_FILE = "dashboard.toml"
 
 
 class RolesModel(StrictModel):
-    """`roles`: e-mail addresses, or "*" for everyone who logged in."""
+    """`roles`: e-mail addresses, or "*" for everyone who logged in; or values of a claim of the identity provider."""
 
     reviewers: tuple[str, ...] = ()
     viewers: tuple[str, ...] = ("*",)
+    claim: str | None = None
+    reviewer_values: tuple[str, ...] = ()
+    viewer_values: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _values_have_a_claim(self) -> RolesModel:
+        if self.claim is None and (self.reviewer_values or self.viewer_values):
+            raise ValueError("found values for roles without a claim, expected claim to name what holds them")
+        return self
 
 
 class SettingsModel(StrictModel):

@@ -1,8 +1,10 @@
 """Runs one query for the SQL page in a process of its own, which can be stopped whatever the query does.
 
-Reads {"store", "sql", "rows", "bytes"} as JSON from standard input, writes an Arrow stream to standard output. The
-connection is the store's: read-only, no files, no extensions, settings locked. The process itself may not take more
-than its share of memory and disk, and gives way to the pages.
+Reads {"store", "sql", "rows", "bytes", "scratch", "server"} as JSON from standard input, writes an Arrow stream to
+standard output. The connection is the store's: read-only, no files, no extensions, settings locked. The process itself
+may write in its scratch folder only, may not take more than its share of memory and disk, gives way to the pages, and
+ends with the server that started it. Where the kernel cannot keep it from writing elsewhere, DuckDB gives up the file
+system altogether, and what does not fit in memory is refused instead of sorted on disk.
 """
 
 from __future__ import annotations
@@ -13,10 +15,16 @@ import resource
 import sys
 from pathlib import Path
 
+from dashboard.confinement import die_with, write_only_in
+
 MEMORY_BYTES = 4 << 30
 SPILL_BYTES = 1 << 30
 TRUNCATED = b"truncated"
 _FAILED = 3
+_MOST_SAID = 2000
+_TOO_LARGE = "the query needs more memory than it may take; narrow it or add a LIMIT"
+_SHORTAGES = ("Out of Memory", "bad_alloc")  # what DuckDB says where memory or the scratch folder is full
+_NO_FILES = "LocalFileSystem has been disabled"
 
 
 def main() -> int:
@@ -26,21 +34,26 @@ def main() -> int:
     resource.setrlimit(resource.RLIMIT_FSIZE, (SPILL_BYTES, SPILL_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     request = json.load(sys.stdin)
+    die_with(int(request["server"]))
+    scratch = Path(request["scratch"])
+    spill = scratch if write_only_in(scratch) else None
     try:
-        _run(Path(request["store"]), request["sql"], int(request["rows"]), int(request["bytes"]))
+        _run(Path(request["store"]), request["sql"], int(request["rows"]), int(request["bytes"]), spill)
     except MemoryError:
-        print("the query needs more memory than it may take; narrow it or add a LIMIT", file=sys.stderr)
+        print(_TOO_LARGE, file=sys.stderr)
         return _FAILED
     except Exception as problem:  # DuckDB's errors are the person's to read
         text = str(problem) or type(problem).__name__
-        if "Out of Memory" in text or "bad_alloc" in text:
-            text = "the query needs more memory than it may take; narrow it or add a LIMIT"
-        print(text, file=sys.stderr)
+        if any(said in text for said in _SHORTAGES):
+            text = _TOO_LARGE
+        elif _NO_FILES in text:
+            text = f"the query reads or writes files, which it may not, or {_TOO_LARGE.removeprefix('the query ')}"
+        print(text[:_MOST_SAID], file=sys.stderr)
         return _FAILED
     return 0
 
 
-def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
+def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | None) -> None:
     import duckdb
     import pyarrow as pa
 
@@ -48,7 +61,7 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int) -> None:
     from storage.archive.store import Store, query_problem
     from storage.review import ReviewLog
 
-    connection = Store(root).connect()
+    connection = Store(root).connect(spill)
     review = ReviewLog(root).read()
     connection.register("dispositions", pa.Table.from_pylist(
         [

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from dashboard.frame import Desk, plain
-from dashboard.sql_runner import MOST_ROWS, MOST_SECONDS, run_query
+from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
 from dashboard.sql_worker import DISPOSITIONS_COLUMNS
-from metrology.errors import FlushlineError
+from metrology.errors import FlushlineError, UsageError
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
 from storage.saved_queries import SavedQueries
@@ -30,12 +31,15 @@ _EXAMPLES = {
 def render(desk: Desk) -> None:
     """Show the page."""
     saved = SavedQueries(desk.archive.root)
-    known = {**_EXAMPLES, **_saved(saved)}
+    kept = _saved(saved)
+    # An older version let a saved query take an example's name: both are there, and that one can be forgotten.
+    names = {(f"{name} (saved)" if name in _EXAMPLES else name): name for name in kept}
+    known = {**_EXAMPLES, **{shown: kept[name] for shown, name in names.items()}}
     left, right = st.columns([9, 4])
     with right:
         _describe_tables()
     with left:
-        _ask(desk, known, saved)
+        _ask(desk, known, names, saved)
 
 
 def _saved(saved: SavedQueries) -> dict[str, str]:
@@ -46,7 +50,7 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
         return {}
 
 
-def _ask(desk: Desk, known: dict[str, str], saved: SavedQueries) -> None:
+def _ask(desk: Desk, known: dict[str, str], names: dict[str, str], saved: SavedQueries) -> None:
     name = st.selectbox("Examples and saved queries", list(known), key="query", bind="query-params")
     if st.session_state.get("sql_of") != name:
         st.session_state["sql_of"], st.session_state["sql"] = name, known.get(str(name), "")
@@ -55,13 +59,15 @@ def _ask(desk: Desk, known: dict[str, str], saved: SavedQueries) -> None:
     )
     with st.container(horizontal=True, vertical_alignment="bottom"):
         run = st.button("Run", type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
-        _keep(desk, known, saved, str(name), sql)
+        _keep(desk, names, saved, str(name), sql)
         st.caption(f"at most {desk.habits.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s")
     if run:
         st.session_state["answer"] = None
         try:
+            queue = st.empty()
             with st.spinner("Asking the archive …"):
-                st.session_state["answer"] = run_query(desk.archive.root, sql)
+                st.session_state["answer"] = run_query(desk.archive.root, sql, on_wait=lambda: _say_waiting(queue))
+            queue.empty()
         except FlushlineError as problem:
             st.error(plain(problem), icon=":material/error:")
     answer = st.session_state.get("answer")
@@ -80,18 +86,24 @@ def _ask(desk: Desk, known: dict[str, str], saved: SavedQueries) -> None:
         )
 
 
-def _keep(desk: Desk, known: dict[str, str], saved: SavedQueries, chosen: str, sql: str) -> None:
-    """Save this query for everyone, or forget a saved one."""
+def _say_waiting(place: DeltaGenerator) -> None:
+    place.caption(f"{AT_ONCE} queries of others are running; this one starts when one of them ends.")
+
+
+def _keep(desk: Desk, names: dict[str, str], saved: SavedQueries, chosen: str, sql: str) -> None:
+    """Save this query for everyone, or forget a saved one (`names`: what is shown, and the name it is kept by)."""
     if not desk.person.may_review:
         return
     with st.popover("Save", icon=":material/bookmark:"):
         name = st.text_input("Name", key="query_name", max_chars=80)
         try:
             if st.button("Save this query", disabled=not (name or "").strip() or not sql.strip()):
+                if str(name).strip() in _EXAMPLES:
+                    raise UsageError(f"queries: found the name of an example, {str(name).strip()!r}, expected another")
                 saved.save(str(name), sql)
                 st.rerun()
-            if chosen in known and chosen not in _EXAMPLES and st.button(f"Forget {plain(chosen)}"):
-                saved.save(chosen, None)
+            if chosen in names and st.button(f"Forget {plain(chosen)}"):
+                saved.save(names[chosen], None)
                 st.rerun()
         except FlushlineError as problem:
             st.error(plain(problem))

@@ -7,7 +7,6 @@ path), therefore readers open the file that the link points to, not the link.
 from __future__ import annotations
 
 import os
-import tempfile
 import threading
 import time
 from pathlib import Path
@@ -30,6 +29,7 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
 }
+_SPILLING = {"memory_limit": "1GB", "max_temp_directory_size": "1GB"}
 _closing = threading.Lock()
 
 
@@ -57,11 +57,18 @@ def publish(layout: Layout, news: News | None = None) -> None:
         discard(old)
 
 
-def connect(layout: Layout) -> duckdb.DuckDBPyConnection:
-    """A connection to the newest generation that can neither write nor reach other files; times are in UTC."""
+def connect(layout: Layout, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
+    """A connection to the newest generation that can neither write nor reach other files; times are in UTC.
+
+    Parameters
+    ----------
+    spill : Path, optional
+        Folder for what does not fit in memory. DuckDB then keeps its way to the file system, which lets a query write
+        beside the index: only for a process that the kernel keeps from writing elsewhere.
+    """
     if not layout.archive.exists():
         raise StoreError(f"{layout.root}: found no archive.duckdb, expected a store that holds at least one scene")
-    config = _CLOSED | {"temp_directory": os.path.join(tempfile.gettempdir(), f"flushline-query-{os.getpid()}")}
+    config = _CLOSED | (_SPILLING | {"temp_directory": str(spill)} if spill else {})
     for attempt in range(_ATTEMPTS):
         path = os.path.realpath(layout.archive)
         try:
@@ -79,7 +86,10 @@ def connect(layout: Layout) -> duckdb.DuckDBPyConnection:
         with _closing:  # connections to the same file in one process share its settings
             [(closed,)] = connection.execute("SELECT current_setting('lock_configuration')").fetchall()
             if not closed:
-                connection.execute("SET GLOBAL TimeZone = 'UTC'; SET lock_configuration = true")
+                connection.execute("SET GLOBAL TimeZone = 'UTC'")
+                if spill is None:
+                    connection.execute("SET disabled_filesystems = 'LocalFileSystem'")
+                connection.execute("SET lock_configuration = true")
         return connection
     raise StoreError(
         f"{layout.archive}: found it replaced {_ATTEMPTS} times while opening it, expected a quieter store"

@@ -192,11 +192,17 @@ class Store:
                 marker.unlink(missing_ok=True)
             return len(runs)
 
-    def connect(self) -> duckdb.DuckDBPyConnection:
-        """A read-only connection to the newest published index that cannot reach other files."""
+    def connect(self, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
+        """A read-only connection to the newest published index that cannot reach other files.
+
+        Parameters
+        ----------
+        spill : Path, optional
+            Folder for what does not fit in memory; see `snapshot.connect` for who may ask for it.
+        """
         from storage.archive import snapshot
 
-        return snapshot.connect(self.existing())
+        return snapshot.connect(self.existing(), spill)
 
     def query(self, sql: str, parameters: Sequence[object] = ()) -> pa.Table:
         """Rows that a SQL query returns; it can neither write nor reach other files.

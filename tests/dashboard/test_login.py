@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ def hall(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tup
         root = Path(shutil.copytree(filled, tmp_path_factory.mktemp("login") / "store", symlinks=True))
         (root / "dashboard.toml").write_text(
             '[roles]\nreviewers = ["m.weber@example.com"]\nviewers = ["j.doe@example.com"]\n'
+            'claim = "groups"\nreviewer_values = ["quality"]\nviewer_values = ["hall-7"]\n'
         )
         port = free_port()
         secrets = root.parent / ".streamlit" / "secrets.toml"
@@ -68,9 +70,37 @@ def test_a_viewer_only_looks(hall: tuple[str, Provider, Any]) -> None:
     "claims",
     [
         {"email": "someone@example.com", "email_verified": True},
-        {"email": "m.weber@example.com", "email_verified": False},
+        {"email": "m.weber@example.com", "email_verified": "false", "groups": ["canteen", 7]},
     ],
 )
 def test_others_see_nothing(hall: tuple[str, Provider, Any], claims: dict[str, Any]) -> None:
     page = logged_in(hall, "this dashboard's settings give you no role", **claims)
     assert page.locator("text=findings").count() == 0
+
+
+def test_roles_come_from_a_claim_too(hall: tuple[str, Provider, Any]) -> None:
+    logged_in(hall, "person-1 · reviewer", groups=["hall-7", "quality"])
+
+
+def test_a_cookie_ends_at_log_out(hall: tuple[str, Provider, Any]) -> None:
+    address, _, chromium = hall
+    page = logged_in(hall, "m.weber@example.com · reviewer", email="m.weber@example.com", email_verified=True)
+    kept = page.context.cookies()
+    page.get_by_role("button", name="Settings").click()
+    page.get_by_role("button", name="Log out").click()
+    page.wait_for_selector("text=Please log in")
+    # Whoever kept a copy of the cookie comes back with it.
+    other = new_page(chromium)
+    other.context.add_cookies(kept)
+    other.goto(address)
+    settle(other)
+    assert other.locator("text=Please log in").is_visible()
+    # The person logs in anew.
+    logged_in(hall, "m.weber@example.com · reviewer", email="m.weber@example.com", email_verified=True)
+
+
+def test_pages_cannot_be_framed(hall: tuple[str, Provider, Any]) -> None:
+    with urllib.request.urlopen(hall[0]) as answer:
+        assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Frame-Options"] == "DENY"
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
