@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
@@ -77,14 +77,16 @@ Line = Annotated[str, Strict(), AfterValidator(_one_line)]
 
 
 def _inside(path: str) -> str:
-    pure = PurePosixPath(path)
-    if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
-        raise ValueError(f"found path {path!r}, expected one inside the folder, relative to it")
-    return path
+    # Programs on Windows write left\\f00.png and mean left/f00.png.
+    pure = PurePosixPath(path.replace("\\", "/"))
+    drive = PureWindowsPath(path).drive
+    if not path.isprintable() or not pure.name or drive or pure.is_absolute() or ".." in pure.parts:
+        raise ValueError(f"found path {shown(path)}, expected one inside the folder, relative to it")
+    return str(pure)
 
 
 InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
-"""A file of the folder that the manifest lies in. Links in that folder are its owner's and are followed."""
+"""A file of the folder that the manifest lies in, with ``/`` between folders. Links there are its owner's and followed."""
 
 
 def validate(model: type[Model], document: Mapping[str, Any], path: Path, error: ErrorType) -> Model:

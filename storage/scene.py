@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from metrology.errors import SceneError
+from metrology.exposures import MAX_RATIO, relative_exposures
 from metrology.fringe import FringeCode, GrayCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
@@ -81,6 +82,12 @@ class SceneModel(StrictModel):
         code = self.fringe.code
         if len(set(self.exposures)) != len(self.exposures):
             raise ValueError(f"found exposures {list(self.exposures)}, expected each only once")
+        shortest, longest = min(self.exposures), max(self.exposures)
+        if longest > MAX_RATIO * shortest:
+            raise ValueError(
+                f"found exposures from {shortest:g} to {longest:g}, expected the longest at most {MAX_RATIO:,.0f} times "
+                "the shortest"
+            )
         for camera in CAMERAS:
             exposures = getattr(self.frames, camera)
             if len(exposures) != len(self.exposures):
@@ -94,10 +101,11 @@ class SceneModel(StrictModel):
                         f"({len(code.counts)} counts × {code.steps} steps"
                         + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
                     )
-        paths = [path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames]
-        twice = sorted({path for path in paths if paths.count(path) > 1})
-        if twice:
-            raise ValueError(f"found frame {twice[0]!r} listed more than once, expected each frame once")
+        seen: set[str] = set()
+        for path in (path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames):
+            if path in seen:
+                raise ValueError(f"found frame {path!r} listed more than once, expected each frame once")
+            seen.add(path)
         return self
 
 
@@ -181,7 +189,7 @@ def load_scene(folder: Path) -> Scene:
         rig_id=model.rig,
         operator=model.operator,
         code=model.fringe.code,
-        exposures=model.exposures,
+        exposures=relative_exposures(model.exposures),
         left=paths["left"],
         right=paths["right"],
         left_header=left,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
+from metrology.exposures import check_brightness
 from metrology.inspection import InspectionResult
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
@@ -30,7 +31,7 @@ from storage.archive.bundle import encode as encode_files
 from storage.archive.signed import refuse_signed_off
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
-from storage.scene import Scene, load_scene
+from storage.scene import MANIFEST, Camera, Scene, load_scene
 from tasks.settings import InspectionSettings, SceneChecks
 
 
@@ -79,14 +80,24 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     size = scene.code.size(rig.projector.width, rig.projector.height)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
-        left_frames = scene.frames("left", readers)
-        right_frames = right_reader.submit(scene.frames, "right", readers)
+        left_frames = _frames(scene, "left", readers)
+        right_frames = right_reader.submit(_frames, scene, "right", readers)
         left = reconstruct.decode(left_frames, scene.code, size, scene.exposures, settings.reconstruction)
         del left_frames
         right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
     reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
+
+
+def _frames(scene: Scene, camera: Camera, readers: Executor) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """One camera's frames, as bright as the scene's exposures say."""
+    frames = scene.frames(camera, readers)
+    try:
+        check_brightness(frames, scene.code, scene.exposures)
+    except SceneError as problem:
+        raise SceneError(f"{scene.folder / MANIFEST}: {camera} camera: {problem}") from None
+    return frames
 
 
 def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
