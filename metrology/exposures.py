@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,13 +43,13 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
     """
     if len(exposures) < 2:
         return
-    fringes = sampled(frames[:, : code.fringe_frames])
+    fringes = sampled(frames[:, : code.fringe_frames])[..., ::2, ::2]
     limit = saturation_level(frames, frames[:, : code.fringe_frames])
     stack = fringes.reshape(len(exposures), len(code.counts), code.steps, -1)
     phasors = np.tensordot(np.exp(-2j * np.pi * np.arange(code.steps) / code.steps), stack, (0, 2)) * 2 / code.steps
     clipped = (stack >= limit).any(2)
     order = np.argsort(exposures)
-    for short, long in zip(order[:-1], order[1:], strict=True):
+    for short, long in pairwise(order):
         usable = (np.abs(phasors[short]) > _LEAST_AMPLITUDE * limit) & ~clipped[short] & ~clipped[long]
         ratios = [
             np.median(np.real(longer[use] / shorter[use]))
@@ -60,7 +61,7 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
         seen, stated = float(np.median(ratios)), exposures[long] / exposures[short]
         if not 1 / _TOLERANCE < seen / stated < _TOLERANCE:
             raise SceneError(
-                f"exposures: found {exposures[short]:g} and {exposures[long]:g}, {stated:.3g} times as long, but frames "
-                f"that are {seen:.3g} times as bright; expected the exposure times that the frames were taken with, in "
-                "their order (they are relative)"
+                f"exposures: found {exposures[short]:g} and {exposures[long]:g}, {stated:.3g} times as long, but "
+                f"frames that are {seen:.3g} times as bright; expected the exposure times that the frames were taken "
+                "with, in their order (they are relative)"
             )

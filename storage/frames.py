@@ -186,7 +186,7 @@ def _npy_layout(source: FrameSource) -> tuple[tuple[int, int], np.dtype, Literal
     text = source.read(start - size, size).decode("latin-1")
     match = _NPY_HEADER.fullmatch(text)
     if not match:
-        raise BadFrame(f"found a damaged npy header ({ascii(text.strip()[:80])}), expected a whole one")
+        raise BadFrame(f"found a damaged npy header ({text.strip()[:80]!a}), expected a whole one")
     kind, fortran, lengths = match.groups()
     shape = [int(length.rstrip("L")) for length in lengths.split(",") if length.strip()]
     if len(shape) != 2 or kind not in _NPY_TYPES:

@@ -25,6 +25,8 @@ from storage.models import Identifier, InnerPath, Line, PositiveNumber, StrictMo
 
 FORMAT = "flushline-scene/1"
 MANIFEST = "scene.json"
+MAX_MANIFEST_BYTES = 2**20
+MAX_EXPOSURES, MAX_FRAMES = 64, 4096
 Camera = Literal["left", "right"]
 CAMERAS: tuple[Camera, ...] = ("left", "right")
 
@@ -51,11 +53,16 @@ class FringeModel(StrictModel):
         return FringeCode(self.axis, self.steps, self.counts, gray)
 
 
+Exposures = Annotated[
+    tuple[Annotated[tuple[InnerPath, ...], Field(max_length=MAX_FRAMES)], ...], Field(max_length=MAX_EXPOSURES)
+]
+
+
 class FramesModel(StrictModel):
     """`frames` of scene.json: paths per exposure, count-major, then step."""
 
-    left: tuple[tuple[InnerPath, ...], ...]
-    right: tuple[tuple[InnerPath, ...], ...]
+    left: Exposures
+    right: Exposures
 
 
 class SceneModel(StrictModel):
@@ -69,7 +76,7 @@ class SceneModel(StrictModel):
     rig: Identifier
     operator: Line | None = None
     fringe: FringeModel
-    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1)]
+    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1, max_length=MAX_EXPOSURES)]
     frames: FramesModel
 
     @property
@@ -85,8 +92,8 @@ class SceneModel(StrictModel):
         shortest, longest = min(self.exposures), max(self.exposures)
         if longest > MAX_RATIO * shortest:
             raise ValueError(
-                f"found exposures from {shortest:g} to {longest:g}, expected the longest at most {MAX_RATIO:,.0f} times "
-                "the shortest"
+                f"found exposures from {shortest:g} to {longest:g}, expected the longest at most {MAX_RATIO:,.0f} "
+                "times the shortest"
             )
         for camera in CAMERAS:
             exposures = getattr(self.frames, camera)
@@ -206,7 +213,7 @@ def load_manifest(manifest: Path) -> SceneModel:
     if not os.path.lexists(manifest):
         found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"
         raise SceneError(f"{folder}: found {found}, expected a scene folder")
-    document = read_json(manifest, SceneError)
+    document = read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
     check_format(document, FORMAT, manifest, SceneError)
     return validate(SceneModel, document, manifest, SceneError)
 
