@@ -23,7 +23,8 @@ from storage.models import Identifier, Line, StrictModel, validate
 FORMAT = "flushline-panel/1"
 DEFAULT_SPEC = Path(__file__).with_name("default_panel.toml")
 
-Vector3 = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # mm: no aircraft is a kilometre long
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 FeatureName = Annotated[Line, Field(min_length=1, max_length=64)]
 
 

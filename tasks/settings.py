@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -84,6 +85,8 @@ def _check_keys(settings: Any, document: Mapping[str, Any], place: str) -> None:
     for key, value in document.items():
         if key not in known:
             raise UsageError(f"found unknown key {brief(place + key)!r}, expected {closest(key, list(known))}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise UsageError(f"{place}{key}: found {value}, expected a finite number")
         inner = known[key].default_factory
         if isinstance(inner, type) and is_dataclass(inner):
             if not isinstance(value, Mapping):

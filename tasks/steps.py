@@ -334,16 +334,26 @@ def _check_skin_is_seen(scene: Scene, reconstruction: Reconstruction, checks: Sc
 def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
     """A warning where much of the skin is saturated: neither points nor a picture, so nothing is found there."""
     # One pixel in sixteen tells the share to a thousandth.
-    sampled = slice(None, None, 4)
-    saturated = (reconstruction.flags[sampled, sampled] & PixelFlag.SATURATED) != 0
-    skin = saturated | np.isfinite(reconstruction.points[sampled, sampled, 2])
-    share = float(saturated[skin].mean()) if skin.any() else 0.0
+    sampled = (slice(None, None, 4), slice(None, None, 4))
+    left, right = reconstruction.flags[sampled], reconstruction.right
+    shares = {
+        "": _saturated_share(left, np.isfinite(reconstruction.points[*sampled, 2])),
+        " of the right camera": _saturated_share(right.flags[sampled], np.isfinite(right.coordinate[sampled])),
+    }
+    where, share = max(shares.items(), key=lambda item: item[1])
     if share <= checks.max_saturated_fraction:
         return []
     return [
-        f"overexposed: {share:.0%} of the skin is saturated in every exposure; rivets and seams there are not found or "
-        "not measured; take a shorter exposure as well"
+        f"overexposed: {share:.0%} of the skin is saturated in every exposure{where}; rivets and seams there are not "
+        "found or not measured; take a shorter exposure as well"
     ]
+
+
+def _saturated_share(flags: NDArray[np.uint16], measured: NDArray[np.bool_]) -> float:
+    """Share of the skin, measured or saturated, that is saturated."""
+    saturated = (flags & PixelFlag.SATURATED) != 0
+    skin = saturated | measured
+    return float(saturated[skin].mean()) if skin.any() else 0.0
 
 
 _CAUSE = {
