@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage import png, tiff
-from storage.documents import ErrorType, check_regular_file, read_bytes
+from storage.documents import ErrorType, brief, check_regular_file, read_bytes
 from storage.frame_source import BadFrame, FrameSource, open_source, source_of
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
@@ -186,13 +186,13 @@ def _npy_layout(source: FrameSource) -> tuple[tuple[int, int], np.dtype, Literal
     text = source.read(start - size, size).decode("latin-1")
     match = _NPY_HEADER.fullmatch(text)
     if not match:
-        raise BadFrame(f"found a damaged npy header ({text.strip()[:80]!a}), expected a whole one")
+        raise BadFrame(f"found a damaged npy header ({brief(text.strip())}), expected a whole one")
     kind, fortran, lengths = match.groups()
     shape = [int(length.rstrip("L")) for length in lengths.split(",") if length.strip()]
     if len(shape) != 2 or kind not in _NPY_TYPES:
         raise BadFrame(
-            f"found an npy array of shape ({ascii(lengths)[1:41]}) and type {ascii(kind)[1:41]}, "
-            "expected (h, w) of uint8 or uint16"
+            f"found an npy array of shape {brief(str(tuple(shape)))} and type {brief(kind)}, expected (h, w) of uint8 "
+            "or uint16"
         )
     return (shape[0], shape[1]), _NPY_TYPES[kind], "F" if fortran == "True" else "C", start
 
