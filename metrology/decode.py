@@ -16,6 +16,7 @@ from metrology.jit import over_rows
 from metrology.noise import NoiseModel, estimate_noise
 from metrology.phase import COARSE, HETERODYNE, LATTICE, decode_rows
 from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.saturation import saturation_level
 from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice
 
 # A contradiction between the phases is one that noise explains in 1 of 1e6 pixels and that exceeds this share of the
@@ -49,8 +50,8 @@ def decode_phase(
     """
     settings = settings or ReconstructionSettings()
     _check(frames, code, exposures)
-    saturation = saturation_level(frames, settings)
     fringes = np.ascontiguousarray(frames[:, : code.fringe_frames])
+    saturation = settings.saturation or saturation_level(frames, fringes)
     noise = noise or estimate_noise(fringes, code, saturation)
     height, width = frames.shape[2:]
     view = DecodedView(
@@ -92,21 +93,6 @@ def _mean_level(fringes: NDArray, exposures: Sequence[float], saturation: float)
         good = fringes[e].max(0) < saturation
         level[good] = fringes[e][:, good].mean(0) / exposures[e]
     return np.asarray(level)
-
-
-def saturation_level(frames: NDArray, settings: ReconstructionSettings) -> float:
-    """Grey level from which a sample counts as saturated.
-
-    By default the top 1/255 of the range; the range of 16-bit frames is told from their largest sample (10, 12, 14 or
-    16 bits, as cameras have them).
-    """
-    if settings.saturation is not None:
-        return settings.saturation
-    if frames.dtype == np.uint8:
-        return 254.0
-    bits = max(8, int(frames[:, :, ::4, ::4].max()).bit_length())
-    full = float(2 ** (bits + bits % 2) - 1)
-    return full * 254 / 255
 
 
 def _check(frames: NDArray, code: FringeCode, exposures: Sequence[float]) -> None:

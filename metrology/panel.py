@@ -6,6 +6,7 @@ panels need no unrolling. Patterns enrolled from a scan have x to the right and 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -119,7 +120,7 @@ class PanelLayout:
             ("rivet", [rivet.rivet_id for rivet in self.rivets]),
             ("seam", [seam.seam_id for seam in self.seams]),
         ):
-            twice = sorted({name for name in ids if ids.count(name) > 1})
+            twice = sorted(name for name, count in Counter(ids).items() if count > 1)
             if twice:
                 raise SpecError(f"{kind} {twice[0]}: found it twice in the pattern, expected each id once")
 

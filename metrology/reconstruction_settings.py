@@ -17,7 +17,8 @@ class ReconstructionSettings:
     unwrapping : "ml" or "heterodyne"
         How the fringe order is found: nearest wrap-count lattice point, or the paper's heterodyne.
     saturation : float or None
-        Grey level from which a sample counts as saturated; None: the top 1/255 of the camera's range.
+        Grey level from which a sample counts as saturated; None: where the histogram
+        piles up at its end, else the top 1/255 of the camera's range.
     min_modulation : float
         Least fringe amplitude, grey levels of an 8-bit camera (scaled for wider ones), at exposure 1.
     max_slip_probability : float

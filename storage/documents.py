@@ -5,8 +5,10 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import re
 import stat
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +16,12 @@ from typing import Any
 
 from metrology.errors import FlushlineError
 
-MAX_DOCUMENT_BYTES = 64 * 2**20
+MAX_DOCUMENT_BYTES = 16 * 2**20
+_LONG_NUMBER = "found a number of thousands of digits, expected less"
+_MOST_SHOWN = 80  # characters of a value in a message
+# The time that a dotted key takes to read grows with the square of its parts.
+_MAX_KEY_PARTS = 64
+_LONG_KEY = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{_MAX_KEY_PARTS}}}""")
 ErrorType = type[FlushlineError]
 
 
@@ -48,8 +55,8 @@ def read_bytes(path: Path, error: ErrorType, limit: int | None = None) -> bytes:
         raise error(f"{path}: found {_reason(problem)}, expected a readable file") from None
 
 
-def read_json(path: Path, error: ErrorType) -> dict[str, Any]:
-    """A JSON object; NaN, infinities and keys given twice are refused."""
+def read_json(path: Path, error: ErrorType, limit: int = MAX_DOCUMENT_BYTES) -> dict[str, Any]:
+    """A JSON object of at most `limit` bytes; NaN, infinities and keys given twice are refused."""
 
     def refuse_constant(name: str) -> float:
         raise ValueError(f"found {name}, expected a finite number")
@@ -57,11 +64,11 @@ def read_json(path: Path, error: ErrorType) -> dict[str, Any]:
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         document = dict(pairs)
         if len(document) != len(pairs):
-            twice = next(key for key, _ in pairs if sum(key == other for other, _ in pairs) > 1)
-            raise ValueError(f"found key {twice!r} twice, expected it once")
+            twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+            raise ValueError(f"found key {brief(twice)!r} twice, expected it once")
         return document
 
-    text = _decode(path, error)
+    text = _decode(path, error, limit)
     try:
         document = json.loads(text, parse_constant=refuse_constant, object_pairs_hook=unique)
     except json.JSONDecodeError as problem:
@@ -71,11 +78,7 @@ def read_json(path: Path, error: ErrorType) -> dict[str, Any]:
         ) from None
     except ValueError as problem:
         # What is not said by the two above comes from Python's limit on the digits of a whole number.
-        said = (
-            str(problem)
-            if str(problem).startswith("found ")
-            else "found a number of thousands of digits, expected less"
-        )
+        said = str(problem) if str(problem).startswith("found ") else _LONG_NUMBER
         raise error(f"{path}: {said}") from None
     except RecursionError:
         raise error(f"{path}: found JSON nested too deeply, expected a JSON object") from None
@@ -86,10 +89,15 @@ def read_json(path: Path, error: ErrorType) -> dict[str, Any]:
 
 def read_toml(path: Path, error: ErrorType) -> dict[str, Any]:
     """A TOML document."""
+    text = _decode(path, error, MAX_DOCUMENT_BYTES)
+    if _LONG_KEY.search(text):
+        raise error(f"{path}: found a key of more than {_MAX_KEY_PARTS} parts, expected a TOML document")
     try:
-        return tomllib.loads(_decode(path, error))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as problem:
         raise error(f"{path}: found broken TOML ({problem}), expected a TOML document") from None
+    except ValueError:
+        raise error(f"{path}: {_LONG_NUMBER}") from None
     except RecursionError:
         raise error(f"{path}: found TOML nested too deeply, expected a TOML document") from None
 
@@ -107,8 +115,8 @@ def closest(key: str, known: list[str]) -> str:
     return f"{match[0]!r}" if match else f"one of {', '.join(sorted(known))}"
 
 
-def _decode(path: Path, error: ErrorType) -> str:
-    raw = read_bytes(path, error, MAX_DOCUMENT_BYTES)
+def _decode(path: Path, error: ErrorType, limit: int) -> str:
+    raw = read_bytes(path, error, limit)
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -122,5 +130,10 @@ def _reason(problem: Exception) -> str:
 
 def shown(value: object) -> str:
     """A value as an error message shows it."""
-    text = json.dumps(value, ensure_ascii=False, default=str)
-    return text if len(text) <= 80 else text[:77] + "…"
+    return brief(json.dumps(value, ensure_ascii=False, default=str))
+
+
+def brief(text: str) -> str:
+    """A text as a message shows it: the beginning of a long one, and escapes for what no terminal should get."""
+    text = text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 1]}…"
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

@@ -6,26 +6,36 @@ header asks for, and some return the part of a truncated image that they could r
 
 from __future__ import annotations
 
-import io
-import mmap
+import re
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from storage import png
-from storage.documents import ErrorType, check_regular_file, read_bytes
+from storage import png, tiff
+from storage.documents import ErrorType, brief, check_regular_file, read_bytes
+from storage.frame_source import BadFrame, FrameSource, open_source, source_of
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 MAX_FRAME_PIXELS = 200_000_000
-_TIFF_SIZES = {1: 1, 3: 2, 4: 4, 16: 8}  # bytes of BYTE, SHORT, LONG, LONG8
-_TIFF_CODES = {1: "B", 3: "H", 4: "I", 16: "Q"}
+_MAX_FRAME_BYTES = 4 * MAX_FRAME_PIXELS
+_BMP_HEADERS = (40, 52, 56, 64, 108, 124)  # bytes of the header versions that state sizes alike
+_NPY_SIGNATURE = b"\x93NUMPY"
+_MAX_NPY_HEADER_BYTES = 4096
+# As numpy and others write it; whole numbers may end in L, as Python 2 wrote them.
+_NPY_HEADER = re.compile(
+    r"\{'descr': (.+), 'fortran_order': (True|False), 'shape': \(([0-9]*L?(?:, ?[0-9]+L?)*),?\),? *\} *\n?"
+)
+_NPY_TYPES = {f"'{order}u{size}'": np.dtype(f"{order}u{size}") for order in ("<", ">", "|") for size in (1, 2)}
+_SWAPPED = 3.0  # times rougher than with its bytes swapped: grey levels of a lens are smooth
+_ROUGHNESS_STRIDE = 8
 
 
 @dataclass(frozen=True)
@@ -45,24 +55,15 @@ class FrameHeader:
         return np.dtype(np.uint8) if self.bits == 8 else np.dtype(np.uint16)
 
 
-class _BadFrame(Exception):
-    """What is wrong with a frame, before the file's name is added."""
-
-
-_WRONG = (_BadFrame, png.DamagedPng)
-
-
 def read_header(path: Path, error: ErrorType) -> FrameHeader:
     """Size and bit depth of a grey frame that is whole as far as its structure tells, without decoding it."""
     if not check_regular_file(path, error).st_size:
         raise error(f"{path}: found an empty file, expected a grey image")
     try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            return _header_of(data)
-    except _WRONG as problem:
+        with open_source(path) as source:
+            return _header_of(source)
+    except BadFrame as problem:
         raise error(f"{path}: {problem}") from None
-    except (struct.error, IndexError):
-        raise error(f"{path}: found a damaged or truncated header, expected a whole image") from None
     except OSError as problem:
         raise error(f'{path}: found "{problem.strerror}", expected a readable file') from None
 
@@ -75,15 +76,16 @@ def read_frame(path: Path, expected: FrameHeader, error: ErrorType) -> Frame:
 
 
 def _read_into(frame: Frame, path: Path, expected: FrameHeader, error: ErrorType) -> None:
-    data = read_bytes(path, error)
+    data = read_bytes(path, error, _MAX_FRAME_BYTES)
     try:
-        header = _header_of(data)
+        header = _header_of(source_of(data))
         if header != expected:
-            raise _BadFrame(f"found {header}, expected {expected}")
+            raise BadFrame(f"found {header}, expected {expected}")
         _decode_into(frame, data, expected)
-    except _WRONG as problem:
+        _check_byte_order(frame)
+    except BadFrame as problem:
         raise error(f"{path}: {problem}") from None
-    except (struct.error, IndexError, ValueError, cv2.error):
+    except cv2.error:
         raise error(f"{path}: found a damaged image, expected {expected}") from None
 
 
@@ -120,112 +122,114 @@ def write_frame(path: Path, frame: Frame) -> None:
     path.write_bytes(data.tobytes())
 
 
-def _header_of(data: bytes | mmap.mmap) -> FrameHeader:
-    start = data[:8]
+def _header_of(source: FrameSource) -> FrameHeader:
+    start = source.take(0, 8)
     if start == png.SIGNATURE:
-        header = FrameHeader(*png.size_and_bits(data))
-    elif start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        header = _tiff_header(data)
+        header = FrameHeader(*png.size_and_bits(source))
+    elif start[:4] in tiff.SIGNATURES:
+        header = FrameHeader(*tiff.size_and_bits(source))
     elif start[:2] == b"BM":
-        header = _bmp_header(data)
-    elif start[:6] == b"\x93NUMPY":
-        header = _npy_header(data)
+        header = _bmp_header(source)
+    elif start[:6] == _NPY_SIGNATURE:
+        header = _npy_header(source)
     else:
-        raise _BadFrame("found none of the known image signatures, expected a PNG, TIFF, BMP or npy file")
+        raise BadFrame("found none of the known image signatures, expected a PNG, TIFF, BMP or npy file")
     if header.height < 1 or header.width < 1 or header.height * header.width > MAX_FRAME_PIXELS:
-        raise _BadFrame(
+        raise BadFrame(
             f"found a header that says {header.width}×{header.height} pixels, expected 1 to {MAX_FRAME_PIXELS:,} pixels"
         )
     if header.bits not in (8, 16):
-        raise _BadFrame(f"found {header.bits} bits per pixel, expected 8 or 16")
+        raise BadFrame(f"found {header.bits} bits per pixel, expected 8 or 16")
     return header
 
 
-def _bmp_header(data: bytes | mmap.mmap) -> FrameHeader:
-    pixels_at, header_size, width, height, _, bits, compression = struct.unpack("<IIiiHHI", data[10:34])
+def _bmp_header(source: FrameSource) -> FrameHeader:
+    pixels_at, header_size, width, height, _, bits, compression = struct.unpack("<IIiiHHI", source.read(10, 24))
     height = abs(height)  # negative: stored top-down
+    if header_size not in _BMP_HEADERS:
+        raise BadFrame(f"found a BMP with a header of {header_size} bytes, expected one of {_BMP_HEADERS[0]} or more")
     if bits != 8 or compression not in (0, 1):
-        raise _BadFrame(
+        raise BadFrame(
             f"found a BMP with {bits} bits per pixel (compression {compression}), expected a grey one with 8"
         )
-    palette = np.frombuffer(data[14 + header_size : pixels_at], np.uint8)
-    palette = palette[: len(palette) // 4 * 4].reshape(-1, 4)
+    palette_at = 14 + header_size
+    (stated,) = struct.unpack("<I", source.read(46, 4))
+    entries = stated or 256
+    if entries > 256 or pixels_at < palette_at + 4 * entries:
+        raise BadFrame("found a BMP whose header contradicts itself, expected a whole one")
+    palette = np.frombuffer(source.read(palette_at, 4 * entries), np.uint8).reshape(-1, 4)
     if (palette[:, :3] != palette[:, :1]).any():
-        raise _BadFrame("found a BMP with a colour palette, expected a grey one")
-    if compression == 0 and pixels_at + (width + 3) // 4 * 4 * height > len(data):
-        raise _BadFrame(f"found a BMP truncated after {len(data)} bytes, expected a whole one")
+        raise BadFrame("found a BMP with a colour palette, expected a grey one")
+    if compression == 0 and pixels_at + (width + 3) // 4 * 4 * height > source.size:
+        raise BadFrame(f"found a BMP truncated after {source.size} bytes, expected a whole one")
     return FrameHeader(height, width, bits)
 
 
-def _tiff_header(data: bytes | mmap.mmap) -> FrameHeader:
-    tags, following = _tiff_tags(data)
-    bits, samples = tags.get(258, [1]), tags.get(277, [1])[0]
-    if samples != 1 or tags.get(262, [1])[0] != 1:
-        raise _BadFrame(f"found a TIFF with {samples} samples per pixel or a palette, expected a grey one")
-    if tags.get(339, [1])[0] != 1:
-        raise _BadFrame("found a TIFF of signed or floating-point numbers, expected whole numbers from 0")
-    if following:
-        raise _BadFrame("found a TIFF of several pages, expected one frame per file")
-    offsets = tags.get(273) or tags.get(324) or []
-    counts = tags.get(279) or tags.get(325) or []
-    if (
-        not offsets
-        or len(offsets) != len(counts)
-        or any(a + n > len(data) for a, n in zip(offsets, counts, strict=True))
-    ):
-        raise _BadFrame(f"found a TIFF truncated after {len(data)} bytes, expected a whole one")
-    return FrameHeader(tags[257][0] if 257 in tags else 0, tags[256][0] if 256 in tags else 0, bits[0])
-
-
-def _tiff_tags(data: bytes | mmap.mmap) -> tuple[dict[int, list[int]], int]:
-    """Whole-number tags of the first page (classic or BigTIFF), and where the next page begins (0: nowhere)."""
-    order = "<" if data[:2] == b"II" else ">"
-    big = data[2:4] in (b"+\0", b"\0+")
-    word, entry_size, inline = ("Q", 20, 8) if big else ("I", 12, 4)
-    at = struct.unpack(order + word, data[8:16] if big else data[4:8])[0]
-    count_size = 8 if big else 2
-    (count,) = struct.unpack(order + ("Q" if big else "H"), data[at : at + count_size])
-    if at + count_size + count * entry_size > len(data):
-        raise _BadFrame(f"found a TIFF truncated after {len(data)} bytes, expected a whole one")
-    tags = {}
-    for index in range(count):
-        start = at + count_size + index * entry_size
-        tag, kind, n = struct.unpack(order + "HH" + word, data[start : start + 4 + inline])
-        if kind not in _TIFF_SIZES:
-            continue
-        size = _TIFF_SIZES[kind] * n
-        place = start + 4 + inline
-        if size > inline:
-            (place,) = struct.unpack(order + word, data[place : place + inline])
-        if place + size > len(data):
-            raise _BadFrame(f"found a TIFF truncated after {len(data)} bytes, expected a whole one")
-        tags[tag] = list(struct.unpack(f"{order}{n}{_TIFF_CODES[kind]}", data[place : place + size]))
-    end = at + count_size + count * entry_size
-    return tags, struct.unpack(order + word, data[end : end + inline])[0]
-
-
-def _npy_header(data: bytes | mmap.mmap) -> FrameHeader:
-    head = io.BytesIO(data[:65536])
-    try:
-        version = np.lib.format.read_magic(head)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(head)
-    except ValueError as problem:
-        raise _BadFrame(f"found a damaged npy header ({problem}), expected a whole one") from None
-    if len(shape) != 2 or dtype.kind != "u":
-        raise _BadFrame(f"found an npy array of shape {shape} and type {dtype}, expected (h, w) of uint8 or uint16")
-    if head.tell() + shape[0] * shape[1] * dtype.itemsize > len(data):
-        raise _BadFrame(f"found an npy file truncated after {len(data)} bytes, expected a whole one")
+def _npy_header(source: FrameSource) -> FrameHeader:
+    shape, dtype, _, start = _npy_layout(source)
+    if start + shape[0] * shape[1] * dtype.itemsize > source.size:
+        raise BadFrame(f"found an npy file truncated after {source.size} bytes, expected a whole one")
     return FrameHeader(shape[0], shape[1], 8 * dtype.itemsize)
 
 
+def _npy_layout(source: FrameSource) -> tuple[tuple[int, int], np.dtype, Literal["C", "F"], int]:
+    """Shape, type and order of an npy file's array, and where its numbers begin.
+
+    The header is Python text, but only its one usual form is read: nothing of a file is ever evaluated.
+    """
+    major, _ = source.read(6, 2)
+    size_at_8 = "<H" if major == 1 else "<I"
+    (size,) = struct.unpack(size_at_8, source.read(8, struct.calcsize(size_at_8)))
+    start = 8 + struct.calcsize(size_at_8) + size
+    if major not in (1, 2, 3) or size > _MAX_NPY_HEADER_BYTES:
+        raise BadFrame(f"found an npy header of version {major} with {size} bytes, expected a usual one")
+    text = source.read(start - size, size).decode("latin-1")
+    match = _NPY_HEADER.fullmatch(text)
+    if not match:
+        raise BadFrame(f"found a damaged npy header ({brief(text.strip())}), expected a whole one")
+    kind, fortran, lengths = match.groups()
+    shape = [int(length.rstrip("L")) for length in lengths.split(",") if length.strip()]
+    if len(shape) != 2 or kind not in _NPY_TYPES:
+        raise BadFrame(
+            f"found an npy array of shape {brief(str(tuple(shape)))} and type {brief(kind)}, expected (h, w) of uint8 "
+            "or uint16"
+        )
+    return (shape[0], shape[1]), _NPY_TYPES[kind], "F" if fortran == "True" else "C", start
+
+
 def _decode_into(frame: Frame, data: bytes, expected: FrameHeader) -> None:
-    if data[:6] == b"\x93NUMPY":
-        frame[:] = np.load(io.BytesIO(data), allow_pickle=False)
+    if data[:6] == _NPY_SIGNATURE:
+        shape, dtype, order, start = _npy_layout(source_of(data))
+        frame[:] = np.frombuffer(data, dtype, shape[0] * shape[1], start).reshape(shape, order=order)
         return
     if data[:8] == png.SIGNATURE:
         png.check_sums(data)
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if decoded is not None and decoded.ndim == 3 and (decoded == decoded[..., :1]).all():
+        decoded = decoded[..., 0]  # a palette of greys
     if decoded is None or decoded.shape != (expected.height, expected.width) or decoded.dtype != expected.dtype:
-        raise _BadFrame(f"found an image that does not decode, expected {expected}")
+        raise BadFrame(f"found an image that does not decode, expected {expected}")
     frame[:] = decoded
+
+
+def _check_byte_order(frame: Frame) -> None:
+    """Refuse 16-bit samples that would be smooth if their bytes were swapped, and are not as they are."""
+    if frame.dtype != np.uint16:
+        return
+    k = _ROUGHNESS_STRIDE
+    here, beside, below = frame[:-1:k, :-1:k], frame[:-1:k, 1::k], frame[1::k, :-1:k]
+    rough = _roughness(here, beside, below)
+    swapped = _roughness(here.byteswap(), beside.byteswap(), below.byteswap())
+    if rough > _SWAPPED * swapped:
+        raise BadFrame(
+            "found 16-bit samples whose bytes look swapped (the high bytes are noisier than the low ones), expected "
+            "them in the order that the file's format has"
+        )
+
+
+def _roughness(here: Frame, beside: Frame, below: Frame) -> float:
+    """Mean difference of neighbouring pixels over the picture's spread, along rows or columns, whichever is less."""
+    if not here.size or here.min() == here.max():
+        return 0.0
+    level = here.astype(np.float32)
+    return float(min(np.abs(beside - level).mean(), np.abs(below - level).mean()) / level.std())

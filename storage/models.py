@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
@@ -19,9 +19,10 @@ from pydantic import (
 )
 
 from metrology.errors import FlushlineError
-from storage.documents import ErrorType, closest, shown
+from storage.documents import ErrorType, brief, closest, shown
 
 MAX_IDENTIFIER_LENGTH = 64
+MAX_PATH_LENGTH = 1024
 # No separator, no leading dot: an identifier becomes a folder name and part of a scene's name.
 IDENTIFIER_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9._-]*"
 
@@ -77,14 +78,19 @@ Line = Annotated[str, Strict(), AfterValidator(_one_line)]
 
 
 def _inside(path: str) -> str:
-    pure = PurePosixPath(path)
-    if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
-        raise ValueError(f"found path {path!r}, expected one inside the folder, relative to it")
-    return path
+    # Programs on Windows write left\f00.png for left/f00.png.
+    parts = path.replace("\\", "/").split("/")
+    named = [part for part in parts if part not in ("", ".")]
+    absolute = parts[0] == "" or parts[0].endswith(":")
+    if len(path) > MAX_PATH_LENGTH or not path.isprintable() or not named or absolute or ".." in named:
+        raise ValueError(f"found path {shown(path)}, expected one inside the folder, relative to it")
+    return "/".join(named)
 
 
 InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
-"""A file of the folder that the manifest lies in. Links in that folder are its owner's and are followed."""
+"""A file of the folder that the manifest lies in, with ``/`` between folders.
+
+Links there are its owner's, and followed."""
 
 
 def validate(model: type[Model], document: Mapping[str, Any], path: Path, error: ErrorType) -> Model:
@@ -121,7 +127,7 @@ _EXPECTED = {
 
 
 def _complaint(first: Any, place: tuple[int | str, ...], keys_at: Callable[[tuple[int | str, ...]], list[str]]) -> str:
-    where = ".".join(str(part) for part in place)
+    where = brief(".".join(str(part) for part in place))
     at = f"{where}: " if where else ""
     if first["type"] == "extra_forbidden":
         return f"found unknown key {where!r}, expected {closest(str(place[-1]), keys_at(place[:-1]))}"

@@ -18,13 +18,14 @@ from metrology.errors import SpecError
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.tolerance import DEFAULT_ZONE, Limit, PanelSpec, Zone
 from storage.documents import check_format, read_toml
-from storage.models import Identifier, StrictModel, validate
+from storage.models import Identifier, Line, StrictModel, validate
 
 FORMAT = "flushline-panel/1"
 DEFAULT_SPEC = Path(__file__).with_name("default_panel.toml")
 
-Vector3 = tuple[float, float, float]
-FeatureName = Annotated[str, Field(min_length=1, max_length=64)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # mm: no aircraft is a kilometre long
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
+FeatureName = Annotated[Line, Field(min_length=1, max_length=64)]
 
 
 class LimitModel(StrictModel):

@@ -2,50 +2,81 @@
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections.abc import Iterator
 
+import numpy as np
+
+from storage.frame_source import BadFrame, FrameSource, ShortFrame, source_of
+from storage.tiff import TiffDirectory, check_orientation
+
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK_OVERHEAD = 12  # length, type and CRC
+_MAX_CHUNKS = 100_000
+_MAX_EXIF_BYTES = 65_536
+_GREY, _PALETTE = 0, 3
+_COLOURS = {2: "colour", _PALETTE: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 
-class DamagedPng(Exception):
-    """What was found, and what was expected; the file's name is added by who knows it."""
+def size_and_bits(source: FrameSource) -> tuple[int, int, int]:
+    """Height, width and bits per sample that the header of a grey, whole PNG says; nothing is decoded.
 
-
-def size_and_bits(data: bytes | mmap.mmap) -> tuple[int, int, int]:
-    """Height, width and bits per sample that the header of a grey, whole PNG says; nothing is decoded."""
-    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
-    if data[12:16] != b"IHDR":
-        raise DamagedPng("found a PNG that does not begin with its header, expected a whole one")
-    if colour != 0:
-        kind = {2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}.get(colour, "unknown")
-        raise DamagedPng(f"found a {kind} PNG, expected a grey one")
-    for _ in _chunks(data):
-        pass
+    A palette of greys, as programs that shrink files make it of a grey picture, counts as 8 bits.
+    """
+    width, height, bits, colour = struct.unpack(">IIBB", source.read(16, 10))
+    if source.read(12, 4) != b"IHDR":
+        raise BadFrame("found a PNG that does not begin with its header, expected a whole one")
+    grey = colour == _GREY
+    for kind, start, length in _chunks(source):
+        if kind == b"PLTE" and colour == _PALETTE and length <= 3 * 256:
+            palette = np.frombuffer(source.read(start, length // 3 * 3), np.uint8).reshape(-1, 3)
+            grey, bits = bool((palette == palette[:, :1]).all()), 8
+        elif kind == b"tRNS" and colour == _PALETTE:
+            grey = False
+        elif kind == b"eXIf":
+            _check_exif(source.read(start, min(length, _MAX_EXIF_BYTES)))
+        if kind in (b"IDAT", b"tRNS") and not grey:
+            break
+    if not grey:
+        raise BadFrame(f"found a {_COLOURS.get(colour, 'unknown')} PNG, expected a grey one")
     return height, width, bits
 
 
 def check_sums(data: bytes) -> None:
     """Refuse a PNG with a chunk that is not what its checksum says."""
     view = memoryview(data)
-    for _, start, length in _chunks(data):
+    for _, start, length in _chunks(source_of(data)):
         (stated,) = struct.unpack(">I", view[start + length : start + length + 4])
         if zlib.crc32(view[start - 4 : start + length]) != stated:
-            raise DamagedPng(f"found a damaged PNG (checksum differs at byte {start}), expected a whole one")
+            raise BadFrame(f"found a damaged PNG (checksum differs at byte {start}), expected a whole one")
 
 
-def _chunks(data: bytes | mmap.mmap) -> Iterator[tuple[bytes, int, int]]:
+def _check_exif(data: bytes) -> None:
+    """Refuse a PNG that is to be turned before it is shown; what else Exif says, right or not, is nobody's concern."""
+    try:
+        directory = TiffDirectory.read(source_of(data))
+    except BadFrame:
+        return
+    check_orientation(directory)
+
+
+def _chunks(source: FrameSource) -> Iterator[tuple[bytes, int, int]]:
     """Type, start and length of the content of each chunk up to IEND; a file that ends before it is refused."""
     offset = len(SIGNATURE)
-    while offset + _CHUNK_OVERHEAD <= len(data):
-        length, kind = struct.unpack(">I4s", data[offset : offset + 8])
-        if offset + _CHUNK_OVERHEAD + length > len(data):
+    for _ in range(_MAX_CHUNKS):
+        if offset + _CHUNK_OVERHEAD > source.size:
+            break
+        try:
+            length, kind = struct.unpack(">I4s", source.read(offset, 8))
+        except ShortFrame:
+            break
+        if offset + _CHUNK_OVERHEAD + length > source.size:
             break
         yield kind, offset + 8, length
         if kind == b"IEND":
             return
         offset += _CHUNK_OVERHEAD + length
-    raise DamagedPng(f"found a PNG truncated after {len(data)} bytes, expected a whole one")
+    else:
+        raise BadFrame(f"found a PNG of more than {_MAX_CHUNKS:,} chunks, expected a camera's frame")
+    raise BadFrame(f"found a PNG truncated after {source.size} bytes, expected a whole one")

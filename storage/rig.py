@@ -19,7 +19,8 @@ from storage.models import Identifier, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-rig/1"
 
-Vector3 = Annotated[tuple[float, ...], Field(min_length=3, max_length=3)]
+Number = Annotated[float, Field(ge=-1e9, le=1e9)]  # no product of some overflows
+Vector3 = Annotated[tuple[Number, ...], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[tuple[Vector3, ...], Field(min_length=3, max_length=3)]
 
 
@@ -35,7 +36,7 @@ class DeviceModel(_OpenModel):
     width: Annotated[WholeNumber, Field(gt=0)]
     height: Annotated[WholeNumber, Field(gt=0)]
     K: Matrix3
-    distortion: tuple[float, ...]
+    distortion: tuple[Number, ...]
     R: Matrix3
     t: Vector3
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from metrology.errors import SceneError
+from metrology.exposures import MAX_RATIO, relative_exposures
 from metrology.fringe import FringeCode, GrayCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
@@ -24,6 +25,8 @@ from storage.models import Identifier, InnerPath, Line, PositiveNumber, StrictMo
 
 FORMAT = "flushline-scene/1"
 MANIFEST = "scene.json"
+MAX_MANIFEST_BYTES = 2**20
+MAX_EXPOSURES, MAX_FRAMES = 64, 4096
 Camera = Literal["left", "right"]
 CAMERAS: tuple[Camera, ...] = ("left", "right")
 
@@ -50,11 +53,16 @@ class FringeModel(StrictModel):
         return FringeCode(self.axis, self.steps, self.counts, gray)
 
 
+Exposures = Annotated[
+    tuple[Annotated[tuple[InnerPath, ...], Field(max_length=MAX_FRAMES)], ...], Field(max_length=MAX_EXPOSURES)
+]
+
+
 class FramesModel(StrictModel):
     """`frames` of scene.json: paths per exposure, count-major, then step."""
 
-    left: tuple[tuple[InnerPath, ...], ...]
-    right: tuple[tuple[InnerPath, ...], ...]
+    left: Exposures
+    right: Exposures
 
 
 class SceneModel(StrictModel):
@@ -68,7 +76,7 @@ class SceneModel(StrictModel):
     rig: Identifier
     operator: Line | None = None
     fringe: FringeModel
-    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1)]
+    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1, max_length=MAX_EXPOSURES)]
     frames: FramesModel
 
     @property
@@ -81,6 +89,12 @@ class SceneModel(StrictModel):
         code = self.fringe.code
         if len(set(self.exposures)) != len(self.exposures):
             raise ValueError(f"found exposures {list(self.exposures)}, expected each only once")
+        shortest, longest = min(self.exposures), max(self.exposures)
+        if longest > MAX_RATIO * shortest:
+            raise ValueError(
+                f"found exposures from {shortest:g} to {longest:g}, expected the longest at most {MAX_RATIO:,.0f} "
+                "times the shortest"
+            )
         for camera in CAMERAS:
             exposures = getattr(self.frames, camera)
             if len(exposures) != len(self.exposures):
@@ -94,10 +108,11 @@ class SceneModel(StrictModel):
                         f"({len(code.counts)} counts × {code.steps} steps"
                         + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
                     )
-        paths = [path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames]
-        twice = sorted({path for path in paths if paths.count(path) > 1})
-        if twice:
-            raise ValueError(f"found frame {twice[0]!r} listed more than once, expected each frame once")
+        seen: set[str] = set()
+        for path in (path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames):
+            if path in seen:
+                raise ValueError(f"found frame {path!r} listed more than once, expected each frame once")
+            seen.add(path)
         return self
 
 
@@ -181,7 +196,7 @@ def load_scene(folder: Path) -> Scene:
         rig_id=model.rig,
         operator=model.operator,
         code=model.fringe.code,
-        exposures=model.exposures,
+        exposures=relative_exposures(model.exposures),
         left=paths["left"],
         right=paths["right"],
         left_header=left,
@@ -198,7 +213,7 @@ def load_manifest(manifest: Path) -> SceneModel:
     if not os.path.lexists(manifest):
         found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"
         raise SceneError(f"{folder}: found {found}, expected a scene folder")
-    document = read_json(manifest, SceneError)
+    document = read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
     check_format(document, FORMAT, manifest, SceneError)
     return validate(SceneModel, document, manifest, SceneError)
 

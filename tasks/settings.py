@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from metrology.registration.settings import RegistrationSettings
 from metrology.rig_health import HealthSettings
 from metrology.rivets.settings import RivetSettings
 from metrology.seams.settings import SeamSettings
-from storage.documents import closest, read_toml
+from storage.documents import brief, closest, read_toml, shown
 from storage.models import first_problem
 
 
@@ -83,9 +84,11 @@ def _check_keys(settings: Any, document: Mapping[str, Any], place: str) -> None:
     known = {f.name: f for f in fields(settings)}
     for key, value in document.items():
         if key not in known:
-            raise UsageError(f"found unknown key {place + key!r}, expected {closest(key, list(known))}")
+            raise UsageError(f"found unknown key {brief(place + key)!r}, expected {closest(key, list(known))}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise UsageError(f"{place}{key}: found {value}, expected a finite number")
         inner = known[key].default_factory
         if isinstance(inner, type) and is_dataclass(inner):
             if not isinstance(value, Mapping):
-                raise UsageError(f"{place}{key}: found {value!r}, expected a table of settings")
+                raise UsageError(f"{place}{key}: found {shown(value)}, expected a table of settings")
             _check_keys(inner, value, f"{place}{key}.")

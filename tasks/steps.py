@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
+from metrology.exposures import check_brightness
 from metrology.inspection import InspectionResult
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
@@ -30,7 +31,7 @@ from storage.archive.bundle import encode as encode_files
 from storage.archive.signed import refuse_signed_off
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
-from storage.scene import Scene, load_scene
+from storage.scene import MANIFEST, Camera, Scene, load_scene
 from tasks.settings import InspectionSettings, SceneChecks
 
 
@@ -79,14 +80,24 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     size = scene.code.size(rig.projector.width, rig.projector.height)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
-        left_frames = scene.frames("left", readers)
-        right_frames = right_reader.submit(scene.frames, "right", readers)
+        left_frames = _frames(scene, "left", readers)
+        right_frames = right_reader.submit(_frames, scene, "right", readers)
         left = reconstruct.decode(left_frames, scene.code, size, scene.exposures, settings.reconstruction)
         del left_frames
         right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
     reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
+
+
+def _frames(scene: Scene, camera: Camera, readers: Executor) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """One camera's frames, as bright as the scene's exposures say."""
+    frames = scene.frames(camera, readers)
+    try:
+        check_brightness(frames, scene.code, scene.exposures)
+    except SceneError as problem:
+        raise SceneError(f"{scene.folder / MANIFEST}: {camera} camera: {problem}") from None
+    return frames
 
 
 def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
@@ -323,16 +334,26 @@ def _check_skin_is_seen(scene: Scene, reconstruction: Reconstruction, checks: Sc
 def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
     """A warning where much of the skin is saturated: neither points nor a picture, so nothing is found there."""
     # One pixel in sixteen tells the share to a thousandth.
-    sampled = slice(None, None, 4)
-    saturated = (reconstruction.flags[sampled, sampled] & PixelFlag.SATURATED) != 0
-    skin = saturated | np.isfinite(reconstruction.points[sampled, sampled, 2])
-    share = float(saturated[skin].mean()) if skin.any() else 0.0
+    sampled = (slice(None, None, 4), slice(None, None, 4))
+    left, right = reconstruction.flags[sampled], reconstruction.right
+    shares = {
+        "": _saturated_share(left, np.isfinite(reconstruction.points[*sampled, 2])),
+        " of the right camera": _saturated_share(right.flags[sampled], np.isfinite(right.coordinate[sampled])),
+    }
+    where, share = max(shares.items(), key=lambda item: item[1])
     if share <= checks.max_saturated_fraction:
         return []
     return [
-        f"overexposed: {share:.0%} of the skin is saturated in every exposure; rivets and seams there are not found or "
-        "not measured; take a shorter exposure as well"
+        f"overexposed: {share:.0%} of the skin is saturated in every exposure{where}; rivets and seams there are not "
+        "found or not measured; take a shorter exposure as well"
     ]
+
+
+def _saturated_share(flags: NDArray[np.uint16], measured: NDArray[np.bool_]) -> float:
+    """Share of the skin, measured or saturated, that is saturated."""
+    saturated = (flags & PixelFlag.SATURATED) != 0
+    skin = saturated | measured
+    return float(saturated[skin].mean()) if skin.any() else 0.0
 
 
 _CAUSE = {

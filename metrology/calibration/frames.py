@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from metrology.saturation import saturation_level
 
 GreyFrame = NDArray[np.uint8] | NDArray[np.uint16]
 CameraName = Literal["left", "right"]
@@ -45,7 +48,7 @@ class BoardFrames:
         """Width and height in pixels."""
         return int(self.white.shape[1]), int(self.white.shape[0])
 
-    @property
+    @cached_property
     def saturated(self) -> NDArray[np.bool_]:
-        """(h, w) pixels of the white frame at the top of the camera's range."""
-        return np.asarray(self.white >= np.iinfo(self.white.dtype).max)
+        """(h, w) pixels of the white frame that are clipped."""
+        return np.asarray(self.white >= saturation_level(self.white[None, None]))

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 from metrology.cloud import PixelFlag
-from metrology.decode import decode_phase, saturation_level
+from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
 from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.saturation import saturation_level
 
 SIZE = 1280
 
@@ -214,7 +215,7 @@ def test_sixteen_bit_frames(bits: int, rng: np.random.Generator) -> None:
     levels = clean_frames(truth, USUAL, SIZE, 120, 90) * scale + rng.normal(0, 0.5 * scale, (12, *truth.shape))
     levels[:, 0, 0] = 2**bits - 1
     frames = np.rint(levels).astype(np.uint16)[None]
-    assert saturation_level(frames, ReconstructionSettings()) == pytest.approx((2**bits - 1) * 254 / 255)
+    assert saturation_level(frames) == pytest.approx((2**bits - 1) * 254 / 255)
     view = decode_phase(frames, USUAL, SIZE)
     assert np.nanstd((view.coordinate - truth) / view.sigma) == pytest.approx(1.0, abs=0.05)
 

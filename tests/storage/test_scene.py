@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+import time
 import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -117,6 +118,13 @@ def test_other_image_formats_hold_the_same(scene_folder: Path, suffix: str) -> N
         (lambda d: d["frames"].update(left=[["a.png"]]), "scene.json: found 1 frames in frames.left.0"),
         (lambda d: d.update(exposures=[-1.0]), "exposures.0: found -1.0, expected greater than 0"),
         (lambda d: d.update(exposures=[1.0, 2.0]), "for 1 exposures, expected 2"),
+        (lambda d: d.update(exposures=[1e-9, 2.0]), "expected the longest at most 1,000,000 times the shortest"),
+        (lambda d: d["frames"]["left"][0].__setitem__(0, "C:\\data\\f.png"), "expected one inside the folder"),
+        (lambda d: d["frames"]["left"][0].__setitem__(0, "..\\f.png"), "expected one inside the folder"),
+        (lambda d: d["frames"]["left"][0].__setitem__(0, "left/a\nb.png"), "expected one inside the folder"),
+        (lambda d: d["frames"]["left"][0].__setitem__(0, "./" + FRAME), "listed more than once"),
+        (lambda d: d["frames"]["left"][0].extend(f"f{k}.png" for k in range(9000)), "a list of at most 4096"),
+        (lambda d: d.update(panel="P\u202e" * 999), '"P\\u202eP\\u202e'),
         (lambda d: d["frames"]["left"][0].pop(), "found 11 frames in frames.left.0, expected 12"),
         (lambda d: d["frames"]["left"][0].__setitem__(0, "../secret.png"), "expected one inside the folder"),
         (lambda d: d["frames"]["left"][0].__setitem__(0, "/etc/passwd"), "expected one inside the folder"),
@@ -152,6 +160,30 @@ def test_a_file_that_is_no_manifest_is_named(scene_folder: Path, content: bytes,
     with pytest.raises(SceneError, match=r"scene\.json") as caught:
         load_scene(scene_folder)
     assert said in str(caught.value)
+
+
+def test_a_megabyte_of_keys_is_checked_in_no_time(scene_folder: Path) -> None:
+    keys = ",".join(f'"key{k}": 1' for k in range(60_000))
+    (scene_folder / "scene.json").write_text(f'{{{keys}, "key5": 2}}')
+    began = time.process_time()
+    with pytest.raises(SceneError, match="key 'key5' twice"):
+        load_scene(scene_folder)
+    assert time.process_time() - began < 3.0
+    (scene_folder / "scene.json").write_text(f"{{{keys}, {keys}}}")
+    with pytest.raises(SceneError, match="bytes, expected at most"):
+        load_scene(scene_folder)
+
+
+def test_paths_of_windows_and_times_in_a_unit_are_understood(scene_folder: Path) -> None:
+    before = load_scene(scene_folder)
+
+    def as_on_windows(document: dict[str, Any]) -> None:
+        document["exposures"] = [20000.0]
+        for camera, exposures in document["frames"].items():
+            document["frames"][camera] = [[name.replace("/", "\\") for name in names] for names in exposures]
+
+    edit(scene_folder, as_on_windows)
+    assert load_scene(scene_folder) == before
 
 
 def test_folders_that_are_no_scene_are_named(tmp_path: Path, scene_folder: Path) -> None:
