@@ -25,16 +25,28 @@ from metrology.frame_sample import (
     coarse_positions,
     fit_sinusoids,
 )
+from metrology.fringe import FringeCode
 
 # A frame deviates if it is this much brighter or darker than the others say (flicker of 3 % leaves 0.05), …
 _BRIGHTNESS = 0.15
 # … or if its fringes are off by this share of their amplitude (flicker and vibration leave 0.06).
 _FRINGES = 0.3
 # Phases that miss each other systematically, as a share of half a lattice step (sound: 0.01).
-DRIFT = 0.25
-# Contradictions within one band of rows: a seam along the band takes up less.
-_BAND_CONTRADICTORY = 0.4
-_ROWS_PER_BAND = 4
+DRIFT = 0.1
+# Contrast that depends on the phase by this share of itself: a wrong frame lets it, a surface hardly. Asked where so few
+# counts leave little else to ask.
+_CONTRAST = 0.3
+_MOST_CONTRAST = 2.0
+_FEW_COUNTS = 2
+# Contradictions over the whole picture, and within one band of rows: a seam along the band takes up less.
+_CONTRADICTORY = 0.05
+_BAND_CONTRADICTORY = 0.5
+_ROWS_PER_BAND = 2
+# Gamma averages out over a fringe and more: bands along fringes are as high as one where half the projector is seen, and
+# frames of few fringes are not judged by their fringes.
+_FRINGES_PER_BAND = 1.2
+_PART_SEEN = 0.5
+_LEAST_COUNT = 8
 _LEAST_PIXELS = 30
 # Pixels with more clipped samples than one are left out: a frame brighter than the others clips alone.
 _CLIPPED_SAMPLES = 1
@@ -69,7 +81,7 @@ class FrameConsistency:
     @property
     def odd(self) -> bool:
         """Whether some frame is not what the scene says."""
-        return self.deviation > 1 or self.drift > 1 or bool(self.odd_rows.any())
+        return max(self.deviation, self.drift, self.contradictory / _CONTRADICTORY) > 1 or bool(self.odd_rows.any())
 
 
 def contradictory_share(view: DecodedView) -> float:
@@ -94,21 +106,28 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
     if lit.sum() < _LEAST_PIXELS:
         return nothing
     contradictory = told.contradictory & lit
-    bands = np.arange(0, rows, _ROWS_PER_BAND)
+    per_band = _rows_per_band(sample)
+    bands = np.arange(0, rows, per_band)
     counted = _per_band(lit, rows, bands)
     enough = counted >= _LEAST_PIXELS
-    deviations = frame_deviations(fit, sample.code.steps, lit, rows, bands)[:, enough]
+    deviation = largest_deviation(fit, sample.code, lit, rows, bands)
     share = _per_band(contradictory, rows, bands) / np.maximum(counted, 1)
-    whole = frame_deviations(fit, sample.code.steps, lit, rows, np.array([0]))
-    odd_band = np.zeros(len(bands), bool)
-    odd_band[enough] = (deviations.max(0) > 1) | (share[enough] > _BAND_CONTRADICTORY)
+    whole = largest_deviation(fit, sample.code, lit, rows, np.array([0]))
+    odd_band = enough & ((deviation > 1) | (share > _BAND_CONTRADICTORY))
     return FrameConsistency(
         judged=int(lit.sum()),
         contradictory=float(contradictory[lit].mean()),
-        odd_rows=np.repeat(odd_band, _ROWS_PER_BAND)[:rows],
-        deviation=float(max(whole.max(), deviations.max(initial=0.0))),
+        odd_rows=np.repeat(odd_band, per_band)[:rows],
+        deviation=float(max(whole[0], deviation[enough].max(initial=0))),
         drift=told.drift / DRIFT,
     )
+
+
+def _rows_per_band(sample: FrameSample) -> int:
+    if sample.code.axis == "x":
+        return _ROWS_PER_BAND
+    fringes = _PART_SEEN * min((count for count in sample.code.counts if count >= _LEAST_COUNT), default=1)
+    return max(_ROWS_PER_BAND, int(np.ceil(_FRINGES_PER_BAND * len(sample.rows) / fringes)))
 
 
 def unclipped(levels: Float32, saturation: float) -> NDArray[np.bool_]:
@@ -117,7 +136,12 @@ def unclipped(levels: Float32, saturation: float) -> NDArray[np.bool_]:
 
 
 def frame_deviations(
-    fit: SinusoidFit, steps: int, lit: NDArray[np.bool_], rows: int, bands: NDArray[np.int64]
+    fit: SinusoidFit,
+    code: FringeCode,
+    lit: NDArray[np.bool_],
+    rows: int,
+    bands: NDArray[np.int64],
+    least_count: int = _LEAST_COUNT,
 ) -> Array:
     """Deviation of each frame from what the others say, in bands of rows; 1 is the limit.
 
@@ -125,12 +149,14 @@ def frame_deviations(
     ----------
     fit : SinusoidFit
         Of `rows` · columns pixels.
-    steps : int
+    code : FringeCode
     lit : (n,) bool
         Pixels that count.
     rows : int
     bands : (b,) int
         First row of each band.
+    least_count : int
+        Counts with fewer fringes are not judged by them.
 
     Returns
     -------
@@ -141,13 +167,37 @@ def frame_deviations(
     brightness = np.abs(_per_band(np.where(lit, fit.errors, 0), rows, bands)) / level
     fringes = np.zeros_like(brightness)
     for index, k in enumerate(fit.used):
-        own = fit.shows // steps == k
-        if not own.any():
+        own = fit.shows // code.steps == k
+        if not own.any() or code.counts[k] < least_count:
             continue
         phasor = np.where(lit, fit.phasors[index], 0)
         power = np.maximum(_per_band(np.abs(phasor) ** 2, rows, bands), 1e-6)
         fringes[own] = np.abs(_per_band(fit.errors[own] * phasor, rows, bands)) * 2 / power
     return np.asarray(np.maximum(brightness / _BRIGHTNESS, fringes / _FRINGES))
+
+
+def largest_deviation(
+    fit: SinusoidFit, code: FringeCode, lit: NDArray[np.bool_], rows: int, bands: NDArray[np.int64]
+) -> Array:
+    """(b,) largest deviation in each band of any frame, or of the contrast from not depending on the phase."""
+    largest = frame_deviations(fit, code, lit, rows, bands).max(0)
+    if len(code.counts) > _FEW_COUNTS:
+        return np.asarray(largest)
+    amplitude, number = fit.amplitude, np.maximum(_per_band(lit, rows, bands), 1)
+    for index, k in enumerate(fit.used):
+        if code.counts[k] < _LEAST_COUNT:
+            continue
+        contrast = np.where(lit, np.minimum(amplitude[index] / np.maximum(fit.mean, 1), _MOST_CONTRAST), 0)
+        total = np.maximum(_per_band(contrast, rows, bands), 1e-6)
+        direction = np.where(lit, fit.phasors[index] / np.maximum(amplitude[index], 1e-6), 0)
+        turned = direction
+        for _ in range(
+            2
+        ):  # a frame that is off as a whole shows at the phase itself, one with other fringes at twice it
+            seen = _per_band(contrast * turned, rows, bands) - total / number * _per_band(turned, rows, bands)
+            largest = np.maximum(largest, 2 * np.abs(seen) / total / _CONTRAST)
+            turned = turned * direction
+    return np.asarray(largest)
 
 
 def _per_band(values: NDArray, rows: int, bands: NDArray[np.int64]) -> NDArray:

@@ -8,17 +8,18 @@ frames that remain.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.frame_consistency import DRIFT, FrameConsistency, frame_deviations, unclipped
+from metrology.frame_consistency import DRIFT, FrameConsistency, largest_deviation, unclipped
 from metrology.frame_faults import Finer, FrameFault, describe_frame
 from metrology.frame_orders import FrameOrder, frame_orders
 from metrology.frame_sample import (
+    FAINT_COUNT,
     Array,
     Float32,
     FrameSample,
@@ -27,21 +28,24 @@ from metrology.frame_sample import (
     coarse_positions,
     fit_sinusoids,
 )
-from metrology.fringe import FringeCode
 
 # Pixels that hypotheses are tried on.
-_PIXELS = 1500
+_PIXELS = 600
 _LEAST_PIXELS = 30
 # A pixel carries fringes if its second brightest and second darkest samples differ by this many standard deviations.
 _FRINGE_SIGMAS = 10.0
 # Frames agree under a hypothesis if no more than this share of the pixels has contradictory fringes, …
-_FITS_SHARE = 0.1
-# … if either this share or the misfit falls to this part of what it is as the scene lists the frames, …
+_FITS_SHARE = 0.3
+_ODD_SHARE = 0.05
+# … if what was wrong as the scene lists the frames (a frame's deviation, or this share) falls to this part, …
 _FITS_PART = 0.35
 # … and if it is told by at least this part of the pixels.
 _JUDGED_PART = 0.3
-# Two hypotheses of which neither fits better than the other by more than this cannot be told apart.
-_ALIKE = 0.05
+# Hypotheses whose misfits differ by less than this factor and amount cannot be told apart; so many are looked at.
+_CLEARLY, _ALIKE = 1.5, 0.05
+_MOST_NAMED = 6
+# Correlation of two pictures, their mean level aside, from which they show one pattern.
+_ALIKE_PICTURES = 0.95
 # Orders whose coordinate runs against what the rig expects (cosine of the angle between the gradients) are not meant.
 _BACKWARDS = -0.5
 
@@ -72,11 +76,26 @@ class FrameDiagnosis:
 
 @dataclass(frozen=True)
 class _Trial:
-    """How badly frames fit under a hypothesis (1 is the limit), the share of contradictory pixels, pixels judged."""
+    """How frames fit under a hypothesis.
 
-    misfit: float
+    Attributes
+    ----------
+    deviation : float
+        Largest of a frame, or of all phases; 1 is the limit.
+    share : float
+        Of pixels with contradictory fringes.
+    judged : int
+        Pixels.
+    """
+
+    deviation: float
     share: float
     judged: int
+
+    @property
+    def misfit(self) -> float:
+        """Both together, for ranking."""
+        return self.deviation + self.share
 
 
 def diagnose_frames(
@@ -97,18 +116,19 @@ def diagnose_frames(
     expected_gradient : (2,) ndarray, optional
         Direction in the image (u, v) along which the rig lets the projector coordinate rise.
     """
-    odd = [e for e, judged in enumerate(found) if judged.odd]
-    several = [frames for frames in _sets(sample.code) if len(frames) > 1]
-    singles = [_wrong_frames(sample, e, found[e], [(p,) for p in range(sample.code.fringe_frames)], finer) for e in odd]
-    if all(single.named for single in singles):
-        return _joined(singles)
-    order = _other_order(sample, expected_gradient)
-    if order is not None:
-        return FrameDiagnosis(order=order)
-    for place, e in enumerate(odd):
-        if not singles[place].named:
-            singles[place] = _wrong_frames(sample, e, found[e], several, finer)
-    return _joined(singles)
+    odd = [e for e, judged in enumerate(found) if judged.odd] or list(range(len(found)))
+    one = list(combinations(range(sample.code.fringe_frames), 1))
+    named = [_without_fringes(sample, e) or _wrong_frames(sample, e, found[e], one, finer) for e in odd]
+    if not all(diagnosis.named for diagnosis in named):
+        order = _other_order(sample, expected_gradient)
+        if order is not None:
+            return FrameDiagnosis(order=order)
+        two = list(combinations(range(sample.code.fringe_frames), 2))
+        for place, e in enumerate(odd):
+            if not named[place].named:
+                wrong = _wrong_frames(sample, e, found[e], two, finer)
+                named[place] = wrong if wrong.named else _repeated(sample, e)
+    return _joined(named)
 
 
 def _joined(found: Sequence[FrameDiagnosis]) -> FrameDiagnosis:
@@ -116,11 +136,37 @@ def _joined(found: Sequence[FrameDiagnosis]) -> FrameDiagnosis:
     return FrameDiagnosis(faults, either=any(one.either for one in found))
 
 
-def _sets(code: FringeCode) -> Iterator[tuple[int, ...]]:
-    """Frames that may be wrong together: all of a count, or any two."""
-    for k in range(len(code.counts)):
-        yield tuple(range(k * code.steps, (k + 1) * code.steps))
-    yield from combinations(range(code.fringe_frames), 2)
+def _without_fringes(sample: FrameSample, exposure: int) -> FrameDiagnosis | None:
+    """All frames of the counts that show no fringes where others do."""
+    code = sample.code
+    levels = sample.frames(exposure)[: code.fringe_frames]
+    fit = fit_sinusoids(levels, range(code.fringe_frames), code)
+    lit = _carries_fringes(sample, exposure)
+    if fit is None or lit.sum() < _LEAST_PIXELS:
+        return None
+    amplitude = np.median(fit.amplitude[:, lit], axis=1)
+    faint = [k for k in fit.used if amplitude[fit.used.index(k)] < FAINT_COUNT * amplitude.max()]
+    frames = [p for p in range(code.fringe_frames) if p // code.steps in faint]
+    described = _described(sample, exposure, tuple(frames), None)
+    return FrameDiagnosis(described) if described else None
+
+
+def _repeated(sample: FrameSample, exposure: int) -> FrameDiagnosis:
+    """Frames that show what an earlier one shows, where nothing tells which of them is right."""
+    code, lit = sample.code, _carries_fringes(sample, exposure)
+    if lit.sum() < _LEAST_PIXELS:
+        return FrameDiagnosis()
+    levels = sample.frames(exposure)[: code.fringe_frames][:, lit].astype(np.float64)
+    pictures = levels - levels.mean(0)
+    like = np.corrcoef(pictures)
+    faults = []
+    for frame in range(1, code.fringe_frames):
+        other = int(np.argmax(like[frame, :frame]))
+        if like[frame, other] > _ALIKE_PICTURES:
+            same = np.array_equal(levels[frame], levels[other])
+            at = exposure * code.frames
+            faults.append(FrameFault(at + frame, (None, None), "same" if same else "like", at + other))
+    return FrameDiagnosis(tuple(faults))
 
 
 def _wrong_frames(
@@ -144,18 +190,28 @@ def _wrong_frames(
         trial = _try(levels, shows, sample)
         if _fits(trial, listed):
             fitting.append((trial.misfit, left_out))
-    if not fitting:
-        return FrameDiagnosis()
-    fitting.sort()
-    best = fitting[0][1]
-    alike = [left_out for misfit, left_out in fitting if misfit < fitting[0][0] + _ALIKE]
-    if len(alike) == 1 or len(best) > 1:
-        return FrameDiagnosis(tuple(describe_frame(sample, exposure, frame, best, finer) for frame in best))
-    described = [describe_frame(sample, exposure, left_out[0], left_out, finer) for left_out in alike]
-    telling = [fault for fault in described if fault.telling]
-    if len(telling) == 1:
-        return FrameDiagnosis(tuple(telling))
-    return FrameDiagnosis(tuple(sorted(described, key=lambda fault: fault.frame)), either=True)
+    found = [_described(sample, exposure, frames, finer) for _, frames in sorted(fitting)[:_MOST_NAMED]]
+    misfits = [misfit for (misfit, _), faults in zip(sorted(fitting), found, strict=False) if faults]
+    found = [faults for faults in found if faults]
+    if not found or len(found[0]) > 1:
+        return FrameDiagnosis(found[0] if found else ())
+    alike = [
+        faults[0] for misfit, faults in zip(misfits, found, strict=True) if misfit < _CLEARLY * misfits[0] + _ALIKE
+    ]
+    if len(sample.code.counts) == 1:  # any three of four steps fit: no other count contradicts
+        alike = [faults[0] for faults in found]
+    telling = [fault for fault in alike if fault.telling]
+    if len(alike) == 1 or len(telling) == 1:
+        return FrameDiagnosis(tuple(telling or alike))
+    return FrameDiagnosis(tuple(sorted(alike, key=lambda fault: fault.frame)), either=True)
+
+
+def _described(
+    sample: FrameSample, exposure: int, frames: tuple[int, ...], finer: Finer | None
+) -> tuple[FrameFault, ...]:
+    """The faults of frames that were left out; none if one of them is what it should be."""
+    faults = [describe_frame(sample, exposure, frame, frames, finer) for frame in frames]
+    return tuple(fault for fault in faults if fault) if all(faults) else ()
 
 
 def _other_order(sample: FrameSample, expected_gradient: Array | None) -> FrameOrder | None:
@@ -176,9 +232,12 @@ def _other_order(sample: FrameSample, expected_gradient: Array | None) -> FrameO
 
 def _fits(trial: _Trial, listed: _Trial) -> bool:
     """Whether frames agree under a hypothesis, and better than as they are listed."""
-    if trial.judged < max(_LEAST_PIXELS, _JUDGED_PART * listed.judged) or trial.misfit >= 1:
+    if trial.judged < max(_LEAST_PIXELS, _JUDGED_PART * listed.judged):
         return False
-    return trial.share <= _FITS_PART * listed.share or trial.misfit <= _FITS_PART * listed.misfit
+    if trial.deviation >= 1 or trial.share > _FITS_SHARE:
+        return False
+    fewer = listed.share > _ODD_SHARE and trial.share <= _FITS_PART * listed.share
+    return fewer or (listed.deviation > 1 and trial.deviation <= _FITS_PART * listed.deviation)
 
 
 def _carries_fringes(sample: FrameSample, exposure: int) -> NDArray[np.bool_]:
@@ -210,9 +269,8 @@ def _try(levels: Float32, shows: NDArray[np.int64], sample: FrameSample) -> _Tri
         lit = told.judged & unclipped(levels[listed], sample.saturation)
         if lit.sum() < _LEAST_PIXELS:
             continue
-        deviation = frame_deviations(fit, sample.code.steps, lit, 1, np.array([0])).max()
-        share = float(told.contradictory[lit].mean())
-        worst = max(worst, float(deviation), told.drift / DRIFT, share / _FITS_SHARE)
+        deviation = largest_deviation(fit, sample.code, lit, 1, np.array([0]))[0]
+        worst = max(worst, float(deviation), told.drift / DRIFT)
         contradictory += int(told.contradictory[lit].sum())
         judged += int(lit.sum())
     return _Trial(worst, contradictory / max(judged, 1), judged)

@@ -53,14 +53,14 @@ class FrameFault:
 
     @property
     def telling(self) -> bool:
-        """Whether the look alone says that the frame is wrong."""
-        return self.look != "other"
+        """Whether the look alone says that the frame is wrong, whatever the others are."""
+        return self.look in ("same", "dark")
 
 
 def describe_frame(
     sample: FrameSample, exposure: int, frame: int, left_out: Sequence[int], finer: Finer | None = None
-) -> FrameFault:
-    """Describe a frame of an exposure by the frames other than `left_out`.
+) -> FrameFault | None:
+    """Describe a frame of an exposure by the frames other than `left_out`; None: it is what it should be.
 
     Parameters
     ----------
@@ -71,7 +71,10 @@ def describe_frame(
     finer : callable, optional
         Samples other image rows of the same frames.
     """
-    rows = _wrong_rows(sample, exposure, frame, left_out, finer)
+    wrong = _row_misfit(sample, exposure, frame, left_out)
+    if np.isfinite(wrong).any() and not (wrong > 1).any():
+        return None
+    rows = _wrong_rows(sample, wrong, exposure, frame, left_out, finer)
     inside = _inside(sample.rows, rows)
     part = FrameSample(
         sample.levels[:, :, inside], sample.rows[inside], sample.columns[inside], sample.code, sample.noise,
@@ -113,10 +116,9 @@ def _fit_without(
 
 
 def _wrong_rows(
-    sample: FrameSample, exposure: int, frame: int, left_out: Sequence[int], finer: Finer | None
+    sample: FrameSample, wrong: Array, exposure: int, frame: int, left_out: Sequence[int], finer: Finer | None
 ) -> tuple[int | None, int | None]:
     """Image rows in which a frame differs from its own pattern; (None, None): in all of them, or unknown."""
-    wrong = _row_misfit(sample, exposure, frame, left_out)
     judged = np.flatnonzero(np.isfinite(wrong))
     if not judged.size:
         return None, None
@@ -157,7 +159,7 @@ def _row_misfit(sample: FrameSample, exposure: int, frame: int, left_out: Sequen
     fit, _, lit = fitted
     error = sample.frames(exposure)[frame] - fit.mean - fit.pattern(frame, sample.code.steps)
     alone = SinusoidFit(fit.mean, fit.phasors, fit.used, error[None], np.array([frame]))
-    deviation = frame_deviations(alone, sample.code.steps, lit, rows, np.arange(rows))[0]
+    deviation = frame_deviations(alone, sample.code, lit, rows, np.arange(rows), 1)[0]
     return np.where(lit.reshape(rows, -1).sum(1) >= _LEAST_PIXELS, deviation, np.nan)
 
 

@@ -16,6 +16,8 @@ from metrology.fringe import FringeCode
 
 # More counts than this have too many orders to try.
 _MOST_COUNTS = 4
+# Of more frames than this only neighbours are tried exchanged.
+_MOST_EXCHANGED = 16
 
 
 @dataclass(frozen=True)
@@ -99,9 +101,7 @@ def _of_names(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
             names, [k * code.steps + s for k in range(len(code.counts)) for s in step], code, exposures
         )
     yield FrameOrder("in reverse order, the last one first", tuple(range(total))[::-1])
-    yield _each_exposure(
-        "in reverse order, the last one first", list(range(code.fringe_frames))[::-1], code, exposures
-    )
+    yield _each_exposure("in reverse order, the last one first", list(range(code.fringe_frames))[::-1], code, exposures)
     interleaved = [i % exposures * code.frames + i // exposures for i in range(total)]
     yield FrameOrder("with all exposures of a frame one after the other", tuple(interleaved))
 
@@ -111,8 +111,8 @@ def _of_counts(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
     by_step = [i % k * n + i // k for i in range(n * k)]
     yield _each_exposure("with all counts of a step one after the other", by_step, code, exposures)
     if code.gray:
-        last = [(code.gray.frames + i) % code.frames for i in range(code.frames)]
-        yield _each_exposure("with the Gray-code frames before the fringes", _inverse(last), code, exposures)
+        first = list(range(code.fringe_frames, code.frames)) + list(range(code.fringe_frames))
+        yield _each_exposure("with the Gray-code frames before the fringes", first, code, exposures)
         bits = list(range(code.fringe_frames, code.frames))
         per_bit = 2 if code.gray.inverse else 1
         pairs = [bits[i : i + per_bit] for i in range(0, len(bits), per_bit)]
@@ -134,10 +134,6 @@ def _of_counts(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
             )
 
 
-def _inverse(shows: list[int]) -> list[int]:
-    return [int(i) for i in np.argsort(shows)]
-
-
 def _shifted(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
     """Sequences that run late or early, from the first frame or a later one on, or begin somewhere else."""
     total = exposures * code.frames
@@ -155,7 +151,7 @@ def _shifted(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
 def _exchanged(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
     total = exposures * code.frames
     for i in range(total):
-        for j in range(i + 1, total):
+        for j in range(i + 1, total if total <= _MOST_EXCHANGED else min(i + 2, total)):
             shows = list(range(total))
             shows[i], shows[j] = j, i
             yield FrameOrder(f"if frames {i + 1} and {j + 1} are exchanged", tuple(shows))

@@ -28,12 +28,14 @@ _ROWS, _COLUMNS = 136, 64
 _COLUMN_SHIFT = 0.382
 # The top of the camera's range, told from the brightest samples but for a few hot pixels.
 _BRIGHTEST, _CLIPPED = 0.999, 0.985
+# Wrong frames inflate the estimate of the noise: no camera's is taken to exceed these parts of that top.
+_MOST_READ_NOISE, _MOST_GAIN = 0.01, 5e-4
 # Phases contradict each other from this share of half a lattice step on …
 _CONTRADICTION = 0.5
 # … if noise does not explain it; a pixel is judged where these many deviations stay below this share.
 _NOISE_SIGMAS, _JUDGED = 4.0, 0.9
 # A count without fringes where the others have some: less than this share of the largest amplitude.
-_FAINT_COUNT = 0.1
+FAINT_COUNT = 0.1
 # Gray code: farther than this from the middle of the stripe (stripes), and than this from the fringe it tells (fringes).
 _OFF_STRIPE, _OFF_FRINGE = 0.55, 0.275
 
@@ -121,7 +123,9 @@ def sample_frames(
     columns = np.arange(0, width - column_stride + 1, column_stride)[None] + shift[:, None]
     levels = frames[:, :, rows[:, None], columns].astype(np.float32)
     saturation = _CLIPPED * float(np.quantile(levels[..., ::5, ::3], _BRIGHTEST))
-    return FrameSample(levels, rows, columns, code, noise, saturation)
+    read = min(noise.read_variance, max((_MOST_READ_NOISE * saturation) ** 2, 1e-3))
+    quiet = NoiseModel(read, min(noise.gain, _MOST_GAIN * saturation))
+    return FrameSample(levels, rows, columns, code, quiet, saturation)
 
 
 @lru_cache(maxsize=512)
@@ -198,7 +202,7 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     """Compare the counts of a fit with each other, or with the position in [0, 1) that Gray code tells (`coarse`)."""
     amplitude = fit.amplitude
     largest = amplitude.max(0)
-    faint = amplitude.min(0) < _FAINT_COUNT * largest
+    faint = amplitude.min(0) < FAINT_COUNT * largest
     sigma = noise.sigma(np.maximum(fit.mean, 0)) * np.sqrt(2 / code.steps) / (2 * np.pi * np.maximum(largest, 1e-6))
     turns = np.angle(fit.phasors).astype(np.float64) / (2 * np.pi)
     counts = tuple(code.counts[k] for k in fit.used)
@@ -218,9 +222,7 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     return Agreement(judged, judged & (far | faint), position, drift)
 
 
-def _from_stripes(
-    turns: Array, counts: tuple[int, ...], coarse: Float32, code: FringeCode
-) -> tuple[Array, Array]:
+def _from_stripes(turns: Array, counts: tuple[int, ...], coarse: Float32, code: FringeCode) -> tuple[Array, Array]:
     """Position, and how far phases lie from where Gray code, then the next coarser count, expects them; 1 is too far."""
     assert code.gray is not None
     worst = np.zeros(turns.shape[1])
