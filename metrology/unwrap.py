@@ -140,6 +140,39 @@ def _shortest(gram: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.einsum("ci,ij,cj->c", combinations, gram, combinations).min()))
 
 
+def nearest_lattice_point(
+    turns: NDArray[np.float64], lattice: OrderLattice
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Common position of wrapped phases, by the nearest wrap-count lattice point, and what they miss it by.
+
+    Parameters
+    ----------
+    turns : (counts, n) ndarray
+        Wrapped phases, turns.
+    lattice : OrderLattice
+
+    Returns
+    -------
+    position : (n,) ndarray
+        In [0, 1).
+    off : (counts, n) ndarray
+        Phases less those of the position, turns.
+    """
+    coordinates = lattice.to_lattice @ turns
+    rest = coordinates - np.rint(coordinates)
+    aside = rest - np.where(rest >= 0, 1.0, -1.0)
+    best = np.full(turns.shape[1], np.inf)
+    nearest = rest
+    for corner in product((False, True), repeat=len(rest)):
+        point = np.where(np.array(corner)[:, None], aside, rest)
+        distance = (point * (lattice.gram @ point)).sum(0)
+        nearest = np.where(distance < best, point, nearest)
+        best = np.minimum(best, distance)
+    unwrapped = turns - lattice.basis @ np.rint(coordinates - nearest)
+    position = (lattice.counts / (lattice.counts @ lattice.counts)) @ unwrapped
+    return position % 1, unwrapped - np.outer(lattice.counts, position)
+
+
 def heterodyne_beats(counts: tuple[int, ...]) -> NDArray[np.float64]:
     """First count of every level of successive differences, from the counts' own first one down to a single fringe.
 

@@ -32,13 +32,20 @@ class SceneChecks:
     max_saturated_fraction : float
         Share of the skin that may be saturated in every exposure before a warning says so. Glints on heads and edges
         take up less than a hundredth; where a twentieth is saturated, there are gaps larger than a rivet head.
+    contradictory_warning_fraction : float
+        Share of a camera's lit pixels whose fringes may contradict each other before a warning says so; a sound scan
+        has 0.005 at most.
+    max_contradictory_fraction : float
+        The same share from which a scan is refused, whether or not the wrong frame can be named.
     """
 
     min_valid_fraction: float = 0.02
     max_saturated_fraction: float = 0.05
+    contradictory_warning_fraction: float = 0.03
+    max_contradictory_fraction: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in ("min_valid_fraction", "max_saturated_fraction"):
+        for name in (field.name for field in fields(self)):
             if not 0 <= getattr(self, name) < 1:
                 raise UsageError(f"{name}: found {getattr(self, name):g}, expected 0 … 1")
 

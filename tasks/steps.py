@@ -32,6 +32,7 @@ from storage.archive.signed import refuse_signed_off
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
 from storage.scene import MANIFEST, Camera, Scene, load_scene
+from tasks.scan_checks import check_frames, contradiction_warnings, refuse_reversed_steps, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks
 
 
@@ -83,9 +84,13 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
         left_frames = _frames(scene, "left", readers)
         right_frames = right_reader.submit(_frames, scene, "right", readers)
         left = reconstruct.decode(left_frames, scene.code, size, scene.exposures, settings.reconstruction)
+        left_checked = check_frames("left", left_frames, left, scene, rig)
         del left_frames
         right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
+        right_checked = check_frames("right", right_frames.result(), right, scene, rig)
+    refuse_wrong_frames(scene, left_checked, right_checked, settings.checks)
     reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
+    refuse_reversed_steps(scene, reconstruction, settings)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
 
@@ -241,7 +246,12 @@ def assemble(
 ) -> InspectionResult:
     """Everything that is to be stored."""
     key = loaded.scene.key
-    warnings = [*loaded.warnings, *_overexposure(reconstruction, settings.checks), *registered.warnings]
+    warnings = [
+        *loaded.warnings,
+        *_overexposure(reconstruction, settings.checks),
+        *contradiction_warnings(reconstruction, settings.checks),
+        *registered.warnings,
+    ]
     if health.verdict == "warning":
         warnings.append(f"rig {loaded.rig.id}: {health.reason}")
     if spec.example:

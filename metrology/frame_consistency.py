@@ -1,0 +1,207 @@
+"""Whether a camera's frames are what the scene says: told from a coarse grid of every scan.
+
+Two things are looked at, over the whole picture and in bands of its rows, since a frame may be wrong in a part only:
+
+- *fringes that contradict each other*: the share of pixels whose phases (or phase and Gray-code stripe) tell no common
+  position;
+- *deviation of a frame*: what it differs by from what the other frames say of it, in brightness (relative to the mean
+  level) and in fringes (relative to their amplitude). Gamma leaves neither: its harmonics average out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView, PixelFlag
+from metrology.frame_sample import (
+    Array,
+    Float32,
+    FrameSample,
+    SinusoidFit,
+    agreement,
+    coarse_positions,
+    fit_sinusoids,
+)
+from metrology.fringe import FringeCode
+
+# A frame deviates if it is this much brighter or darker than the others say (flicker of 3 % leaves 0.05), …
+_BRIGHTNESS = 0.15
+# … or if its fringes are off by this share of their amplitude (flicker and vibration leave 0.06).
+_FRINGES = 0.3
+# Phases that miss each other systematically, as a share of half a lattice step (sound: 0.01).
+DRIFT = 0.1
+# Contrast that depends on the phase by this share of itself: a wrong frame lets it, a surface hardly. Asked where so few
+# counts leave little else to ask.
+_CONTRAST = 0.3
+_MOST_CONTRAST = 2.0
+_FEW_COUNTS = 2
+# Contradictions over the whole picture, and within one band of rows: a seam along the band takes up less.
+_CONTRADICTORY = 0.05
+_BAND_CONTRADICTORY = 0.5
+_ROWS_PER_BAND = 2
+# Gamma averages out over a fringe and more: bands along fringes are as high as one where half the projector is seen, and
+# frames of few fringes are not judged by their fringes.
+_FRINGES_PER_BAND = 1.2
+_PART_SEEN = 0.5
+_LEAST_COUNT = 8
+_LEAST_PIXELS = 30
+# Pixels with more clipped samples than one are left out: a frame brighter than the others clips alone.
+_CLIPPED_SAMPLES = 1
+_UNLIT = PixelFlag.SATURATED | PixelFlag.LOW_MODULATION
+_STRIDE = 4
+
+
+@dataclass(frozen=True)
+class FrameConsistency:
+    """How well one exposure's frames of one camera fit each other.
+
+    Attributes
+    ----------
+    judged : int
+        Pixels of the grid that could be judged.
+    contradictory : float
+        Share of them whose fringes contradict each other.
+    odd_rows : (rows,) bool
+        Rows of the grid in bands where a frame deviates or most fringes contradict each other.
+    deviation : float
+        Largest deviation of a frame, over the whole picture or a band; 1 is the limit.
+    drift : float
+        What the phases miss each other by systematically; 1 is the limit.
+    """
+
+    judged: int
+    contradictory: float
+    odd_rows: NDArray[np.bool_]
+    deviation: float
+    drift: float
+
+    @property
+    def odd(self) -> bool:
+        """Whether some frame is not what the scene says."""
+        return max(self.deviation, self.drift, self.contradictory / _CONTRADICTORY) > 1 or bool(self.odd_rows.any())
+
+
+def contradictory_share(view: DecodedView) -> float:
+    """Share of a view's lit pixels whose fringes contradict each other (`PixelFlag.ORDER_RESIDUAL`)."""
+    # One pixel in sixteen tells the share to a thousandth.
+    flags = view.flags[::_STRIDE, ::_STRIDE]
+    lit = (flags & _UNLIT) == 0
+    return float(((flags & PixelFlag.ORDER_RESIDUAL) != 0)[lit].mean()) if lit.any() else 0.0
+
+
+def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
+    """Judge one exposure's frames in the order in which the scene lists them."""
+    levels, gray = np.split(sample.frames(exposure), [sample.code.fringe_frames])
+    rows = len(sample.rows)
+    nothing = FrameConsistency(0, 0.0, np.zeros(rows, bool), 0.0, 0.0)
+    fit = fit_sinusoids(levels, range(len(levels)), sample.code)
+    if fit is None:
+        return nothing
+    coarse = coarse_positions(gray, sample.code, fit.mean)
+    told = agreement(fit, sample.code, sample.noise, coarse)
+    lit = told.judged & unclipped(levels, sample.saturation)
+    if lit.sum() < _LEAST_PIXELS:
+        return nothing
+    contradictory = told.contradictory & lit
+    per_band = _rows_per_band(sample)
+    bands = np.arange(0, rows, per_band)
+    counted = _per_band(lit, rows, bands)
+    enough = counted >= _LEAST_PIXELS
+    deviation = largest_deviation(fit, sample.code, lit, rows, bands)
+    share = _per_band(contradictory, rows, bands) / np.maximum(counted, 1)
+    whole = largest_deviation(fit, sample.code, lit, rows, np.array([0]))
+    odd_band = enough & ((deviation > 1) | (share > _BAND_CONTRADICTORY))
+    return FrameConsistency(
+        judged=int(lit.sum()),
+        contradictory=float(contradictory[lit].mean()),
+        odd_rows=np.repeat(odd_band, per_band)[:rows],
+        deviation=float(max(whole[0], deviation[enough].max(initial=0))),
+        drift=told.drift / DRIFT,
+    )
+
+
+def _rows_per_band(sample: FrameSample) -> int:
+    if sample.code.axis == "x":
+        return _ROWS_PER_BAND
+    fringes = _PART_SEEN * min((count for count in sample.code.counts if count >= _LEAST_COUNT), default=1)
+    return max(_ROWS_PER_BAND, int(np.ceil(_FRINGES_PER_BAND * len(sample.rows) / fringes)))
+
+
+def unclipped(levels: Float32, saturation: float) -> NDArray[np.bool_]:
+    """(n,) where at most one of the (frames, n) levels is clipped."""
+    return np.asarray((levels >= saturation).sum(0) <= _CLIPPED_SAMPLES)
+
+
+def frame_deviations(
+    fit: SinusoidFit,
+    code: FringeCode,
+    lit: NDArray[np.bool_],
+    rows: int,
+    bands: NDArray[np.int64],
+    least_count: int = _LEAST_COUNT,
+) -> Array:
+    """Deviation of each frame from what the others say, in bands of rows; 1 is the limit.
+
+    Parameters
+    ----------
+    fit : SinusoidFit
+        Of `rows` · columns pixels.
+    code : FringeCode
+    lit : (n,) bool
+        Pixels that count.
+    rows : int
+    bands : (b,) int
+        First row of each band.
+    least_count : int
+        Counts with fewer fringes are not judged by them.
+
+    Returns
+    -------
+    (frames, b) ndarray
+        0 in bands without lit pixels.
+    """
+    level = np.maximum(_per_band(np.where(lit, fit.mean, 0), rows, bands), 1e-6)
+    brightness = np.abs(_per_band(np.where(lit, fit.errors, 0), rows, bands)) / level
+    fringes = np.zeros_like(brightness)
+    for index, k in enumerate(fit.used):
+        own = fit.shows // code.steps == k
+        if not own.any() or code.counts[k] < least_count:
+            continue
+        phasor = np.where(lit, fit.phasors[index], 0)
+        power = np.maximum(_per_band(np.abs(phasor) ** 2, rows, bands), 1e-6)
+        fringes[own] = np.abs(_per_band(fit.errors[own] * phasor, rows, bands)) * 2 / power
+    return np.asarray(np.maximum(brightness / _BRIGHTNESS, fringes / _FRINGES))
+
+
+def largest_deviation(
+    fit: SinusoidFit, code: FringeCode, lit: NDArray[np.bool_], rows: int, bands: NDArray[np.int64]
+) -> Array:
+    """(b,) largest deviation in each band of any frame, or of the contrast from not depending on the phase."""
+    largest = frame_deviations(fit, code, lit, rows, bands).max(0)
+    if len(code.counts) > _FEW_COUNTS:
+        return np.asarray(largest)
+    amplitude, number = fit.amplitude, np.maximum(_per_band(lit, rows, bands), 1)
+    for index, k in enumerate(fit.used):
+        if code.counts[k] < _LEAST_COUNT:
+            continue
+        contrast = np.where(lit, np.minimum(amplitude[index] / np.maximum(fit.mean, 1), _MOST_CONTRAST), 0)
+        total = np.maximum(_per_band(contrast, rows, bands), 1e-6)
+        direction = np.where(lit, fit.phasors[index] / np.maximum(amplitude[index], 1e-6), 0)
+        turned = direction
+        for _ in range(
+            2
+        ):  # a frame that is off as a whole shows at the phase itself, one with other fringes at twice it
+            seen = _per_band(contrast * turned, rows, bands) - total / number * _per_band(turned, rows, bands)
+            largest = np.maximum(largest, 2 * np.abs(seen) / total / _CONTRAST)
+            turned = turned * direction
+    return np.asarray(largest)
+
+
+def _per_band(values: NDArray, rows: int, bands: NDArray[np.int64]) -> NDArray:
+    """Sums of (…, n) values over each band's rows, (…, b)."""
+    kind = np.complex128 if np.iscomplexobj(values) else np.float64
+    by_row = values.reshape(*values.shape[:-1], rows, -1).sum(-1, dtype=kind)
+    return np.asarray(np.add.reduceat(by_row, bands, axis=-1))

@@ -1,0 +1,250 @@
+"""A coarse grid of one camera's frames, and how well each frame fits the others there.
+
+Every pixel sees, in all frames of an exposure, one mean level A and per fringe count one phasor ``C − jS = B e^{jφ}``:
+``I = A + C_k cos δ_j − S_k sin δ_j`` with 1 + 2K unknowns for K counts. A sound scan has more frames than that; what
+the others say about a frame (its residual divided by one minus its leverage) needs no second fit. Unlike the
+difference of neighbours that `metrology.noise` uses, it keeps the smooth residual that a wrong frame leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.fringe import FringeCode
+from metrology.gray import stripe_positions
+from metrology.noise import NoiseModel
+from metrology.unwrap import nearest_lattice_point, order_lattice
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+# About this many rows and columns are looked at; the columns lie differently in each row, whatever the fringes' period.
+_ROWS, _COLUMNS = 136, 64
+_COLUMN_SHIFT = 0.382
+# The top of the camera's range, told from the brightest samples but for a few hot pixels.
+_BRIGHTEST, _CLIPPED = 0.999, 0.985
+# Wrong frames inflate the estimate of the noise: no camera's is taken to exceed these parts of that top.
+_MOST_READ_NOISE, _MOST_GAIN = 0.01, 5e-4
+# Phases contradict each other from this share of half a lattice step on …
+_CONTRADICTION = 0.5
+# … if noise does not explain it; a pixel is judged where these many deviations stay below this share.
+_NOISE_SIGMAS, _JUDGED = 4.0, 0.9
+# A count without fringes where the others have some: less than this share of the largest amplitude.
+FAINT_COUNT = 0.1
+# Gray code: farther than this from the middle of the stripe (stripes), and than this from the fringe it tells (fringes).
+_OFF_STRIPE, _OFF_FRINGE = 0.55, 0.275
+
+
+@dataclass(frozen=True)
+class FrameSample:
+    """Samples of one camera's frames on a coarse grid.
+
+    Attributes
+    ----------
+    levels : (exposures, frames, rows, columns) float32
+    rows : (rows,) int
+        Image rows of the grid.
+    columns : (rows, columns) int
+        Image columns of the grid.
+    code : FringeCode
+    noise : NoiseModel
+    saturation : float
+        Grey level from which a sample counts as clipped.
+    """
+
+    levels: Float32
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    code: FringeCode
+    noise: NoiseModel
+    saturation: float
+
+    def frames(self, exposure: int) -> Float32:
+        """(frames, pixels) of one exposure."""
+        return self.levels[exposure].reshape(self.levels.shape[1], -1)
+
+
+@dataclass(frozen=True)
+class SinusoidFit:
+    """One exposure's fit of mean level and phasors at n pixels.
+
+    Attributes
+    ----------
+    mean : (n,) float32
+    phasors : (counts used, n) complex64
+        B e^{jφ}.
+    used : tuple of int
+        Which of the code's counts have enough frames for a phasor.
+    errors : (frames, n) float32
+        Each frame less what the others say of it; 0 where they say nothing.
+    shows : (frames,) int
+        The pattern that each of these frames was taken for.
+    """
+
+    mean: Float32
+    phasors: NDArray[np.complex64]
+    used: tuple[int, ...]
+    errors: Float32
+    shows: NDArray[np.int64]
+
+    @property
+    def amplitude(self) -> Float32:
+        """(counts used, n) B."""
+        return np.abs(self.phasors)
+
+    def pattern(self, index: int, steps: int) -> Float32:
+        """(n,) what pattern `index` adds to the mean level, from its count's phasor."""
+        count, step = divmod(index, steps)
+        turned = self.phasors[self.used.index(count)] * np.complex64(np.exp(2j * np.pi * step / steps))
+        return np.ascontiguousarray(turned.real)
+
+
+def sample_frames(
+    frames: NDArray, code: FringeCode, noise: NoiseModel, rows: NDArray[np.int64] | None = None
+) -> FrameSample:
+    """Take a coarse grid of samples out of one camera's frames; `rows` names image rows other than the usual ones.
+
+    Parameters
+    ----------
+    frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
+    code : FringeCode
+    noise : NoiseModel
+    """
+    height, width = frames.shape[2:]
+    row_stride, column_stride = max(1, height // _ROWS), max(1, width // _COLUMNS)
+    if rows is None:
+        rows = np.arange(row_stride // 2, height, row_stride)
+    shift = (np.arange(len(rows)) * _COLUMN_SHIFT * column_stride).astype(int) % column_stride
+    columns = np.arange(0, width - column_stride + 1, column_stride)[None] + shift[:, None]
+    levels = frames[:, :, rows[:, None], columns].astype(np.float32)
+    saturation = _CLIPPED * float(np.quantile(levels[..., ::5, ::3], _BRIGHTEST))
+    read = min(noise.read_variance, max((_MOST_READ_NOISE * saturation) ** 2, 1e-3))
+    quiet = NoiseModel(read, min(noise.gain, _MOST_GAIN * saturation))
+    return FrameSample(levels, rows, columns, code, quiet, saturation)
+
+
+@lru_cache(maxsize=512)
+def _solver(shows: tuple[int, ...], steps: int, counts: int) -> tuple[tuple[int, ...], Array, Array] | None:
+    """Counts with a phasor, the solver (1 + 2·used, frames) of their fit, and errors (frames, frames) from levels.
+
+    None where no count has frames enough.
+    """
+    patterns = np.array(shows)
+    step = 2 * np.pi * (patterns % steps) / steps
+    used = tuple(k for k in range(counts) if len(set(patterns[patterns // steps == k])) >= 2)
+    design = [np.ones(len(shows))]
+    for k in used:
+        own = patterns // steps == k
+        design += [own * np.cos(step), own * -np.sin(step)]
+    matrix = np.column_stack(design)[np.isin(patterns // steps, used)] if used else np.empty((0, 1))
+    if not used or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
+        return None
+    solver = np.zeros((matrix.shape[1], len(shows)))
+    solver[:, np.isin(patterns // steps, used)] = np.linalg.pinv(matrix)
+    residual = np.eye(len(shows)) - np.column_stack(design) @ solver
+    own = np.diag(residual)
+    told = np.isin(patterns // steps, used) & (own > 1e-6)
+    return used, solver, np.where(told[:, None], residual / np.where(told, own, 1.0)[:, None], 0.0)
+
+
+def fit_sinusoids(levels: Float32, shows: Sequence[int], code: FringeCode) -> SinusoidFit | None:
+    """Fit mean level and phasors, each frame being taken for the pattern that it `shows`.
+
+    Parameters
+    ----------
+    levels : (frames, n) float32
+    shows : sequence of int
+        Pattern of each frame, count-major, then step.
+    code : FringeCode
+
+    Returns
+    -------
+    SinusoidFit or None
+        None where these frames do not determine it.
+    """
+    solved = _solver(tuple(int(p) for p in shows), code.steps, len(code.counts))
+    if solved is None:
+        return None
+    used, solver, errors = solved
+    values = solver.astype(np.float32) @ levels
+    phasors = values[1::2] + 1j * values[2::2]
+    return SinusoidFit(values[0], phasors, used, errors.astype(np.float32) @ levels, np.array(shows))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether the counts of a fit (or fringes and Gray code) tell one position.
+
+    Attributes
+    ----------
+    judged : (n,) bool
+        Where there are fringes enough to judge by.
+    contradictory : (n,) bool
+        False where not judged.
+    position : (n,) float64
+        In [0, 1) across the projector; across a common factor's part of it where only such counts are used.
+    drift : float
+        Median of what the phases miss a common position by, as a share of half a lattice step; 0 with Gray code.
+    """
+
+    judged: NDArray[np.bool_]
+    contradictory: NDArray[np.bool_]
+    position: Array
+    drift: float
+
+
+def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Float32 | None = None) -> Agreement:
+    """Compare the counts of a fit with each other, or with the position in [0, 1) that Gray code tells (`coarse`)."""
+    amplitude = fit.amplitude
+    largest = amplitude.max(0)
+    faint = amplitude.min(0) < FAINT_COUNT * largest
+    sigma = noise.sigma(np.maximum(fit.mean, 0)) * np.sqrt(2 / code.steps) / (2 * np.pi * np.maximum(largest, 1e-6))
+    turns = np.angle(fit.phasors).astype(np.float64) / (2 * np.pi)
+    counts = tuple(code.counts[k] for k in fit.used)
+    drift = 0.0
+    if coarse is not None:
+        judged = _NOISE_SIGMAS * sigma < _OFF_FRINGE
+        position, off = _from_stripes(turns, counts, coarse, code)
+        far = off > 1
+    else:
+        lattice = order_lattice(tuple(c // int(np.gcd.reduce(counts)) for c in counts))
+        half = lattice.shortest / 2
+        judged = _NOISE_SIGMAS * sigma < _JUDGED * half
+        position, missed = nearest_lattice_point(turns, lattice)
+        far = np.sqrt((missed**2).sum(0)) > np.maximum(_CONTRADICTION * half, _NOISE_SIGMAS * sigma)
+        if len(counts) > 1 and judged.any():
+            drift = float(np.linalg.norm(np.median(missed[:, judged], axis=1))) / half
+    return Agreement(judged, judged & (far | faint), position, drift)
+
+
+def _from_stripes(turns: Array, counts: tuple[int, ...], coarse: Float32, code: FringeCode) -> tuple[Array, Array]:
+    """Position, and how far phases lie from where Gray code, then the next coarser count, expects them; 1 is too far."""
+    assert code.gray is not None
+    worst = np.zeros(turns.shape[1])
+    position = coarse.astype(np.float64)
+    for index, k in enumerate(np.argsort(counts)):
+        off = turns[k] - counts[k] * position
+        off -= np.rint(off)
+        limit = max(_OFF_STRIPE * counts[k] / code.gray.stripes, _OFF_FRINGE) if index == 0 else _OFF_FRINGE
+        worst = np.maximum(worst, np.abs(off) / limit)
+        position = position + off / counts[k]
+    return position, worst
+
+
+def coarse_positions(levels: Float32, code: FringeCode, reference: Float32) -> Float32 | None:
+    """(n,) positions in [0, 1) that Gray code tells; None for a code without.
+
+    Parameters
+    ----------
+    levels : (gray frames, n) float32
+    reference : (n,) float32
+        Mean level of the fringe frames.
+    """
+    if code.gray is None:
+        return None
+    return stripe_positions(levels[None, :, None], code.gray, reference[None], (1.0,), np.inf)[0]

@@ -1,0 +1,198 @@
+"""Checks of a scan's frames: one that contradicts the others is refused by name; messages for the person at the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView, Reconstruction
+from metrology.errors import SceneError
+from metrology.frame_consistency import FrameConsistency, contradictory_share, frame_consistency
+from metrology.frame_diagnosis import FrameDiagnosis, diagnose_frames
+from metrology.frame_faults import FrameFault
+from metrology.frame_geometry import expected_gradient, runs_backwards, steps_are_reversed
+from metrology.frame_sample import FrameSample, sample_frames
+from metrology.rig import Rig
+from storage.scene import Camera, Scene
+from tasks.settings import InspectionSettings, SceneChecks
+
+
+@dataclass(frozen=True)
+class CheckedFrames:
+    """What a camera's frames say about each other.
+
+    Attributes
+    ----------
+    camera : "left" or "right"
+    sample : FrameSample
+    found : tuple of FrameConsistency
+        Of each exposure.
+    diagnosis : FrameDiagnosis or None
+        Of frames that are suspicious.
+    """
+
+    camera: Camera
+    sample: FrameSample
+    found: tuple[FrameConsistency, ...]
+    diagnosis: FrameDiagnosis | None
+
+
+def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scene, rig: Rig) -> CheckedFrames:
+    """Look at one camera's frames, closely where a coarse grid of them is suspicious.
+
+    Parameters
+    ----------
+    camera : "left" or "right"
+    frames : (exposures, frames, h, w) ndarray of uint8 or uint16
+    view : DecodedView
+        Of these frames.
+    scene : Scene
+    rig : Rig
+    """
+    assert view.noise is not None
+    noise = view.noise
+    sample = sample_frames(frames, scene.code, noise)
+    found = tuple(frame_consistency(sample, exposure) for exposure in range(len(frames)))
+    seen = sum(judged.judged for judged in found) > 0
+    if seen and not any(judged.odd for judged in found):
+        return CheckedFrames(camera, sample, found, None)
+
+    def finer(rows: NDArray[np.int64]) -> FrameSample:
+        return sample_frames(frames, scene.code, noise, rows)
+
+    device = rig.left if camera == "left" else rig.right
+    gradient = expected_gradient(device, rig.projector, scene.code.axis)
+    return CheckedFrames(camera, sample, found, diagnose_frames(sample, found, finer, gradient))
+
+
+def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames, checks: SceneChecks) -> None:
+    """Refuse a scan whose frames are not what it says, naming what they look like."""
+    _refuse_shared_pictures(scene, left, right)
+    views = (left, right)
+    orders = [view.diagnosis.order for view in views if view.diagnosis and view.diagnosis.order]
+    if orders:
+        cameras = [view.camera for view in views if view.diagnosis and view.diagnosis.order]
+        alike = len(orders) == 2 and orders[0] == orders[1]
+        told = (
+            f"of both cameras fit {orders[0].what}"
+            if alike
+            else "; ".join(
+                f"of the {camera} camera fit {order.what}" for camera, order in zip(cameras, orders, strict=True)
+            )
+        )
+        raise SceneError(
+            f"{scene.folder}: found that the frames {told}, expected them as scene.json lists them: counts "
+            f"{', '.join(map(str, scene.code.counts))} of {scene.code.steps} steps in the order in which they were shown"
+        )
+    named = [view for view in views if view.diagnosis and view.diagnosis.faults]
+    if named:
+        raise SceneError("; ".join(_faults(scene, view) for view in named))
+    for view in views:
+        worst = max(view.found, key=lambda judged: judged.contradictory)
+        if worst.contradictory > checks.max_contradictory_fraction:
+            raise SceneError(
+                f"{scene.folder}: found fringes that contradict each other in {worst.contradictory:.0%} of the lit "
+                f"pixels of the {view.camera} camera, expected hardly any: frames that belong together, in the order "
+                f"and with the fringe counts and steps that scene.json says"
+            )
+        if any(judged.deviation > 1 or judged.drift > 1 for judged in view.found):
+            raise SceneError(
+                f"{scene.folder}: found frames of the {view.camera} camera that do not fit each other, expected "
+                "frames of one scan, alike but for their fringes"
+            )
+
+
+def refuse_reversed_steps(scene: Scene, reconstruction: Reconstruction, settings: InspectionSettings) -> None:
+    """Refuse steps in reverse order, which leave no contradiction: the projector coordinate runs backwards."""
+    if not runs_backwards(reconstruction, scene.code.axis):
+        return
+    if steps_are_reversed(reconstruction, scene.code, settings.reconstruction, settings.rig_health):
+        raise SceneError(
+            f"{scene.folder}: found that the frames of both cameras fit the rig with the steps of each count in reverse "
+            "order, expected step 1 to the last as scene.json lists them"
+        )
+
+
+def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
+    """A warning for each camera in which fringes contradict each other in more than a sound scan's pixels."""
+    warnings = []
+    for name, view in (("left", reconstruction.left), ("right", reconstruction.right)):
+        share = contradictory_share(view)
+        if share > checks.contradictory_warning_fraction:
+            warnings.append(
+                f"{share:.1%} of the lit pixels of the {name} camera have fringes that contradict each other; they have "
+                "no points; look for movement, reflections of the fringes, or a frame that is not of this scan"
+            )
+    return warnings
+
+
+def _refuse_shared_pictures(scene: Scene, left: CheckedFrames, right: CheckedFrames) -> None:
+    """Refuse a picture that both cameras are said to have taken."""
+    if left.sample.levels.shape != right.sample.levels.shape:
+        return
+    pictures = [view.sample.levels.reshape(-1, *view.sample.levels.shape[2:]) for view in (left, right)]
+    for index, (one, other) in enumerate(zip(*pictures, strict=True)):
+        if np.ptp(one) > 0 and np.array_equal(one, other):
+            raise SceneError(
+                f"{scene.right[index]}: found the same picture as {_short(scene, 'left', index)}, "
+                "expected the right camera's own"
+            )
+
+
+def _faults(scene: Scene, view: CheckedFrames) -> str:
+    """The frames of a camera that do not fit, each with what it looks like."""
+    diagnosis = view.diagnosis
+    assert diagnosis is not None
+    paths = scene.left if view.camera == "left" else scene.right
+    told = [(paths[fault.frame], _look(scene, view.camera, fault)) for fault in diagnosis.faults]
+    if diagnosis.either:
+        names = " or ".join(_short(scene, view.camera, fault.frame) for fault in diagnosis.faults)
+        return (
+            f"{scene.folder}: found that {names} does not fit the other frames, which one cannot be told, "
+            "expected frames that fit each other"
+        )
+    return "; ".join(
+        f"{path}: found {look}, expected {_expected(scene, fault)}"
+        for (path, look), fault in zip(told, diagnosis.faults, strict=True)
+    )
+
+
+def _expected(scene: Scene, fault: FrameFault) -> str:
+    count, step = divmod(fault.frame % scene.code.frames, scene.code.steps)
+    exposure = f" at exposure {fault.frame // scene.code.frames + 1}" if len(scene.exposures) > 1 else ""
+    return f"step {step + 1} of count {scene.code.counts[count]}{exposure}"
+
+
+def _look(scene: Scene, camera: Camera, fault: FrameFault) -> str:
+    count = scene.code.counts[fault.frame % scene.code.frames // scene.code.steps]
+    other = "" if fault.other is None else _short(scene, camera, fault.other)
+    look = {
+        "same": f"the same picture as {other}",
+        "like": f"what {other} shows",
+        "dark": "a dark frame",
+        "flat": "no fringes",
+        "brighter": f"a frame {fault.factor:.2f} times as bright as the others",
+        "darker": f"a frame {fault.factor:.2f} times as bright as the others",
+        "other": "a picture that does not fit",
+    }[fault.look]
+    where = _rows(fault.rows)
+    if where:
+        return f"that it does not fit the other steps of count {count} {where} ({look})"
+    return f"{look} (it does not fit the other steps of count {count})" if fault.look == "other" else look
+
+
+def _rows(rows: Sequence[int | None]) -> str:
+    first, end = rows
+    if first is None and end is None:
+        return ""
+    if first is None:
+        return f"above row {end}"
+    return f"below row {first}" if end is None else f"in rows {first} to {end - 1}"
+
+
+def _short(scene: Scene, camera: Camera, index: int) -> str:
+    path = (scene.left if camera == "left" else scene.right)[index]
+    return path.relative_to(scene.folder).as_posix()
