@@ -90,7 +90,7 @@ def _shifted(places: Labels, board: Board) -> list[Placement]:
     fits = []
     for x in range(min(0, slack[0]), max(0, slack[0]) + 1):
         for y in range(min(0, slack[1]), max(0, slack[1]) + 1):
-            shifted = places - places.min(0) + (x, y)
+            shifted = places - places.min(0) + grid.min(0) + (x, y)
             index = np.array([feature.get((int(i), int(j)), -1) for i, j in shifted])
             on_board = np.flatnonzero(index >= 0)
             if len(places) - len(on_board) <= _STRAY:
@@ -115,8 +115,8 @@ def upright(fits: list[Placement], pixels: Array, board: Board) -> Placement:
         if not (same and any(np.array_equal(fit.index, index) for index in alike)):
             what = "dots" if board.has_dots else "corners"
             raise CalibrationError(
-                f"found {len(best.index)} of {len(board.grid)} {what} of the {board}, which fit in more than one place: "
-                "a row or column is out of view, or the board is another one"
+                f"found {len(best.index)} of {len(board.grid)} {what} of the {board}, which fit in more than one "
+                "place: a row or column is out of view, or the board is another one"
             )
     return best
 
