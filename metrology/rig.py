@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 # Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
 MAX_DISTORTION_TERMS = 8
+_LARGEST = 1e12  # beyond any pixel or millimetre, and far from overflowing
 _ROTATION_TOLERANCE = 1.1e-6
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
@@ -59,6 +60,8 @@ class Device:
             raise RigError(f"distortion: found {self.distortion.size} terms, expected 0, 4, 5 or 8")
         if not all(np.isfinite(getattr(self, n)).all() for n in ("K", "distortion", "R", "t")):
             raise RigError("found a value that is not finite, expected numbers throughout K, distortion, R and t")
+        if (largest := max(np.abs(getattr(self, n)).max(initial=0) for n in ("K", "distortion", "R", "t"))) > _LARGEST:
+            raise RigError(f"found the value {largest:g}, expected pixels and millimetres")
         if self.width <= 0 or self.height <= 0:
             raise RigError(f"size: found {self.width}×{self.height}, expected positive numbers of pixels")
         if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
