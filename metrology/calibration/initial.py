@@ -23,6 +23,11 @@ _SAME_PLACE = 0.02  # of the distance to the board
 _BAD_VIEW_PX = 2.0  # a view this far from the rest of its camera's is of another board or another camera
 _BAD_VIEW_TIMES = 5.0
 
+_DISAGREEING = (
+    "frames of different poses or cameras mixed up",
+    "it saw too few and too similar poses, or its frames are of other poses",
+)
+
 
 @dataclass(frozen=True)
 class PlaneView:
@@ -184,7 +189,7 @@ def _relative(name: DeviceName, of: SingleDevice, left: SingleDevice) -> tuple[D
     if len(group) < LEAST_POSES or 2 * len(group) <= len(common):
         raise CalibrationError(
             f"{name}: found {len(group)} of {len(common)} poses of the board that agree on where it stands to the left "
-            f"camera, expected at least {LEAST_POSES} and most of them: frames of different poses or cameras mixed up"
+            f"camera, expected at least {LEAST_POSES} and most of them: {_DISAGREEING[name == 'projector']}"
         )
     u, _, vt = np.linalg.svd(np.sum([turns[p] for p in group], axis=0))
     rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
