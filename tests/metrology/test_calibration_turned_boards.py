@@ -131,11 +131,11 @@ def test_exchanged_frames_are_still_called_that_on_a_symmetric_board() -> None:
 
 def test_an_even_grid_held_upright_is_no_board_out_of_view() -> None:
     board = Board("asymmetric_circles", 7, 10, 15.0, 8.0)
-    pixels = np.column_stack([-board.grid[:, 1], board.grid[:, 0]]) * 20.0
+    pixels = np.column_stack([-board.grid[:, 1], board.grid[:, 0]]).astype(float) * 20
     assert len(upright(place(board.grid, board), pixels, board).index) == len(board.grid)
     columns_lost = board.grid[board.grid[:, 0] < board.grid[:, 0].max() - 1]
     with pytest.raises(CalibrationError, match="more than one place"):
-        upright(place(columns_lost, board), columns_lost * 20.0, board)
+        upright(place(columns_lost, board), columns_lost.astype(float) * 20, board)
 
 
 def test_a_chessboards_quarter_turn_is_told_by_its_colours() -> None:

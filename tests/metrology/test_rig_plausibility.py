@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,11 @@ from simulator.rig import RigDesign, turned, virtual_rig
 from tests.metrology.calibration_bench import bench_rig
 
 RIG = bench_rig()
+
+
+def with_device(name: str, device: Device) -> Rig:
+    changed: dict[str, Any] = {name: device}
+    return replace(RIG, **changed)
 
 
 def with_K(device: Device, **entries: float) -> Device:
@@ -83,7 +89,7 @@ def test_cameras_may_look_alike_or_be_rolled() -> None:
     ],
 )
 def test_an_absurd_device_is_refused(device: str, change: Callable[[Device], Device], said: str) -> None:
-    wrong = replace(RIG, **{device: change(getattr(RIG, device))})
+    wrong = with_device(device, change(getattr(RIG, device)))
     with pytest.raises(RigError, match=f"^{device}: .*({said})") as caught:
         check_rig(wrong)
     assert "\n" not in str(caught.value)
@@ -99,7 +105,7 @@ def test_an_absurd_device_is_refused(device: str, change: Callable[[Device], Dev
 )
 def test_another_unit_is_named(device: str, change: Callable[[Device], Device], said: str) -> None:
     with pytest.raises(RigError, match=f"^{device}: found its centre .* expected 10 to 10000 mm.*{said}"):
-        check_rig(replace(RIG, **{device: change(getattr(RIG, device))}))
+        check_rig(with_device(device, change(getattr(RIG, device))))
 
 
 @pytest.mark.parametrize(
@@ -168,4 +174,5 @@ def mutated(device: str, rng: np.random.Generator) -> Rig:
             flat[a] *= rng.choice([1e-3, 1e3, 1e300, -1.0])
         case 4:
             flat[a] = np.nan
-    return replace(RIG, **{device: replace(old, **{name: value})})
+    changed: dict[str, Any] = {name: value}
+    return with_device(device, replace(old, **changed))
