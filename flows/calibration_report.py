@@ -33,6 +33,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
         f"<h1>Calibration {html.escape(rig.id)}</h1>",
         f"<p>Calibrated at {html.escape(rig.calibrated_at)}. Pixels of the raw images, uncertainties 95 %.</p>",
         *(f'<div class="warning">{html.escape(text)}</div>' for text in calibration.warnings),
+        _board_text(calibration),
         *_section("Reprojection", _reprojection_table(calibration), _residuals(calibration)),
         *_section("Poses", _pose_table(calibration), _rms_by_pose(calibration)),
         *_section("Coverage of the images", _COVERAGE_TEXT, _coverage(calibration)),
@@ -116,6 +117,13 @@ def _residuals(calibration: Calibration) -> go.Figure:
     figure.update_xaxes(title="Δu, px")
     figure.update_yaxes(title="Δv, px", scaleanchor="x")
     return figure.update_layout(height=420)
+
+
+def _board_text(calibration: Calibration) -> str:
+    if calibration.board_layout is None:
+        return ""
+    since = {"new": "as OpenCV draws it since 4.6", "old": "as OpenCV drew it before 4.6"}[calibration.board_layout]
+    return f"<p>ChArUco board of the {calibration.board_layout} layout, {since}.</p>"
 
 
 def _colour(pose: int) -> str:

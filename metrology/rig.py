@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 # Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
 MAX_DISTORTION_TERMS = 8
+_LARGEST = 1e12  # beyond any pixel or millimetre, and far from overflowing
+_ROTATION_TOLERANCE = 1.1e-6
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
@@ -58,12 +60,28 @@ class Device:
             raise RigError(f"distortion: found {self.distortion.size} terms, expected 0, 4, 5 or 8")
         if not all(np.isfinite(getattr(self, n)).all() for n in ("K", "distortion", "R", "t")):
             raise RigError("found a value that is not finite, expected numbers throughout K, distortion, R and t")
+        if (largest := max(np.abs(getattr(self, n)).max(initial=0) for n in ("K", "distortion", "R", "t"))) > _LARGEST:
+            raise RigError(f"found the value {largest:g}, expected pixels and millimetres")
         if self.width <= 0 or self.height <= 0:
             raise RigError(f"size: found {self.width}×{self.height}, expected positive numbers of pixels")
         if self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
             raise RigError(f"K: found focal lengths {self.K[0, 0]:g}, {self.K[1, 1]:g}, expected positive ones")
-        if not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-6) or np.linalg.det(self.R) < 0:
-            raise RigError("R: found a matrix that is not a rotation, expected orthonormal rows and determinant +1")
+        self._check_rotation()
+
+    def _check_rotation(self) -> None:
+        """Orthonormal rows, and a right hand remains one."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = float(np.abs(self.R @ self.R.T - np.eye(3)).max())
+            determinant = float(np.linalg.det(self.R))
+        if not off <= _ROTATION_TOLERANCE:
+            what = f"rows that are off orthonormal by {off:.2g}"
+        elif determinant < 0:
+            what = "a mirror: an axis has the other sign"
+        else:
+            return
+        raise RigError(
+            f"R: found a matrix that is not a rotation ({what}), expected orthonormal rows and determinant +1"
+        )
 
     @cached_property
     def centre(self) -> Array:

@@ -33,6 +33,9 @@ class PrintedBoard:
         squares, its inner corners at ((c + 1) s, (r + 1) s).
     cols, rows, spacing_mm, dot_diameter_mm, marker_mm, dictionary
         As in calibration.json.
+    layout : "new" or "old"
+        Of a ChArUco board with an even number of rows: "old" has a white square in its upper left corner, as OpenCV
+        drew it before 4.6.
     border_mm : float
         White margin around the outermost features.
     paper, ink : float
@@ -46,6 +49,7 @@ class PrintedBoard:
     dot_diameter_mm: float = 8.0
     marker_mm: float = 11.0
     dictionary: str = "DICT_5X5_100"
+    layout: Literal["new", "old"] = "new"
     border_mm: float = 15.0
     paper: float = 0.8
     ink: float = 0.06
@@ -55,6 +59,8 @@ class PrintedBoard:
             raise SpecError(f"board kind: found {self.kind!r}, expected one of {', '.join(_KINDS)}")
         if self.cols < 3 or self.rows < 3 or self.spacing_mm <= 0:
             raise SpecError(f"board: found {self.cols} × {self.rows} at {self.spacing_mm} mm, expected at least 3 × 3")
+        if self.layout not in ("new", "old"):
+            raise SpecError(f"board layout: found {self.layout!r}, expected new or old")
         if self.kind == "charuco" and not hasattr(cv2.aruco, self.dictionary):
             raise SpecError(f"board dictionary: found {self.dictionary!r}, expected an OpenCV name as DICT_5X5_100")
 
@@ -87,7 +93,10 @@ class PrintedBoard:
 
 
 class _Print(NamedTuple):
-    """The board for the kernels: kind, sizes, paper's corners, reflectances, and the charuco markers' modules."""
+    """The board for the kernels: kind, sizes, paper's corners, reflectances, and the charuco markers' modules.
+
+    `white` is (i + j) mod 2 of a ChArUco board's white squares.
+    """
 
     kind: int
     cols: int
@@ -98,6 +107,7 @@ class _Print(NamedTuple):
     corners: Floats
     paper: float
     ink: float
+    white: int
     modules: np.ndarray
 
 
@@ -111,7 +121,8 @@ def _pack(board: PrintedBoard) -> _Print:
         modules = np.stack(markers).astype(np.uint8)
     return _Print(
         _KINDS.index(board.kind), board.cols, board.rows, board.spacing_mm, board.dot_diameter_mm / 2,
-        board.marker_mm, np.array(board.corners_mm), board.paper, board.ink, np.ascontiguousarray(modules, np.uint8),
+        board.marker_mm, np.array(board.corners_mm), board.paper, board.ink,
+        0 if board.layout == "old" and board.rows % 2 == 0 else 1, np.ascontiguousarray(modules, np.uint8),
     )  # fmt: skip
 
 
@@ -137,7 +148,7 @@ def _printed(board: _Print, x: float, y: float) -> float:
     i, j = math.floor(x / s), math.floor(y / s)
     if i < 0 or j < 0 or i >= board.cols or j >= board.rows:
         return board.paper
-    if (i + j) % 2 == 0:
+    if (i + j) % 2 != board.white:
         return board.ink
     # White squares carry the markers, numbered along the rows.
     number = (j * board.cols + i) // 2

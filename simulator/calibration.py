@@ -83,6 +83,8 @@ class CaptureSettings:
         Largest tilt of the board.
     depth_mm : float
         How far the poses reach before and behind the rig's aim point.
+    turns_deg : tuple of float
+        How the board is turned in its own plane: pose k by the (k mod n)-th, beside a few degrees.
     fringe : FringeCode or None
         Fringes along the projector's columns and rows instead of dots: its steps and counts for axis x; `rows_counts`
         for axis y.
@@ -93,6 +95,7 @@ class CaptureSettings:
     poses: int = 9
     tilt_deg: float = 28.0
     depth_mm: float = 45.0
+    turns_deg: tuple[float, ...] = (0.0,)
     fringe: FringeCode | None = None
     rows_counts: tuple[int, ...] = (44, 40, 37)
     brightness: float = 210.0
@@ -137,7 +140,8 @@ def board_poses(rig: Rig, board: PrintedBoard, settings: CaptureSettings, rng: n
     for _ in range(1000 * settings.poses):
         azimuth, tilt = rng.uniform(0, 2 * math.pi), math.radians(settings.tilt_deg) * math.sqrt(rng.uniform())
         lean = Rotation.from_rotvec(tilt * np.array([math.cos(azimuth), math.sin(azimuth), 0]))
-        roll = Rotation.from_rotvec([0, 0, rng.normal(0, math.radians(8)) + math.pi * rng.integers(0, 2)])
+        turn = math.radians(settings.turns_deg[len(poses) % len(settings.turns_deg)])
+        roll = Rotation.from_rotvec([0, 0, turn + rng.normal(0, math.radians(8)) + math.pi * rng.integers(0, 2)])
         turned = facing @ (lean * roll).as_matrix()
         offset = facing @ np.array([*rng.uniform(-55, 55, 2), rng.uniform(-1, 1) * settings.depth_mm])
         pose = Pose(turned, aim + offset - turned @ board.middle_mm)

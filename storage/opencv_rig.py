@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from metrology.errors import RigError
 from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
+from metrology.rig_plausibility import check_rig
 from storage.documents import check_regular_file
+from storage.lens_names import check_lens_names
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
@@ -36,6 +38,7 @@ _ALIASES: dict[str, tuple[str, ...]] = {
     "size3": ("projector_size",),
 }
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
+_FISHEYE_TERM = 0.002  # of the third and fourth term of four in a column, which of pinhole lenses are p1 and p2
 _PROJECTOR = ("M3", "D3", "R3", "T3", "size3")
 
 
@@ -75,14 +78,13 @@ def load_opencv_rig(
     told = _size(found.get("size"))
     if told is None and size is None:
         raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
-    width, height = size or told or (0, 0)
-    scale = MM_PER_UNIT[unit]
     try:
-        left = Device(width, height, found["M1"], _terms(found["D1"]), np.eye(3), np.zeros(3))
-        right = Device(
-            width, height, found["M2"], _terms(found["D2"]), _rotation(found["R"]), found["T"].ravel() * scale
-        )
-        return Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or _required(projector, named))
+        scale, size = MM_PER_UNIT[unit], size or told or (0, 0)
+        left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
+        right = _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
+        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or _required(projector, named))
+        check_rig(rig)
+        return rig
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(named) else f"{named}: {text}") from None
@@ -128,7 +130,12 @@ def _read(path: Path) -> dict[str, Array]:
             alias = next((alias for alias in aliases if alias in present), None)
             if alias is not None and (value := _matrix(root.getNode(alias))) is not None:
                 found[name] = value
+        said = {name: root.getNode(name) for name in present}
+        check_lens_names({name: node.string() for name, node in said.items() if node.isString()})
         storage.release()
+    except RigError as problem:
+        text = str(problem)
+        raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
     except (cv2.error, SystemError):
         raise RigError(f"{path}: found a damaged file, expected OpenCV's FileStorage in XML, YAML or JSON") from None
     return found
@@ -149,6 +156,13 @@ def _size(value: Array | None) -> Size | None:
     return int(value.ravel()[0]), int(value.ravel()[1])
 
 
+def _device(name: str, size: Size, K: Array, distortion: Array, R: Array, t: Array) -> Device:
+    try:
+        return Device(size[0], size[1], K, _terms(distortion), _rotation(R), t.ravel())
+    except RigError as problem:
+        raise RigError(f"{name}: {problem}") from None
+
+
 def _terms(value: Array) -> Array:
     """OpenCV writes up to 14 terms; those beyond the rational model must be zero."""
     terms = value.ravel()
@@ -156,12 +170,19 @@ def _terms(value: Array) -> Array:
         raise RigError(
             f"distortion: found {terms.size} terms with prism or tilt, expected at most {MAX_DISTORTION_TERMS}"
         )
+    if terms.size == 4 and value.shape[0] == 4 and np.abs(terms[2:]).max() > _FISHEYE_TERM:
+        raise RigError(
+            f"distortion: found a column of four terms, {', '.join(f'{term:g}' for term in terms)}, as OpenCV writes "
+            "k1 to k4 of a fisheye lens; expected a pinhole lens's k1, k2, p1, p2 in a row"
+        )
     return terms[:MAX_DISTORTION_TERMS]
 
 
 def _rotation(value: Array) -> Array:
     """A matrix, or a rotation vector."""
-    return value if value.size == 9 else np.asarray(cv2.Rodrigues(value.ravel())[0], float)
+    if value.size == 3 and np.isfinite(value).all():
+        return np.asarray(cv2.Rodrigues(value.ravel())[0], float)
+    return value
 
 
 def _projector(found: Mapping[str, Array], scale: float) -> Device | None:
@@ -172,9 +193,7 @@ def _projector(found: Mapping[str, Array], scale: float) -> Device | None:
     size = _size(found.get("size3"))
     if missing or size is None:
         raise RigError(f"found a projector without {', '.join(missing) or 'its size'}, expected it whole")
-    return Device(
-        size[0], size[1], found["M3"], _terms(found["D3"]), _rotation(found["R3"]), found["T3"].ravel() * scale
-    )
+    return _device("projector", size, found["M3"], found["D3"], found["R3"], found["T3"] * scale)
 
 
 def _required(projector: Device | None, named: str) -> Device:

@@ -14,7 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from metrology.errors import RigError
 from metrology.rig import Device, Rig
+from metrology.rig_plausibility import check_rig
 from storage.documents import check_format, read_json, utc_text
+from storage.lens_names import check_lens_names
 from storage.models import Identifier, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-rig/1"
@@ -60,13 +62,18 @@ class RigModel(_OpenModel):
 
 
 def load_rig(path: Path) -> Rig:
-    """Read a rig file."""
+    """Read a rig file to measure with: one that can be a real rig."""
     path = Path(path)
-    return rig_from_document(read_json(path, RigError), path)
+    rig = rig_from_document(read_json(path, RigError), path)
+    _check_plausible(rig, path)
+    return rig
 
 
 def rig_from_document(document: Mapping[str, Any], path: Path) -> Rig:
-    """The rig that a document describes; `path` names it in errors."""
+    """The rig that a document describes, real or not, to show what results were measured with.
+
+    `path` names it in errors.
+    """
     check_format(document, FORMAT, path, RigError)
     model = validate(RigModel, document, path, RigError)
     devices = {"left": model.cameras.left, "right": model.cameras.right, "projector": model.projector}
@@ -98,7 +105,7 @@ def save_rig(rig: Rig, path: Path) -> None:
     """Write a rig file; it is whole or not there, also where it replaces another or others write it too."""
     path = Path(path)
     document = rig_document(rig)
-    rig_from_document(document, path)
+    _check_plausible(rig_from_document(document, path), path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
@@ -109,6 +116,14 @@ def save_rig(rig: Rig, path: Path) -> None:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _check_plausible(rig: Rig, path: Path) -> None:
+    try:
+        check_lens_names(rig.extra)
+        check_rig(rig)
+    except RigError as problem:
+        raise RigError(f"{path}: {problem}") from None
 
 
 def _device(name: str, model: DeviceModel) -> Device:

@@ -67,6 +67,8 @@ def describe(result: Calibrated) -> list[str]:
         f"{sum(use.features for use in used)} features, {sum(use.outliers for use in used)} outliers",
         f"  reprojection RMS: {rms}",
     ]
+    if calibration.board_layout is not None:
+        lines.append(f"  ChArUco board: {calibration.board_layout} layout (OpenCV changed it in 4.6)")
     if calibration.field is not None:
         field = calibration.field
         lines.append(

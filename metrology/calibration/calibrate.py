@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 from metrology.calibration.board import Board
 from metrology.calibration.bundle import Adjusted, State, adjust, predict
 from metrology.calibration.detect import Detection
+from metrology.calibration.detect_board import Layout
 from metrology.calibration.distortion_model import PINHOLE, USUAL, Evidence, choose_terms
 from metrology.calibration.eccentricity import eccentricity
 from metrology.calibration.initial import LEAST_POSES, start_values, to_board
 from metrology.calibration.observations import DeviceName, Sighting
 from metrology.calibration.prediction import FieldUncertainty, field_uncertainty
 from metrology.calibration.projected_dots import ProjectedDots
+from metrology.calibration.turned_boards import labelled_alike
 from metrology.errors import CalibrationError
 from metrology.rig import Rig
+from metrology.rig_plausibility import stands_left
 
 Array = NDArray[np.float64]
 Terms = dict[DeviceName, tuple[str, ...]]
@@ -82,6 +85,8 @@ class Calibration:
         Root mean square reprojection distance by device, of both coordinates together as OpenCV has it; that of the
         projector in its own pixels.
     warnings : tuple of str
+    board_layout : "new", "old" or None
+        Of a ChArUco board: the layout that was found; None where there is but one.
     """
 
     adjusted: Adjusted
@@ -92,6 +97,7 @@ class Calibration:
     field: FieldUncertainty | None
     rms_px: dict[DeviceName, float]
     warnings: tuple[str, ...]
+    board_layout: Layout | None = None
 
     def rig(self, rig_id: str, calibrated_at: str) -> Rig:
         """The rig, its covariance and residuals in `extra`."""
@@ -135,6 +141,7 @@ class Calibration:
                 for use in self.poses
             ],
             "warnings": list(self.warnings),
+            **({"board_layout": self.board_layout} if self.board_layout else {}),
         }
 
 
@@ -149,13 +156,15 @@ def calibrate(
     for detection in detections:
         reasons[detection.pose] += [f"{detection.camera}: {reason}" for reason in detection.reasons]
     detections = _refuse_blurred(detections, reasons)
+    layout, detections = _of_one_layout(detections, reasons)
+    detections = labelled_alike(detections, board)
     sightings = sightings_of(detections, board, pattern)
     sizes: dict[DeviceName, tuple[int, int]] = {d.camera: d.size for d in detections}
     _require_poses(sightings, sizes, reasons)
     if projector_size is not None:
         sizes["projector"] = projector_size
         _require_projector(sightings, reasons)
-    return calibrate_sightings(sightings, sizes, reasons)
+    return replace(calibrate_sightings(sightings, sizes, reasons), board_layout=layout)
 
 
 def calibrate_sightings(
@@ -228,6 +237,26 @@ def _refuse_blurred(detections: Sequence[Detection], reasons: dict[int, list[str
         else:
             kept.append(detection)
     return kept
+
+
+def _of_one_layout(
+    detections: Sequence[Detection], reasons: dict[int, list[str]]
+) -> tuple[Layout | None, list[Detection]]:
+    """The layout of the ChArUco board in most pictures, and the pictures of it."""
+    layouts = [d.board.layout for d in detections if d.board is not None and d.board.layout is not None]
+    if not layouts:
+        return None, list(detections)
+    layout = max(set(layouts), key=layouts.count)
+    kept = []
+    for detection in detections:
+        if detection.board is not None and detection.board.layout != layout:
+            reasons[detection.pose].append(
+                f"{detection.camera}: found the {detection.board.layout} layout of the ChArUco board, expected the "
+                f"{layout} one as in most pictures: another board"
+            )
+        else:
+            kept.append(detection)
+    return layout, kept
 
 
 def _merged(views: Sequence[Sighting]) -> Sighting:
@@ -363,10 +392,11 @@ def _free(terms: Terms) -> dict[DeviceName, Sequence[str]]:
 
 def _check(adjusted: Adjusted) -> None:
     devices = adjusted.state.devices
-    if "right" in devices and devices["right"].centre[0] <= 0:
+    if "right" in devices and stands_left(devices["right"]):
         raise CalibrationError(
             f"the right camera came out {-devices['right'].centre[0]:.0f} mm to the left of the left one: "
-            "left and right frames are swapped throughout"
+            "left and right frames are swapped throughout (or both cameras hang upside down and are to be named as "
+            "their pictures show it)"
         )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -14,16 +15,18 @@ from metrology.calibration.corner_edge import fit_corner
 from metrology.calibration.dot_edge import DotFit, fit_dot
 from metrology.calibration.frames import BoardFrames
 from metrology.calibration.homography import apply_homography, fit_homography, unit_area
-from metrology.calibration.lattice import Labels, diagonal_to_grid, label_lattice, turned
+from metrology.calibration.lattice import Labels, diagonal_to_grid, label_lattice
+from metrology.calibration.placing import LEAST_PART, Placement, place, upright
 from metrology.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
+# Of a ChArUco board: which squares bear the markers. Boards with an odd number of rows are alike in both.
+Layout = Literal["new", "old"]
+
 LARGEST_SIGMA_PX = 0.03
-_LEAST_PART = 0.75  # of the features: with fewer the board is only half in view
 _LEAST_RIM = 0.8
 _OVEREXPOSED = 0.02
-_STRAY_DOTS = 2  # blobs that fit the lattice by chance
 _SIZE_TOLERANCE = 0.1  # of a dot's diameter over its spacing against the board's description
 _BLUR_OF_DOT = 0.35  # blur over a dot's smaller radius at which its middle no longer reaches its own level
 _REACH = 0.4  # of a square: how far from a corner its edges are used
@@ -46,6 +49,8 @@ class BoardView:
         Median blur of the edges; NaN where the detector does not tell.
     size : (int, int)
         Width and height of the image.
+    layout : "new", "old" or None
+        Of a ChArUco board: as OpenCV draws it since 4.6, or before; None where there is no difference.
     """
 
     index: NDArray[np.intp]
@@ -53,6 +58,7 @@ class BoardView:
     sigma_px: Array
     blur_px: float
     size: tuple[int, int]
+    layout: Layout | None = None
 
 
 def detect_board(frames: BoardFrames, board: Board) -> BoardView:
@@ -74,7 +80,7 @@ def _detect_dots(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
     fits = [fit for fit in (fit_dot(lit, weight, c) for c in printed_blobs(lit)) if fit is not None]
     fits = [fit for fit in fits if fit.rim_fraction > _LEAST_RIM]
     expected = len(board.grid)
-    if len(fits) < _LEAST_PART * expected:
+    if len(fits) < LEAST_PART * expected:
         blur = ", their edges are blurred" if fits and _blurred(fits) else ""
         raise CalibrationError(
             f"found {len(fits)} dots{blur}, expected {expected} of the {board}: board half in view, "
@@ -89,10 +95,10 @@ def _detect_dots(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
     found, labels = label_lattice(centres)
     if board.kind == "asymmetric_circles":
         labels = diagonal_to_grid(labels)
-    on_board, index = _place(labels, centres[found], board)
-    chosen = [fits[k] for k in found[on_board]]
+    placed = upright(place(labels, board), centres[found], board)
+    chosen = [fits[k] for k in found[placed.on_board]]
     view = BoardView(
-        index,
+        placed.index,
         np.array([fit.centre for fit in chosen]),
         np.array([fit.sigma_px for fit in chosen]),
         float(np.median([fit.blur_px for fit in chosen])),
@@ -104,54 +110,6 @@ def _detect_dots(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
 
 def _blurred(fits: list[DotFit]) -> bool:
     return bool(np.median([fit.blur_px / fit.minor_radius_px for fit in fits]) > _BLUR_OF_DOT)
-
-
-def _place(labels: Labels, pixels: Array, board: Board) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where on the board a lattice of dots lies.
-
-    Returns the lattice's rows that are on the board, and their features. Of the turns that fit a symmetric board, the
-    one whose x axis points most nearly along +u is taken, in both cameras alike.
-    """
-    grid = board.grid
-    feature = {(int(x), int(y)): k for k, (x, y) in enumerate(grid)}
-    fits: list[tuple[float, NDArray[np.intp], NDArray[np.intp]]] = []
-    seen = (0, 0)
-    for turn in range(4):
-        places = turned(labels, turn)
-        extent = np.ptp(places, axis=0)
-        seen = (int(extent[0]), int(extent[1])) if turn == 0 else seen
-        slack = grid.max(0) - extent
-        if (slack < -_STRAY_DOTS).any():
-            continue
-        for x in range(min(0, slack[0]), max(0, slack[0]) + 1):
-            for y in range(min(0, slack[1]), max(0, slack[1]) + 1):
-                shifted = places - places.min(0) + (x, y)
-                index = np.array([feature.get((int(i), int(j)), -1) for i, j in shifted])
-                on_board = np.flatnonzero(index >= 0)
-                if len(labels) - len(on_board) <= _STRAY_DOTS:
-                    fits.append((_along_u(grid[index[on_board]], pixels[on_board]), on_board, index[on_board]))
-    if not fits:
-        raise CalibrationError(
-            f"found {len(labels)} dots on a lattice {seen[0]} × {seen[1]} spacings wide, expected the {board}, "
-            f"{np.ptp(grid, axis=0)[0]} × {np.ptp(grid, axis=0)[1]}: wrong board size"
-        )
-    most = max(len(fit[1]) for fit in fits)
-    if most < _LEAST_PART * len(grid):
-        raise CalibrationError(f"found {most} of {len(grid)} dots of the {board}: board half in view or another one")
-    fits = sorted((fit for fit in fits if len(fit[1]) == most), key=lambda fit: -fit[0])
-    if len(fits) > 1 and np.isclose(fits[0][0], fits[1][0], atol=0.2):
-        raise CalibrationError(
-            f"found {most} of {len(grid)} dots of the {board}, which fit in more than one place: a row or column is "
-            "out of view, or the board is another one"
-        )
-    return fits[0][1], fits[0][2]
-
-
-def _along_u(grid: Labels, pixels: Array) -> float:
-    """Cosine of the angle between the board's x axis and +u in the image."""
-    centred = grid - grid.mean(0)
-    axes = np.linalg.lstsq(centred, pixels - pixels.mean(0), rcond=None)[0]
-    return float(axes[0, 0] / np.linalg.norm(axes[0]))
 
 
 def _check_dots(view: BoardView, fits: list[DotFit], board: Board) -> None:
@@ -184,13 +142,37 @@ def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, board: Board) -> Boa
             f"{board.rows}: wrong board size"
         )
     pixels = np.asarray(corners, float).reshape(-1, 2)
-    index = np.arange(len(pixels))
-    if _along_u(board.grid, pixels) < 0:
-        index = index[::-1].copy()
-    return _refine_corners(lit, board, index, pixels)
+    fits = place(_rows_of_corners(pixels, meta.shape[0]), board)
+    # Corners lie alike on boards of other colours: black squares on black ones, where there is a choice.
+    coloured = [fit for fit in fits if _contrast(lit, board, fit, pixels) > 0]
+    placed = upright(coloured or fits, pixels, board)
+    return _refine_corners(lit, board, placed.index, pixels[placed.on_board])
+
+
+def _rows_of_corners(pixels: Array, rows: int) -> Labels:
+    """Places (x, y) of corners listed row by row, never mirrored: +x turns to +y as +u to +v."""
+    cols = len(pixels) // rows
+    y, x = np.divmod(np.arange(len(pixels)), cols)
+    homography = fit_homography(np.column_stack([x, y]), pixels)
+    mirrored = np.linalg.det(homography) < 0
+    return np.column_stack([cols - 1 - x if mirrored else x, y])
+
+
+def _contrast(lit: Array, board: Board, fit: Placement, pixels: Array) -> float:
+    """Grey levels of the squares that should be white less those that should be black.
+
+    Square (i, j), whose lower right corner is corner (i, j), is black where i + j is even.
+    """
+    homography = fit_homography(board.grid[fit.index], pixels[fit.on_board])
+    j, i = np.mgrid[1 : board.rows, 1 : board.cols]
+    at = np.rint(apply_homography(homography, np.column_stack([i.ravel(), j.ravel()]) - 0.5)).astype(int)
+    level = lit[np.clip(at[:, 1], 0, lit.shape[0] - 1), np.clip(at[:, 0], 0, lit.shape[1] - 1)]
+    black = ((i + j) % 2 == 0).ravel()
+    return float(level[~black].mean() - level[black].mean())
 
 
 def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardView:
+    """Find the corners by either layout of the board: OpenCV changed it in 4.6 for boards of even rows."""
     identifier = getattr(cv2.aruco, board.dictionary or "", None)
     if not isinstance(identifier, int):
         raise CalibrationError(f"ChArUco dictionary: found {board.dictionary!r}, expected a name such as DICT_5X5_100")
@@ -200,16 +182,22 @@ def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardV
         float(board.marker_mm or 0),
         cv2.aruco.getPredefinedDictionary(identifier),
     )
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(printed).detectBoard(grey)
-    found = 0 if ids is None else len(ids)
+    layouts: tuple[Layout | None, ...] = ("new", "old") if board.rows % 2 == 0 else (None,)
+    found: dict[Layout | None, tuple[NDArray[np.intp], Array]] = {}
+    for layout in layouts:
+        printed.setLegacyPattern(layout == "old")
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(printed).detectBoard(grey)
+        if ids is not None and len(ids):
+            found[layout] = np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, float).reshape(-1, 2)
+    best = max(found, key=lambda layout: len(found[layout][0]), default=None)
+    index, pixels = found.get(best, (np.empty(0, np.intp), np.empty((0, 2))))
     expected = len(board.grid)
-    if found < 0.25 * expected or found < 6:
+    if len(index) < 0.25 * expected or len(index) < 6:
+        tried = ", in neither layout (before OpenCV 4.6, and since)" if len(layouts) > 1 else ""
         raise CalibrationError(
-            f"found {found} of {expected} corners of the {board}: half in view, blurred or another one"
+            f"found {len(index)} of {expected} corners of the {board}{tried}: half in view, blurred or another one"
         )
-    return _refine_corners(
-        lit, board, np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, float).reshape(-1, 2)
-    )
+    return replace(_refine_corners(lit, board, index, pixels), layout=best)
 
 
 def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: Array) -> BoardView:
@@ -224,7 +212,7 @@ def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: A
         if fit is not None and fit.sigma_px < 3 * LARGEST_SIGMA_PX:
             fits.append(fit)
             kept.append(k)
-    if len(fits) < _LEAST_PART * len(pixels):
+    if len(fits) < LEAST_PART * len(pixels):
         raise CalibrationError(
             f"{len(fits)} of {len(pixels)} corners of the {board} are sharp enough to be measured: blurred or too dark"
         )

@@ -23,6 +23,11 @@ _SAME_PLACE = 0.02  # of the distance to the board
 _BAD_VIEW_PX = 2.0  # a view this far from the rest of its camera's is of another board or another camera
 _BAD_VIEW_TIMES = 5.0
 
+_DISAGREEING = (
+    "frames of different poses or cameras mixed up",
+    "it saw too few and too similar poses, or its frames are of other poses",
+)
+
 
 @dataclass(frozen=True)
 class PlaneView:
@@ -33,7 +38,9 @@ class PlaneView:
 
 
 @dataclass(frozen=True)
-class _Zhang:
+class SingleDevice:
+    """A device by itself, and where the board stood to it: a point p of the board at R p + t in the device's frame."""
+
     device: Device
     rotations: dict[int, Array]
     translations: dict[int, Array]
@@ -53,15 +60,16 @@ def start_values(
     refused: dict[int, str] = {}
     views = {name: _printed(sightings, name) for name in _CAMERAS if name in sizes}
     while True:
-        cameras = {name: _zhang(name, views[name], sizes[name]) for name in views}
-        bad = {p: reason for name, zhang in cameras.items() for p, reason in _strange_views(name, zhang, views[name])}
+        cameras, bad = single_cameras(views, sizes)
+        refused |= bad
         devices: dict[DeviceName, Device] = {"left": cameras["left"].device}
-        if "right" in cameras and not bad:
-            devices["right"], bad = _relative("right", cameras["right"], cameras["left"])
+        if "right" not in cameras:
+            break
+        devices["right"], bad = _relative("right", cameras["right"], cameras["left"])
         if not bad:
             break
         refused |= bad
-        views = {name: {p: v for p, v in of.items() if p not in bad} for name, of in views.items()}
+        views = _without(views, refused)
     poses = cameras["left"]
     if "projector" in sizes:
         kept = [s for s in sightings if s.pose not in refused]
@@ -74,11 +82,31 @@ def start_values(
     return state, refused
 
 
+def single_cameras(
+    views: Mapping[DeviceName, Mapping[int, PlaneView]], sizes: Mapping[DeviceName, tuple[int, int]]
+) -> tuple[dict[DeviceName, SingleDevice], dict[int, str]]:
+    """Each camera by itself, and the poses in which one of them saw another board, with the reason."""
+    refused: dict[int, str] = {}
+    while True:
+        cameras = {name: _zhang(name, views[name], sizes[name]) for name in views}
+        bad = {p: reason for name, zhang in cameras.items() for p, reason in _strange_views(name, zhang, views[name])}
+        if not bad:
+            return cameras, refused
+        refused |= bad
+        views = _without(views, bad)
+
+
+def _without(
+    views: Mapping[DeviceName, Mapping[int, PlaneView]], bad: Mapping[int, str]
+) -> dict[DeviceName, dict[int, PlaneView]]:
+    return {name: {p: v for p, v in of.items() if p not in bad} for name, of in views.items()}
+
+
 def _printed(sightings: Sequence[Sighting], name: DeviceName) -> dict[int, PlaneView]:
     return {s.pose: PlaneView(s.known, s.pixels) for s in sightings if s.kind == "board" and s.device == name}
 
 
-def _projector_views(sightings: Sequence[Sighting], cameras: Mapping[DeviceName, _Zhang]) -> dict[int, PlaneView]:
+def _projector_views(sightings: Sequence[Sighting], cameras: Mapping[DeviceName, SingleDevice]) -> dict[int, PlaneView]:
     """The projector's own view of each pose: decoded features, or dots carried to the plane by the cameras."""
     views = _printed(sightings, "projector")
     carried: dict[int, list[PlaneView]] = {}
@@ -103,7 +131,7 @@ def to_board(device: Device, pixels: Array, rotation: Array, translation: Array)
     return np.asarray(centre[:2] - rays[:, :2] * (centre[2] / rays[:, 2])[:, None])
 
 
-def _zhang(name: DeviceName, views: Mapping[int, PlaneView], size: tuple[int, int]) -> _Zhang:
+def _zhang(name: DeviceName, views: Mapping[int, PlaneView], size: tuple[int, int]) -> SingleDevice:
     """Intrinsics and poses of one device alone, in its own frame (eqs 12, 13)."""
     if len(views) < LEAST_POSES:
         raise CalibrationError(
@@ -120,14 +148,14 @@ def _zhang(name: DeviceName, views: Mapping[int, PlaneView], size: tuple[int, in
             f"{name}: no camera explains the board's poses; expected boards tilted in different ways"
         )
     device = Device(size[0], size[1], K, distortion.ravel()[:5], np.eye(3), np.zeros(3))
-    return _Zhang(
+    return SingleDevice(
         device,
         {p: np.asarray(cv2.Rodrigues(r)[0], float) for p, r in zip(poses, found[3], strict=True)},
         {p: np.asarray(t, float).ravel() for p, t in zip(poses, found[4], strict=True)},
     )
 
 
-def _strange_views(name: DeviceName, zhang: _Zhang, views: Mapping[int, PlaneView]) -> list[tuple[int, str]]:
+def _strange_views(name: DeviceName, zhang: SingleDevice, views: Mapping[int, PlaneView]) -> list[tuple[int, str]]:
     rms = {}
     for pose, view in views.items():
         points = view.points @ zhang.rotations[pose][:, :2].T + zhang.translations[pose]
@@ -142,7 +170,7 @@ def _strange_views(name: DeviceName, zhang: _Zhang, views: Mapping[int, PlaneVie
     return [(worst, reason)]
 
 
-def _relative(name: DeviceName, of: _Zhang, left: _Zhang) -> tuple[Device, dict[int, str]]:
+def _relative(name: DeviceName, of: SingleDevice, left: SingleDevice) -> tuple[Device, dict[int, str]]:
     """Pose of a device in the left camera's frame, with the poses of the board that contradict it.
 
     Each pose of the board that both devices saw gives R = R_p R_c⁻¹ (eq. 15) and t = t_p − R_p R_c⁻¹ t_c (eq. 16), so
@@ -154,15 +182,14 @@ def _relative(name: DeviceName, of: _Zhang, left: _Zhang) -> tuple[Device, dict[
     reach = {p: float(np.linalg.norm(left.translations[p])) for p in common}
 
     def agree(a: int, R: Array, t: Array) -> bool:
-        near = float(np.linalg.norm(shifts[a] - t)) < _SAME_PLACE * reach[a]
-        return near and turn_deg(turns[a], R) < _SAME_TURN_DEG
+        return same_place(turns[a], shifts[a], R, t, reach[a])
 
     groups = [[a for a in common if agree(a, turns[b], shifts[b])] for b in common]
     group = max(groups, key=len, default=[])
     if len(group) < LEAST_POSES or 2 * len(group) <= len(common):
         raise CalibrationError(
             f"{name}: found {len(group)} of {len(common)} poses of the board that agree on where it stands to the left "
-            f"camera, expected at least {LEAST_POSES} and most of them: frames of different poses or cameras mixed up"
+            f"camera, expected at least {LEAST_POSES} and most of them: {_DISAGREEING[name == 'projector']}"
         )
     u, _, vt = np.linalg.svd(np.sum([turns[p] for p in group], axis=0))
     rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
@@ -177,6 +204,11 @@ def _relative(name: DeviceName, of: _Zhang, left: _Zhang) -> tuple[Device, dict[
             "off the other poses: frames of another pose, or the board moved between the pictures"
         )
     return replace(of.device, R=rotation, t=shift), bad
+
+
+def same_place(R: Array, t: Array, other_R: Array, other_t: Array, reach_mm: float) -> bool:
+    """Whether two poses of a device agree as well as start values can; `reach_mm` is the board's distance."""
+    return bool(np.linalg.norm(t - other_t) < _SAME_PLACE * reach_mm and turn_deg(R, other_R) < _SAME_TURN_DEG)
 
 
 def turn_deg(a: Array, b: Array) -> float:

@@ -16,9 +16,10 @@ from metrology.calibration.detect import Detection, detect
 from metrology.calibration.detect_board import BoardView, detect_board
 from metrology.calibration.detect_projection import detect_projected_dots
 from metrology.calibration.eccentricity import eccentricity
-from metrology.calibration.frames import BoardFrames
+from metrology.calibration.frames import CAMERAS, BoardFrames
 from metrology.calibration.fringe_features import coded_features
 from metrology.calibration.homography import apply_homography
+from metrology.calibration.placing import symmetries
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.errors import CalibrationError
 
@@ -54,7 +55,7 @@ def in_discs(plane: NDArray[np.float64], spacing: float, radii: NDArray[np.float
     return inside
 
 
-def reflectance(board: Board) -> NDArray[np.float64]:
+def reflectance(board: Board, old_layout: bool = False) -> NDArray[np.float64]:
     """The print on paper with a margin, at every sample; nothing beyond."""
     plane = plane_points(FROM_BOARD)
     x, y = plane[..., 0], plane[..., 1]
@@ -70,6 +71,7 @@ def reflectance(board: Board) -> NDArray[np.float64]:
     else:
         dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
         printed = cv2.aruco.CharucoBoard((board.cols, board.rows), s, float(board.marker_mm or 0), dictionary)
+        printed.setLegacyPattern(old_layout)
         drawing = printed.generateImage((board.cols * 200, board.rows * 200))
         j, i = np.floor(y / s * 200).astype(int), np.floor(x / s * 200).astype(int)
         on = (i >= 0) & (j >= 0) & (i < drawing.shape[1]) & (j < drawing.shape[0])
@@ -78,9 +80,9 @@ def reflectance(board: Board) -> NDArray[np.float64]:
 
 
 @cache
-def frames(board: Board, seed: int = 1, blur_px: float = 0.7) -> BoardFrames:
+def frames(board: Board, seed: int = 1, blur_px: float = 0.7, old_layout: bool = False) -> BoardFrames:
     rng = np.random.default_rng(seed)
-    print_ = reflectance(board)
+    print_ = reflectance(board, old_layout)
     radii = PATTERN.radii.reshape(PATTERN.rows, PATTERN.cols)
     discs = in_discs(plane_points(FROM_PROJECTOR) - PATTERN.origin_px, PATTERN.spacing_px, radii).astype(float)
 
@@ -124,6 +126,54 @@ def test_corners_are_found_within_three_hundredths_of_a_pixel(board: Board) -> N
     assert len(view.index) >= 0.9 * len(board.points)
     error = view.pixels - true_centres(board, view)
     assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def turned_labels(of: BoardFrames, board: Board, quarters: int) -> tuple[BoardView, NDArray[np.intp]]:
+    """The board in a picture turned by quarters of a turn, and which features it truly shows."""
+    assert of.dark is not None
+    view = detect_board(BoardFrames(np.rot90(of.white, quarters).copy(), np.rot90(of.dark, quarters).copy()), board)
+    rows, columns = np.rot90(np.mgrid[: SHAPE[0], : SHAPE[1]], quarters, (1, 2))
+    u, v = np.rint(view.pixels).astype(int).T
+    on_board = apply_homography(np.linalg.inv(FROM_BOARD), np.column_stack([columns[v, u], rows[v, u]]))
+    away = np.linalg.norm(on_board[:, None] - board.points[None, :, :2], axis=-1)
+    assert away.min(1).max() < 0.1 * board.spacing_mm
+    return view, np.argmin(away, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("board", "quarters"),
+    [
+        (CHESSBOARD, 1),
+        (CHESSBOARD, 2),
+        (Board("chessboard", 6, 6, 20.0), 1),
+        (Board("asymmetric_circles", 5, 8, 14.0, 8.0), 1),
+        (CHARUCO, 1),
+    ],
+)
+def test_turned_pictures_show_the_board_up_to_its_symmetry(board: Board, quarters: int) -> None:
+    view, shown = turned_labels(frames(board), board, quarters)
+    assert len(view.index) >= 0.9 * len(board.points)
+    assert any(np.array_equal(turn[shown], view.index) for turn in symmetries(board))
+
+
+@pytest.mark.parametrize("quarters", [0, 3])
+def test_a_charuco_board_of_the_old_layout_is_read_and_said(quarters: int) -> None:
+    view, shown = turned_labels(frames(CHARUCO, old_layout=True), CHARUCO, quarters)
+    assert view.layout == "old"
+    assert len(view.index) >= 0.9 * len(CHARUCO.points)
+    assert np.array_equal(shown, view.index)
+    assert detect_board(frames(CHARUCO), CHARUCO).layout == "new"
+
+
+def test_another_layout_in_one_picture_is_another_board() -> None:
+    new, old = (detect_board(frames(CHARUCO, old_layout=of), CHARUCO) for of in (False, True))
+    seen = [
+        Detection(pose, camera, (760, 620), old if (pose, camera) == (1, "left") else new, None, None, ())
+        for pose in range(4)
+        for camera in CAMERAS
+    ]
+    with pytest.raises(CalibrationError, match=r"in 3 of 4 poses.*pose 1: left: found the old layout.*another board"):
+        calibrate(seen, CHARUCO)
 
 
 def test_every_feature_gets_the_projector_coordinate_of_the_fringes(circles: BoardFrames) -> None:

@@ -12,6 +12,7 @@ import pytest
 from metrology.errors import RigError
 from metrology.rig import Rig
 from storage.opencv_rig import load_opencv_rig, save_opencv_rig
+from tests.storage.results import HEIGHT, WIDTH
 
 WHEN = "2026-11-01T08:00:00Z"
 
@@ -92,3 +93,32 @@ def test_missing_files_and_strange_endings_are_named(tmp_path: Path, rig: Rig) -
         save_opencv_rig(rig, tmp_path / "rig.txt")
     with pytest.raises(RigError, match="two image sizes"):
         save_opencv_rig(replace(rig, right=replace(rig.right, width=rig.right.width + 1)), tmp_path / "rig.yml")
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"M1": np.array([[100.0, 0, 0], [0, 100.0, 0], [32.0, 24.0, 1]])}, "left: K: .* K is transposed"),
+        ({"T": [[-0.05], [0.0], [0.0]]}, r"right: found its centre 0.05 mm .* t is in metres"),
+        ({"T": [[50.0], [0.0], [0.0]]}, "right: .* to the left of the left camera.*R and t are the inverse"),
+        ({"D2": [[-0.01], [0.02], [0.004], [-0.003]]}, "right: distortion: found a column of four .*fisheye"),
+        ({"D1": [[-0.3, 0.2, -0.3, 0.1]]}, "left: distortion: .*fisheye"),
+        ({"M2": np.array([[100.0, 1.5, 32], [0, 100.0, 24], [0, 0, 1]])}, "right: K: found a skew"),
+        ({"M2": np.array([[100.0, 0, 320], [0, 100.0, 24], [0, 0, 1]])}, "right: K: found the principal point at 320"),
+        ({"R": np.diag([1.0, 1.0, -1.0])}, "right: R: .*a mirror"),
+        ({"R": [[1.0, 0, 0, 0]]}, "right: R: found shape"),
+        ({"T3": [[-25.0], [np.nan], [0.0]]}, "projector: found a value that is not finite"),
+        ({"image_size": [[HEIGHT, WIDTH]]}, "left: size: .* width and height are exchanged"),
+        ({"distortion_model": "fisheye"}, "distortion_model: found 'fisheye'"),
+    ],
+)
+def test_another_convention_is_refused_on_import(
+    tmp_path: Path, rig: Rig, values: dict[str, object], said: str
+) -> None:
+    path = tmp_path / "rig.yml"
+    save_opencv_rig(rig, path)
+    changed = write(tmp_path / "changed.yml", **values)
+    with pytest.raises(RigError, match=said) as caught:
+        load_opencv_rig([path, changed], "cv", WHEN)
+    assert "changed.yml" in str(caught.value)
+    assert "\n" not in str(caught.value)

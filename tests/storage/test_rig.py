@@ -14,7 +14,7 @@ import pytest
 
 from metrology.errors import RigError
 from metrology.rig import Rig
-from storage.rig import load_rig, rig_document, save_rig
+from storage.rig import load_rig, rig_document, rig_from_document, save_rig
 
 
 def test_a_rig_survives_the_file_with_its_extra_keys(tmp_path: Path, rig: Rig) -> None:
@@ -69,3 +69,47 @@ def test_a_wrong_rig_is_named(tmp_path: Path, rig: Rig, change: Callable[[dict[s
         load_rig(tmp_path / "rig.json")
     assert said in str(caught.value)
     assert "rig.json" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d["cameras"]["left"].update(K=np.array(d["cameras"]["left"]["K"]).T.tolist()), "left: K: "),
+        (lambda d: d["cameras"]["right"].update(t=[-0.05, 0.0, 0.0]), "right: found its centre 0.05 mm"),
+        (lambda d: d["projector"]["K"][0].__setitem__(1, 0.4), "projector: K: found a skew of 0.4 px"),
+        (
+            lambda d: d["cameras"]["left"].update(distortion_model="equidistant"),
+            "distortion_model: found 'equidistant'",
+        ),
+        (lambda d: d.update(camera_model="opencv_fisheye"), "camera_model: found 'opencv_fisheye'"),
+    ],
+)
+def test_a_rig_that_cannot_be_is_refused_to_measure_with(
+    tmp_path: Path, rig: Rig, change: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    document = rig_document(rig)
+    change(document)
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(RigError) as caught:
+        load_rig(path)
+    assert str(caught.value).startswith(f"{path}: {said}")
+    assert "\n" not in str(caught.value)
+    # What was measured with it stays to be seen.
+    shown = rig_from_document(document, path)
+    assert shown.id == rig.id
+    with pytest.raises(RigError):
+        save_rig(shown, tmp_path / "again.json")
+    assert not (tmp_path / "again.json").exists()
+
+
+def test_makers_and_pinhole_models_are_no_other_lens(tmp_path: Path, rig: Rig) -> None:
+    document = rig_document(rig)
+    document["cameras"]["left"] |= {"sensor_model": "OmniVision OV9281", "distortion_model": "plumb_bob"}
+    (tmp_path / "rig.json").write_text(json.dumps(document))
+    assert load_rig(tmp_path / "rig.json").id == rig.id
+
+
+@pytest.mark.parametrize("name", ["rig.json", "rig-11.json", "rig-12.json"])
+def test_the_reference_rigs_are_real_ones(shared: Path, name: str) -> None:
+    load_rig(shared / "scenes" / name)

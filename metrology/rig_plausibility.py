@@ -1,0 +1,160 @@
+"""Whether a rig can be a real one: its devices, and where they stand to each other.
+
+A file in another unit or convention (metres, transposed rotations, right to left in place of left to right) is a
+perfectly good rig to the equations; it just cannot be built, or could not see one place with all its devices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.device_plausibility import check_device
+from metrology.errors import RigError
+from metrology.rig import Device, Rig
+
+Array = NDArray[np.float64]
+Moving = Literal["right", "projector"]
+
+LEAST_APART_MM, LARGEST_APART_MM = 10.0, 10_000.0
+LEAST_WORKING_MM, LARGEST_WORKING_MM = 80.0, 6_000.0
+LEAST_MM_PER_PX, LARGEST_MM_PER_PX = 0.02, 2.5
+_LEAST_SHARED = 0.3  # of the left camera's field: what the right one must see of it
+_LEAST_LIT = 0.3  # of what both cameras see: what the projector must reach of it
+_NEAR_BEST = 0.9  # of the largest shared field: where the fields cross, they do so at the working distance
+_OPEN = 0.3  # of the largest shared field: cameras that look almost alike share it from here on
+_PLACES = 7  # per axis of the left image
+_DISTANCES_MM = np.geomspace(10.0, 30_000.0, 101)
+_UNITS = {
+    "metres": 1000.0,
+    "centimetres": 10.0,
+    "inches": 25.4,
+    "micrometres, or in mm where its unit was given as metres": 1e-3,
+}
+
+
+@dataclass(frozen=True)
+class _Misplaced:
+    """A device that cannot stand where the rig says."""
+
+    device: Moving
+    found: str
+    expected: str
+
+    def told(self, likely: str) -> str:
+        return f"{self.device}: found {self.found}, expected {self.expected}{likely}"
+
+
+def check_rig(rig: Rig) -> None:
+    """RigError that names the device, what was found and expected, and what it most likely is."""
+    devices: dict[str, Device] = {"left": rig.left, "right": rig.right, "projector": rig.projector}
+    for name, device in devices.items():
+        try:
+            check_device(device, projector=name == "projector")
+        except RigError as problem:
+            raise RigError(f"{name}: {problem}") from None
+    with np.errstate(all="ignore"):
+        misplaced = _misplaced(rig)
+        likely = _likely(rig, misplaced) if misplaced else ""
+    if misplaced is not None:
+        raise RigError(misplaced.told(likely))
+
+
+def _misplaced(rig: Rig) -> _Misplaced | None:
+    return _distance(rig) or _sides(rig) or _shared_field(rig)
+
+
+def _distance(rig: Rig) -> _Misplaced | None:
+    """Devices that stand within each other, or farther apart than any frame is long."""
+    pairs: list[tuple[Moving, Device, str]] = [
+        ("right", rig.left, "left camera"),
+        ("projector", rig.left, "left camera"),
+        ("projector", rig.right, "right camera"),
+    ]
+    for name, other, named in pairs:
+        apart = float(np.linalg.norm(getattr(rig, name).centre - other.centre))
+        if not LEAST_APART_MM <= apart <= LARGEST_APART_MM:
+            expected = f"{LEAST_APART_MM:g} to {LARGEST_APART_MM:g} mm"
+            return _Misplaced(name, f"its centre {apart:.4g} mm from the {named}'s (t)", expected)
+    return None
+
+
+def _sides(rig: Rig) -> _Misplaced | None:
+    if stands_left(rig.right):
+        found = f"it {-rig.right.centre[0]:.0f} mm to the left of the left camera"
+        return _Misplaced("right", found, "it on the right")
+    return None
+
+
+def stands_left(right: Device) -> bool:
+    """Whether a right camera stands to the left of the left one; cameras rolled against each other have no sides."""
+    base = right.centre
+    return bool(base[0] < -0.5 * np.linalg.norm(base) and right.R[0, 0] > 0)
+
+
+def _shared_field(rig: Rig) -> _Misplaced | None:
+    """Cameras that look apart, or meet where no scan is taken; a projector that lights another place."""
+    seen = _sees(rig.right, rig.left)
+    shared = seen.mean(1)
+    if shared.max() < _LEAST_SHARED:
+        found = f"cameras that look apart: it sees {shared.max():.0%} of the left camera's field at best"
+        return _Misplaced("right", found, "both to see the same place (R and t)")
+    crossing = shared[-1] < _OPEN * shared.max()
+    fitting = shared >= (_NEAR_BEST if crossing else _OPEN) * shared.max()
+    per_px = _DISTANCES_MM / np.sqrt(rig.left.K[0, 0] * rig.left.K[1, 1])
+    usual = (_DISTANCES_MM >= LEAST_WORKING_MM) & (_DISTANCES_MM <= LARGEST_WORKING_MM)
+    usual &= (per_px >= LEAST_MM_PER_PX) & (per_px <= LARGEST_MM_PER_PX)
+    if not (fitting & usual).any():
+        best = int(np.argmax(shared))
+        return _Misplaced(
+            "right",
+            f"fields of view that meet {_DISTANCES_MM[best]:.0f} mm away at {per_px[best]:.2g} mm a pixel",
+            f"{LEAST_WORKING_MM:g} to {LARGEST_WORKING_MM:g} mm and {LEAST_MM_PER_PX:g} to {LARGEST_MM_PER_PX:g} mm a "
+            "pixel",
+        )
+    lit = (seen & _sees(rig.projector, rig.left)).mean(1)[fitting & usual] / shared[fitting & usual]
+    if lit.max() < _LEAST_LIT:
+        found = f"it lighting {lit.max():.0%} of what both cameras see"
+        return _Misplaced("projector", found, f"at least {_LEAST_LIT:.0%} (its R and t, or the right camera's)")
+    return None
+
+
+def _sees(device: Device, left: Device) -> NDArray[np.bool_]:
+    """(distances, places) which places of the left camera's field lie in a device's, its distortion left aside."""
+    u, v = np.meshgrid(*(np.linspace(0, side - 1, _PLACES) for side in (left.width, left.height)))
+    rays = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.linalg.inv(left.K).T
+    points = _DISTANCES_MM[:, None, None] * rays @ device.R.T + device.t
+    pixels = points @ device.K.T
+    before = points[..., 2] > 0
+    return np.asarray(before & device.inside(pixels[..., :2] / np.where(before, points[..., 2], 1.0)[..., None]))
+
+
+def _likely(rig: Rig, misplaced: _Misplaced) -> str:
+    """The convention in which the rig would be a sound one, as the end of a message."""
+    device: Device = getattr(rig, misplaced.device)
+    fitting = []
+    for said, changed in _conventions(device):
+        right = misplaced.device == "right"
+        meant = replace(rig, right=changed) if right else replace(rig, projector=changed)
+        left_to_fix = _misplaced(meant)
+        if left_to_fix is None or (right and left_to_fix.device == "projector"):
+            fitting.append(said)
+    if not fitting:
+        return ""
+    exchanged = ", or left and right are exchanged" if misplaced.expected == "it on the right" else ""
+    return f": most likely {fitting[0]}{exchanged}"
+
+
+def _conventions(device: Device) -> Iterator[tuple[str, Device]]:
+    """What else R and t may have been meant as."""
+    R, t = device.R, device.t
+    for unit, scale in _UNITS.items():
+        yield f"t is in {unit}", replace(device, t=scale * t)
+    yield "R and t are the inverse (from this device to the left camera)", replace(device, R=R.T, t=-R.T @ t)
+    yield "t is the device's place in the left camera's frame, −Rᵀt", replace(device, t=-R @ t)
+    yield "R is transposed", replace(device, R=R.T)
+    yield "t has the other sign", replace(device, t=-t)
