@@ -7,6 +7,7 @@ import json
 import os
 import stat
 import tomllib
+import unicodedata
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -118,6 +119,20 @@ def _decode(path: Path, error: ErrorType) -> str:
 def _reason(problem: Exception) -> str:
     text = problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem)
     return f'"{text}"'
+
+
+def printable(text: str) -> str:
+    """Text that can be printed and written anywhere, in one line: what cannot, such as in a folder's name, is escaped.
+
+    A byte of a name that is not UTF-8 becomes ``\\xff``.
+    """
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    if "\udc80" <= character <= "\udcff":
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode()
 
 
 def shown(value: object) -> str:

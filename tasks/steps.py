@@ -6,7 +6,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -27,10 +27,13 @@ from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.archive.bundle import encode as encode_files
+from storage.archive.known import KnownScene
 from storage.archive.signed import refuse_signed_off
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
+from storage.scan_identity import frames_digest
 from storage.scene import Scene, load_scene
+from tasks.clock import clock_warnings
 from tasks.settings import InspectionSettings, SceneChecks
 
 
@@ -43,11 +46,14 @@ class LoadedScene:
     scene : Scene
     rig : Rig
     warnings : tuple of str
+    known : KnownScene or None
+        What the store has of the scene already.
     """
 
     scene: Scene
     rig: Rig
     warnings: tuple[str, ...] = ()
+    known: KnownScene | None = None
 
 
 @dataclass(frozen=True)
@@ -67,9 +73,11 @@ def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
     refuse_signed_off(store.root, scene.key.scene_id)
     rig = load_rig(rig_path) if rig_path else store.find_rig(scene.rig_id)
     scene.check_fits(rig)
-    if rig.id == scene.rig_id:
-        return LoadedScene(scene, rig)
-    return LoadedScene(scene, rig, (f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}",))
+    known = store.known(scene.key)
+    warnings = clock_warnings(scene.key, rig, known.first_stored_at if known else None)
+    if rig.id != scene.rig_id:
+        warnings.append(f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}")
+    return LoadedScene(scene, rig, tuple(warnings), known)
 
 
 def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reconstruction:
@@ -79,12 +87,18 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     size = scene.code.size(rig.projector.width, rig.projector.height)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
-        left_frames = scene.frames("left", readers)
-        right_frames = right_reader.submit(scene.frames, "right", readers)
-        left = reconstruct.decode(left_frames, scene.code, size, scene.exposures, settings.reconstruction)
-        del left_frames
-        right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
-    reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
+        left_stack = scene.read("left", readers)
+        reading_right = right_reader.submit(scene.read, "right", readers)
+        left = reconstruct.decode(left_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
+        checksums = left_stack.checksums
+        del left_stack
+        right_stack = reading_right.result()
+        right = reconstruct.decode(right_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
+    digest = frames_digest(scene.code, scene.exposures, checksums, right_stack.checksums)
+    if loaded.known:
+        loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
+    del right_stack, reading_right
+    reconstruction = replace(reconstruct.triangulate(left, right, rig, settings.reconstruction), frames_digest=digest)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
 
@@ -259,6 +273,7 @@ def assemble(
         epipolar_rms_px=health.epipolar_rms_px,
         projector_rms_px=health.projector_rms_px,
         pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
+        files_state=loaded.scene.files_state,
     )
 
 
