@@ -184,7 +184,7 @@ def serve(job: InboxJob, way: Way, cron: str, timezone: str | None, name: str) -
         schedule = Cron(cron, timezone=timezone or "UTC")
     except ValueError:
         raise UsageError(
-            f"--cron: found {cron!r}, expected minute, hour, day, month and weekday as cron has them, such as '0 2 * * *'"
+            f"--cron: found {cron!r}, expected five fields as cron has them, such as '0 2 * * *'"
         ) from None
     inspect_inbox_flow.serve(
         name=name, schedule=schedule, parameters=flow_parameters(job, way), tags=["flushline"], limit=1
