@@ -8,6 +8,7 @@ import streamlit as st
 
 from dashboard.data import Archive
 from dashboard.findings import PERIODS, Selection, start_of
+from storage.archive.views import NEWEST_TIME
 
 
 def names(archive: Archive, column: str, selection: Selection | None = None) -> list[str]:
@@ -22,7 +23,7 @@ def names(archive: Archive, column: str, selection: Selection | None = None) -> 
 
 def newest_scan(archive: Archive) -> datetime | None:
     """When the newest scan was taken."""
-    newest = archive.rows("SELECT max(captured_at) AS newest FROM scenes")["newest"][0]
+    newest = archive.rows(f"SELECT {NEWEST_TIME} AS newest FROM scenes")["newest"][0]
     return None if newest is None or newest != newest else newest.to_pydatetime()
 
 

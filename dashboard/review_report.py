@@ -15,6 +15,7 @@ from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from metrology.errors import FlushlineError
 from storage.review import Feature
+from storage.spreadsheet import ENCODING, harmless
 
 _CROP_PX = 60
 _MOST_PICTURES = 60
@@ -29,21 +30,18 @@ img {{height: 64px; display: block}}
 
 
 def csv_report(rows: pd.DataFrame, habits: Habits) -> bytes:
-    """Findings as CSV in the person's habits (German: semicolons and decimal commas), UTF-8 with a byte-order mark."""
+    """Rows as CSV for a person's spreadsheet (German: semicolons and decimal commas), times in ISO 8601 (UTC)."""
     german = habits.style == "de"
     shown = rows.copy()
-    for name in shown.columns:
-        if isinstance(shown[name].dtype, pd.DatetimeTZDtype):
-            shown[name] = shown[name].dt.strftime("%Y-%m-%dT%H:%M:%SZ")
-        elif not pd.api.types.is_numeric_dtype(shown[name].dtype):
-            shown[name] = [_harmless(value) for value in shown[name]]
+    for place in range(rows.shape[1]):
+        column = rows.iloc[:, place]  # by place: a query may give two columns one name
+        if isinstance(column.dtype, pd.DatetimeTZDtype):
+            shown.isetitem(place, column.dt.strftime("%Y-%m-%dT%H:%M:%SZ"))
+        elif not pd.api.types.is_numeric_dtype(column.dtype):
+            shown.isetitem(place, [harmless(value) for value in column])
+    shown.columns = pd.Index([harmless(str(name)) for name in shown.columns])
     text = shown.to_csv(index=False, sep=";" if german else ",", decimal="," if german else ".", lineterminator="\r\n")
-    return text.encode("utf-8-sig")
-
-
-def _harmless(value: object) -> object:
-    """Spreadsheets run what begins like a formula."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
+    return text.encode(ENCODING)
 
 
 def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str) -> bytes:

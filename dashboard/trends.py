@@ -13,6 +13,7 @@ from dashboard.data import Archive
 from dashboard.findings import Selection
 from metrology.statistics import Capability, capability, capability_from_moments, pooled_sigma
 from metrology.tolerance import Limit
+from storage.archive.views import TAKEN_AT
 
 _BINS = 60
 
@@ -96,11 +97,12 @@ def series(archive: Archive, subject: Subject, quantity: Quantity, selection: Se
     limited, more = selection.where()
     by = "scene_id" if subject.kind in ("rivet", "seam") else "aircraft_serial"
     return archive.rows(
-        "SELECT max(q.captured_at) AS captured_at, avg(q.v) AS value, count(q.v) AS n, "
+        "SELECT max(s.taken_at) AS captured_at, avg(q.v) AS value, count(q.v) AS n, "
         "var_samp(q.v) AS variance, any_value(q.aircraft_serial) AS aircraft_serial, max(q.scene_id) AS scene_id, "
-        "arg_max(s.rig_id, s.captured_at) AS rig_id, arg_max(s.software_version, s.captured_at) AS software_version "
+        "arg_max(s.rig_id, s.taken_at) AS rig_id, arg_max(s.software_version, s.taken_at) AS software_version "
         f"FROM (SELECT *, {quantity.measured} AS v FROM {quantity.table} WHERE {condition}) q "
-        f"JOIN (SELECT scene_id, captured_at, rig_id, software_version FROM scenes WHERE {limited}) s USING (scene_id) "
+        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, rig_id, software_version FROM scenes WHERE {limited}) s "
+        "USING (scene_id) "
         f"GROUP BY q.{by} ORDER BY 1, 5",
         [*parameters, *more],
     )

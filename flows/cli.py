@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from metrology.errors import FlushlineError
+from storage.documents import printable
 
 EXIT_DONE, EXIT_SOME_FAILED, EXIT_BAD_INPUT = 0, 1, 2
 _INTERRUPTED = 130
@@ -77,7 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def print_error(text: str) -> None:
     """One line on stderr."""
-    print(f"error: {' '.join(text.split())}", file=sys.stderr)
+    print(f"error: {printable(text.strip())}", file=sys.stderr)
 
 
 def unexpected(problem: Exception) -> str:
@@ -85,7 +86,8 @@ def unexpected(problem: Exception) -> str:
     if isinstance(problem, OSError) and problem.strerror:
         expected = next((text for kind, text in _EXPECTED.items() if isinstance(problem, kind)), "it to work")
         return f'{problem.filename or "machine"}: found "{problem.strerror}", expected {expected}'
-    return f"unexpected {type(problem).__name__}: {problem}; --debug shows where"
+    said = " ".join(str(problem).split())
+    return f"unexpected {type(problem).__name__}: {said}; --debug shows where"
 
 
 _EXPECTED: dict[type[OSError], str] = {

@@ -12,14 +12,17 @@ from typing import Any
 from prefect import flow, task
 from prefect.artifacts import create_markdown_artifact, create_progress_artifact, update_progress_artifact
 from prefect.cache_policies import NO_CACHE
-from prefect.futures import as_completed
+from prefect.futures import PrefectFuture, as_completed
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
-from flows.inbox import inspect_folder, inspect_in, only_run, plan, worker_processes, write_parquet
+from flows.inbox import inspect_folder, inspect_in, only_run, plan, write_parquet
+from flows.inbox_folders import put_aside
 from flows.inbox_job import InboxJob, Outcome, Runner, Way
 from flows.inbox_report import markdown
 from flows.prefect_page import show_scene
+from flows.workers import worker_processes
 from storage.archive import Store
+from storage.documents import printable
 
 
 # Without tags: for a tagged task Prefect asks its server first whether the tag is limited, and where SQLite is busy
@@ -93,16 +96,30 @@ def inspect_inbox_flow(
         outcomes = list(planned.settled)
         progress: Any = create_progress_artifact(0.0, key="inbox-progress", description=f"{len(planned.ready)} scenes")
         with task_runner(runner, workers, dask_address) as (running, processes):
-            arguments = [{"job": job, "folder": folder, "processes": processes} for folder in planned.ready]
-            futures = [running.submit(inspect_folder_task, each) for each in arguments]
-            for future in as_completed(futures):
-                outcomes.append(future.result())
+            futures = {
+                running.submit(inspect_folder_task, {"job": job, "folder": folder, "processes": processes}): folder
+                for folder in planned.ready
+            }
+            for future in as_completed(list(futures)):
+                outcomes.append(_outcome(job, futures[future], future))
                 done = len(outcomes) - len(planned.settled)
                 update_progress_artifact(progress, 100.0 * done / len(futures))
         if job.compact:
             compact_task(job, outcomes)
     create_markdown_artifact(markdown(outcomes), key="inbox-summary", description=inbox)
     return outcomes
+
+
+def _outcome(job: InboxJob, folder: Path, future: PrefectFuture[Outcome]) -> Outcome:
+    """A task's outcome; what ended the task itself is the outcome of its folder and of no other."""
+    try:
+        return future.result()
+    except Exception as problem:
+        if type(problem).__name__ == "KilledWorker":  # Dask's, after it tried several workers
+            reason = "found that the workers at it died one after the other, expected it to be inspected"
+            return put_aside(job.inbox, folder, reason, None)
+        said = " ".join(str(problem).split())
+        return Outcome(folder, "failed", text=printable(f"{folder}: found {type(problem).__name__}: {said}"))
 
 
 @contextmanager
@@ -165,10 +182,9 @@ def serve(job: InboxJob, way: Way, cron: str, timezone: str | None, name: str) -
 
     try:
         schedule = Cron(cron, timezone=timezone or "UTC")
-    except ValueError as problem:
-        text = str(problem).splitlines()[0]
+    except ValueError:
         raise UsageError(
-            f"--cron, --timezone: found {cron!r}, {timezone!r} ({text}), expected a cron line and a zone"
+            f"--cron: found {cron!r}, expected five fields as cron has them, such as '0 2 * * *'"
         ) from None
     inspect_inbox_flow.serve(
         name=name, schedule=schedule, parameters=flow_parameters(job, way), tags=["flushline"], limit=1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
@@ -13,6 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 from metrology.errors import StoreError
 from storage.archive.store import query_problem
+from storage.spreadsheet import harmless
 
 if TYPE_CHECKING:
     import duckdb
@@ -34,13 +36,24 @@ def run_query(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBP
         raise StoreError(f"query: {query_problem(problem)}") from None
 
 
-def write_rows(result: duckdb.DuckDBPyConnection, row_format: RowFormat, output: IO[bytes]) -> None:
-    """Write the rows of a query as they come."""
+def write_rows(
+    result: duckdb.DuckDBPyConnection, row_format: RowFormat, output: IO[bytes], to_file: bool = False
+) -> None:
+    """Write the rows of a query as they come.
+
+    Parameters
+    ----------
+    to_file : bool
+        Whether people will open what is written: CSV then begins with a byte-order mark, which programs that read it
+        from a pipe would take for a part of the first name.
+    """
     import duckdb
 
     try:
         names = [column[0] for column in result.description or ()]
         writer = {"table": _write_table, "csv": _write_csv, "json": _write_json}[row_format]
+        if to_file and row_format == "csv":
+            output.write(codecs.BOM_UTF8)
         writer(names, _rows(result), output)
     except duckdb.Error as problem:
         raise StoreError(f"query: {query_problem(problem)}") from None
@@ -82,10 +95,11 @@ def _write_json(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[by
 def _write_csv(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[bytes]) -> None:
     text = io.TextIOWrapper(output, encoding="utf-8", newline="", write_through=True)
     writer = csv.writer(text)
-    writer.writerow(names)
+    writer.writerow([harmless(name) for name in names])
     for row in rows:
+        cells = [plain(value) for value in row]
         writer.writerow(
-            [json.dumps(p, ensure_ascii=False) if isinstance(p := plain(v), (dict, list)) else p for v in row]
+            [json.dumps(c, ensure_ascii=False) if isinstance(c, (dict, list)) else harmless(c) for c in cells]
         )
     text.detach()
 

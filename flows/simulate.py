@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from metrology.moments import moment_of
 from metrology.results import SceneKey
 from simulator.calibration import simulate_calibration
 from simulator.scene import SimulatedScene, simulate
@@ -53,7 +53,7 @@ def simulate_capture(spec: SimulationSpec, out: Path, on_progress: Callable[[flo
     write_capture(
         folder,
         capture.rig.id,
-        datetime.fromisoformat(spec.rig.calibrated_at),
+        moment_of(spec.rig.calibrated_at),
         capture.board.as_dict(),
         projector,
         [pose.frames for pose in capture.poses],
@@ -64,7 +64,7 @@ def simulate_capture(spec: SimulationSpec, out: Path, on_progress: Callable[[flo
 def _write(folder: Path, scene: SimulatedScene) -> Path:
     write_scene(
         folder,
-        SceneKey(scene.aircraft_serial, scene.panel, scene.station, datetime.fromisoformat(scene.captured_at)),
+        SceneKey(scene.aircraft_serial, scene.panel, scene.station, moment_of(scene.captured_at)),
         scene.rig.id,
         scene.fringe,
         scene.exposures,

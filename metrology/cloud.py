@@ -77,6 +77,8 @@ class Reconstruction:
         sigma_z² times the outer product of (x/z, y/z, 1).
     flags : (h, w) uint16
         PixelFlag bits, those of the left view included.
+    frames_digest : str or None
+        Names the content of the frames that it was made of.
     """
 
     rig: Rig
@@ -85,6 +87,7 @@ class Reconstruction:
     points: Float32
     sigma_z: Float32
     flags: NDArray[np.uint16]
+    frames_digest: str | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:

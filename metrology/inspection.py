@@ -54,6 +54,8 @@ class InspectionResult:
         Content of files of the bundle that are encoded already, by their names.
     pattern : PanelLayout or None
         The pattern that this scan, the first of its station, enrols.
+    files_state : str or None
+        Names the scene folder's files as they lay on disk when they were read.
     """
 
     key: SceneKey
@@ -75,3 +77,4 @@ class InspectionResult:
     projector_rms_px: float | None = None
     encoded: Mapping[str, bytes] = field(default_factory=dict)
     pattern: PanelLayout | None = None
+    files_state: str | None = None

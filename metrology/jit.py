@@ -9,6 +9,9 @@ call each other stay in one file.
 from __future__ import annotations
 
 import os
+import stat
+import sys
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -23,7 +26,44 @@ _ROWS_PER_BAND = 48
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function`: cached on disk, without the interpreter lock, IEEE division, relaxed summation order."""
-    return numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")(function)
+    return cached(numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy"), function)
+
+
+def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
+    """Let a compiler with a cache on disk compile `function`.
+
+    Numba keeps kernels beside the program, else in the home folder. A service's user may be allowed to write to
+    neither: kernels then go into a folder of this user's under the system's folder for temporary files.
+    """
+    try:
+        return compiler(function)
+    except RuntimeError as problem:
+        if "cannot cache" not in str(problem):
+            raise
+    folder = _temporary_cache()
+    print(
+        f"kernels are compiled into {folder}: neither the program's nor the home folder can be written; "
+        "NUMBA_CACHE_DIR names a lasting one",
+        file=sys.stderr,
+    )
+    # Processes that are started from here find it, and need not say it again.
+    os.environ["NUMBA_CACHE_DIR"] = folder
+    numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
+    return compiler(function)
+
+
+def _temporary_cache() -> str:
+    """A folder that is this user's alone, as cached kernels are code: the same one each time, or else a new one."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    folder = os.path.join(tempfile.gettempdir(), f"flushline-kernels-{user}")
+    try:
+        os.mkdir(folder, 0o700)
+    except FileExistsError:
+        status = os.lstat(folder)
+        private = stat.S_ISDIR(status.st_mode) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        if not private or status.st_uid != user:
+            return tempfile.mkdtemp(prefix="flushline-kernels-")
+    return folder
 
 
 def cores() -> int:

@@ -14,6 +14,8 @@ from typing import Any
 
 from numba import njit
 
+from metrology.jit import cached
+
 # IEEE arithmetic in the order written. No kernel allocates: without numba's runtime arrays are passed without counting
 # references, which otherwise takes more time than the geometry.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
@@ -26,7 +28,7 @@ def kernel(function: Any) -> Any:
 
 def entry(function: Any) -> Any:
     """A kernel that Python calls, cached on disk."""
-    return njit(cache=True, **_OPTIONS)(function)
+    return cached(njit(cache=True, **_OPTIONS), function)
 
 
 def fingerprint(*modules: ModuleType) -> int:

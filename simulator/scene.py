@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from metrology.fringe import FringeCode
+from metrology.moments import moment_of
 from metrology.rig import Rig
 from simulator.lens import moved
 from simulator.pack import pack
@@ -186,7 +187,7 @@ def simulate(
     """
     rig = rig or make_rig(spec)
     scenes = len(spec.placements) * spec.repeats
-    captured = datetime.fromisoformat(spec.scene.captured_at).astimezone(UTC)
+    captured = moment_of(spec.scene.captured_at)
     done = 0
     for k, placement in enumerate(spec.placements):
 

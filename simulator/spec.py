@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass, field
-from datetime import datetime
 from importlib import resources
 from pathlib import Path
 from typing import Literal
 
 from metrology.errors import SpecError
 from metrology.fringe import FringeCode
+from metrology.moments import moment_of
 from simulator.board import PrintedBoard
 from simulator.panel import Panel
 from simulator.projection import Beamer
@@ -36,12 +36,7 @@ class SceneKeys:
         for name in ("aircraft_serial", "panel", "station"):
             if not getattr(self, name):
                 raise SpecError(f"{name}: found nothing, expected text")
-        try:
-            zone = datetime.fromisoformat(self.captured_at).tzinfo
-        except ValueError:
-            zone = None
-        if zone is None:
-            raise SpecError(f"captured_at: found {self.captured_at!r}, expected ISO 8601 with a zone, as …T08:15:00Z")
+        _check_moment("captured_at", self.captured_at)
         if self.interval_min <= 0:
             raise SpecError(f"interval_min: found {self.interval_min}, expected a positive number of minutes")
 
@@ -54,6 +49,9 @@ class RigSpec:
     calibrated_at: str = "2026-11-01T08:00:00Z"
     seed: int = 1
     design: RigDesign = field(default_factory=RigDesign)
+
+    def __post_init__(self) -> None:
+        _check_moment("calibrated_at", self.calibrated_at)
 
 
 @dataclass(frozen=True)
@@ -210,6 +208,13 @@ class SimulationSpec:
             raise SpecError(f"seed: found {min(self.seed, self.rig.seed)}, expected 0 or more")
         if not self.placements:
             raise SpecError("placements: found none, expected at least one")
+
+
+def _check_moment(name: str, text: str) -> None:
+    try:
+        moment_of(text)
+    except ValueError as problem:
+        raise SpecError(f"{name}: found {text!r}, expected {problem}") from None
 
 
 def read_spec(path: Path) -> SimulationSpec:

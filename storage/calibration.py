@@ -193,7 +193,7 @@ class CalibrationCapture:
         if frames.fringes:
             for axis in self.codes:
                 paths = [self.folder / path for path in getattr(frames.fringes, axis)]
-                fringes[axis] = read_stack(paths, header, CalibrationError, executor)
+                fringes[axis] = read_stack(paths, header, CalibrationError, executor).frames
         white = read_frame(self.folder / frames.white, header, CalibrationError)
         return PoseImages(white, read(frames.dark), read(frames.dots), fringes)
 

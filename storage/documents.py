@@ -8,6 +8,7 @@ import os
 import re
 import stat
 import tomllib
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -128,6 +129,20 @@ def _reason(problem: Exception) -> str:
     return f'"{text}"'
 
 
+def printable(text: str) -> str:
+    """Text that can be printed and written anywhere, in one line: what cannot, such as in a folder's name, is escaped.
+
+    A byte of a name that is not UTF-8 becomes ``\\xff``.
+    """
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    if "\udc80" <= character <= "\udcff":
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode()
+
+
 def shown(value: object) -> str:
     """A value as an error message shows it."""
     return brief(json.dumps(value, ensure_ascii=False, default=str))
@@ -136,4 +151,4 @@ def shown(value: object) -> str:
 def brief(text: str) -> str:
     """A text as a message shows it: the beginning of a long one, and escapes for what no terminal should get."""
     text = text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 1]}…"
-    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+    return printable(text)

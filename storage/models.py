@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from metrology.errors import FlushlineError
+from metrology.moments import in_utc, moment_of
 from storage.documents import ErrorType, brief, closest, shown
 
 MAX_IDENTIFIER_LENGTH = 64
@@ -43,23 +44,17 @@ Identifier = Annotated[
 """Aircraft serial, panel, station, rig: letters, digits, ``.``, ``_``, ``-``; no leading dot."""
 
 
-def _iso_text(value: object) -> object:
-    if not isinstance(value, (str, datetime)):
-        raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
-    return value
+def _moment(value: object) -> datetime:
+    if isinstance(value, str):
+        return moment_of(value)
+    if isinstance(value, datetime):  # TOML has times of its own
+        return in_utc(value)
+    # A number, which pydantic would take for seconds since 1970.
+    raise ValueError("an ISO 8601 time with its zone as text, such as 2026-11-20T08:15:00Z")
 
 
-def _in_utc(value: datetime) -> datetime:
-    if value.tzinfo is None:
-        raise ValueError("an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z")
-    try:
-        return value.astimezone(UTC)
-    except OverflowError:
-        raise ValueError("a time that UTC has, too") from None
-
-
-UtcTime = Annotated[datetime, BeforeValidator(_iso_text), AfterValidator(_in_utc)]
-"""A moment, given with its zone and kept in UTC."""
+UtcTime = Annotated[datetime, BeforeValidator(_moment)]
+"""A moment, given with its zone and kept in UTC: the one way in which documents give times."""
 
 WholeNumber = Annotated[int, Strict()]
 
@@ -140,8 +135,6 @@ def _complaint(first: Any, place: tuple[int | str, ...], keys_at: Callable[[tupl
         expected = "letters, digits, '.', '_' and '-' only, without a leading dot"
     if expected.startswith("found "):  # a validator of ours that says both itself
         return f"{at}{expected}"
-    if first["type"].startswith("datetime"):
-        expected = "an ISO 8601 time with its zone, such as 2026-11-20T08:15:00Z"
     expected = _EXPECTED.get(first["type"], expected).format(**first.get("ctx", {}))
     return f"{at}found {shown(first['input'])}, expected {expected[:1].lower()}{expected[1:]}"
 

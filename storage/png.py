@@ -43,6 +43,11 @@ def size_and_bits(source: FrameSource) -> tuple[int, int, int]:
     return height, width, bits
 
 
+def stated_sums(data: bytes) -> bytes:
+    """The checksums that a whole PNG states of its chunks, one after the other."""
+    return b"".join(data[start + length : start + length + 4] for _, start, length in _chunks(source_of(data)))
+
+
 def check_sums(data: bytes) -> None:
     """Refuse a PNG with a chunk that is not what its checksum says."""
     view = memoryview(data)

@@ -217,7 +217,7 @@ class ReviewLog:
     def _write(self, lines: bytes, length: int) -> None:
         """Append after `length` bytes; what lies beyond them is a write that a crash cut short."""
         fresh = not self.path.exists()
-        descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o644)
+        descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o666)
         try:
             os.ftruncate(descriptor, length)
             os.lseek(descriptor, length, os.SEEK_SET)

@@ -19,8 +19,9 @@ from metrology.exposures import MAX_RATIO, relative_exposures
 from metrology.fringe import FringeCode, GrayCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
-from storage.documents import check_format, read_json, utc_text
-from storage.frames import Frame, FrameHeader, read_header, read_stack, write_frame
+from storage import scan_identity
+from storage.documents import check_format, read_bytes, read_json, utc_text
+from storage.frames import Frame, FrameHeader, FrameStack, checksum, read_header, read_stack, write_frame
 from storage.models import Identifier, InnerPath, Line, PositiveNumber, StrictModel, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-scene/1"
@@ -134,6 +135,8 @@ class Scene:
         Frames, exposure-major.
     left_header, right_header : FrameHeader
         What all frames of a camera have in common.
+    files_state : str or None
+        Names the folder's files as they lay on disk when they were looked at (see `storage.scan_identity`).
     """
 
     folder: Path
@@ -146,6 +149,7 @@ class Scene:
     right: tuple[Path, ...]
     left_header: FrameHeader
     right_header: FrameHeader
+    files_state: str | None = None
 
     def frames(self, camera: Camera, executor: Executor | None = None) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Decode one camera's frames.
@@ -155,9 +159,14 @@ class Scene:
         (exposures, frames, h, w) ndarray of uint8 or uint16
             Frames count-major, then step; then Gray code.
         """
+        return self.read(camera, executor).frames
+
+    def read(self, camera: Camera, executor: Executor | None = None) -> FrameStack:
+        """Decode one camera's frames, shaped as `frames` has them, with the checksums of their files."""
         paths, header = (self.left, self.left_header) if camera == "left" else (self.right, self.right_header)
         stack = read_stack(paths, header, SceneError, executor)
-        return stack.reshape(len(self.exposures), self.code.frames, header.height, header.width)
+        shape = (len(self.exposures), self.code.frames, header.height, header.width)
+        return FrameStack(stack.frames.reshape(shape), stack.checksums)
 
     def check_fits(self, rig: Rig) -> None:
         """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
@@ -185,6 +194,7 @@ def load_scene(folder: Path) -> Scene:
         camera: tuple(folder / path for frames in getattr(model.frames, camera) for path in frames)
         for camera in CAMERAS
     }
+    state = files_state(manifest, model)  # before anything is read: what changes from now on shows
     left, right = (_common_header(paths[camera]) for camera in CAMERAS)
     if left.bits != right.bits:
         raise SceneError(
@@ -201,6 +211,7 @@ def load_scene(folder: Path) -> Scene:
         right=paths["right"],
         left_header=left,
         right_header=right,
+        files_state=state,
     )
 
 
@@ -216,6 +227,25 @@ def load_manifest(manifest: Path) -> SceneModel:
     document = read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
     check_format(document, FORMAT, manifest, SceneError)
     return validate(SceneModel, document, manifest, SceneError)
+
+
+def files_state(manifest: Path, model: SceneModel) -> str:
+    """Names the files of a scene folder as they lie on disk, see `storage.scan_identity`."""
+    frames = [path for camera in CAMERAS for frames in getattr(model.frames, camera) for path in frames]
+    return scan_identity.files_state(manifest.parent, [manifest.name, *frames])
+
+
+def digest_of_files(manifest: Path, model: SceneModel) -> str:
+    """The digest that an inspection of the folder would give, see `storage.scan_identity`; nothing is decoded."""
+    left, right = (
+        [
+            checksum(read_bytes(manifest.parent / path, SceneError))
+            for frames in getattr(model.frames, camera)
+            for path in frames
+        ]
+        for camera in CAMERAS
+    )
+    return scan_identity.frames_digest(model.fringe.code, model.exposures, left, right)
 
 
 def write_scene(

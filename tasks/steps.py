@@ -6,7 +6,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -28,10 +28,14 @@ from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.archive.bundle import encode as encode_files
+from storage.archive.known import KnownScene
 from storage.archive.signed import refuse_signed_off
+from storage.frames import FrameStack
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
+from storage.scan_identity import frames_digest
 from storage.scene import MANIFEST, Camera, Scene, load_scene
+from tasks.clock import clock_warnings
 from tasks.scan_checks import check_frames, contradiction_warnings, refuse_reversed_steps, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks
 
@@ -45,11 +49,14 @@ class LoadedScene:
     scene : Scene
     rig : Rig
     warnings : tuple of str
+    known : KnownScene or None
+        What the store has of the scene already.
     """
 
     scene: Scene
     rig: Rig
     warnings: tuple[str, ...] = ()
+    known: KnownScene | None = None
 
 
 @dataclass(frozen=True)
@@ -69,9 +76,11 @@ def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
     refuse_signed_off(store.root, scene.key.scene_id)
     rig = load_rig(rig_path) if rig_path else store.find_rig(scene.rig_id)
     scene.check_fits(rig)
-    if rig.id == scene.rig_id:
-        return LoadedScene(scene, rig)
-    return LoadedScene(scene, rig, (f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}",))
+    known = store.known(scene.key)
+    warnings = clock_warnings(scene.key, rig, known.first_stored_at if known else None)
+    if rig.id != scene.rig_id:
+        warnings.append(f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}")
+    return LoadedScene(scene, rig, tuple(warnings), known)
 
 
 def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reconstruction:
@@ -81,28 +90,34 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     size = scene.code.size(rig.projector.width, rig.projector.height)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
-        left_frames = _frames(scene, "left", readers)
-        right_frames = right_reader.submit(_frames, scene, "right", readers)
-        left = reconstruct.decode(left_frames, scene.code, size, scene.exposures, settings.reconstruction)
-        left_checked = check_frames("left", left_frames, left, scene, rig)
-        del left_frames
-        right = reconstruct.decode(right_frames.result(), scene.code, size, scene.exposures, settings.reconstruction)
-        right_checked = check_frames("right", right_frames.result(), right, scene, rig)
+        left_stack = _read(scene, "left", readers)
+        reading_right = right_reader.submit(_read, scene, "right", readers)
+        left = reconstruct.decode(left_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
+        left_checked = check_frames("left", left_stack.frames, left, scene, rig)
+        checksums = left_stack.checksums
+        del left_stack
+        right_stack = reading_right.result()
+        right = reconstruct.decode(right_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
+        right_checked = check_frames("right", right_stack.frames, right, scene, rig)
     refuse_wrong_frames(scene, left_checked, right_checked, settings.checks)
-    reconstruction = reconstruct.triangulate(left, right, rig, settings.reconstruction)
+    digest = frames_digest(scene.code, scene.exposures, checksums, right_stack.checksums)
+    if loaded.known:
+        loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
+    del right_stack, reading_right
+    reconstruction = replace(reconstruct.triangulate(left, right, rig, settings.reconstruction), frames_digest=digest)
     refuse_reversed_steps(scene, reconstruction, settings)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
 
 
-def _frames(scene: Scene, camera: Camera, readers: Executor) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def _read(scene: Scene, camera: Camera, readers: Executor) -> FrameStack:
     """One camera's frames, as bright as the scene's exposures say."""
-    frames = scene.frames(camera, readers)
+    stack = scene.read(camera, readers)
     try:
-        check_brightness(frames, scene.code, scene.exposures)
+        check_brightness(stack.frames, scene.code, scene.exposures)
     except SceneError as problem:
         raise SceneError(f"{scene.folder / MANIFEST}: {camera} camera: {problem}") from None
-    return frames
+    return stack
 
 
 def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
@@ -280,6 +295,7 @@ def assemble(
         epipolar_rms_px=health.epipolar_rms_px,
         projector_rms_px=health.projector_rms_px,
         pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
+        files_state=loaded.scene.files_state,
     )
 
 

@@ -12,6 +12,7 @@ from dashboard.frame import Desk, go, link, plain
 from dashboard.habits import Habits
 from dashboard.palette import DECISION_MARKS
 from dashboard.tables import show_table
+from storage.archive.views import NEWEST_TIME
 
 TITLE = "Overview"
 _MOST_ROWS = 200
@@ -40,7 +41,7 @@ def panel_states(desk: Desk, selection: Selection) -> pd.DataFrame:
     condition, parameters = selection.where()
     sql = f"""
 WITH s AS (
-    SELECT scene_id, aircraft_serial, panel, captured_at, n_rivets, n_stations, status
+    SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, n_rivets, n_stations, status
     FROM latest_scenes WHERE {condition}
 ), bad AS (
     SELECT scene_id, 'rivet' AS feature_kind, rivet_id AS feature_id, decision, abs(height_mean_mm) AS off_mm
@@ -65,7 +66,7 @@ SELECT aircraft_serial, panel, coalesce(sum(waiting), 0)::BIGINT AS waiting,
     coalesce(sum(conditional_pass), 0)::BIGINT AS conditional_pass,
     coalesce(sum(n_rivets), 0)::BIGINT + coalesce(sum(n_stations), 0)::BIGINT AS features,
     max(worst_mm) AS worst_mm, count(*) AS scenes, count(*) FILTER (status <> 'ok') AS with_warnings,
-    max(captured_at) AS last_scan
+    {NEWEST_TIME} AS last_scan
 FROM s LEFT JOIN per_scene USING (scene_id)
 GROUP BY ALL ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """

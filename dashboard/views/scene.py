@@ -27,6 +27,7 @@ from dashboard.scenes import (
 )
 from metrology.errors import FlushlineError, StoreError
 from metrology.tolerance import Limit
+from storage.archive.views import NEWEST_FIRST
 from storage.cloud import StoredCloud
 from storage.review import Feature
 
@@ -64,7 +65,7 @@ def render(desk: Desk) -> None:
 
 
 def _newest(desk: Desk) -> str:
-    rows = desk.archive.rows("SELECT scene_id FROM scenes ORDER BY captured_at DESC, scene_id LIMIT 1")
+    rows = desk.archive.rows(f"SELECT scene_id FROM scenes ORDER BY {NEWEST_FIRST}, scene_id LIMIT 1")
     return str(rows["scene_id"].iloc[0]) if len(rows) else ""
 
 

@@ -6,6 +6,7 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from dashboard.frame import Desk, plain
+from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
 from dashboard.sql_worker import DISPOSITIONS_COLUMNS
 from metrology.errors import FlushlineError, UsageError
@@ -75,10 +76,9 @@ def _ask(desk: Desk, known: dict[str, str], names: dict[str, str], saved: SavedQ
         note = f", the first {desk.habits.whole(len(answer.rows))} shown" if answer.truncated else ""
         st.caption(f"{'more than ' if answer.truncated else ''}{desk.habits.whole(len(answer.rows))} rows{note}")
         st.dataframe(answer.rows, hide_index=True, height=330)
-        separator, decimal = (";", ",") if desk.habits.style == "de" else (",", ".")
         st.download_button(
             "Download CSV",
-            lambda: answer.rows.to_csv(index=False, sep=separator, decimal=decimal).encode("utf-8-sig"),
+            lambda: csv_report(answer.rows, desk.habits),
             "query.csv",
             "text/csv",
             on_click="ignore",

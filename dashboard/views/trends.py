@@ -38,6 +38,7 @@ from metrology.statistics import (
     rule_violations,
 )
 from metrology.tolerance import Limit
+from storage.archive.views import NEWEST_FIRST
 
 TITLE = "Trends"
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
@@ -95,9 +96,7 @@ def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
 def _limit(archive: Archive, subject: Subject, quantity: Quantity) -> Limit | None:
     """The limit by which the newest scan was judged."""
     condition, parameters = ("panel = ?", [subject.panel]) if subject.panel else ("true", [])
-    rows = archive.rows(
-        f"SELECT bundle_path FROM scenes WHERE {condition} ORDER BY captured_at DESC LIMIT 1", parameters
-    )
+    rows = archive.rows(f"SELECT bundle_path FROM scenes WHERE {condition} ORDER BY {NEWEST_FIRST} LIMIT 1", parameters)
     return limits_used(archive, rows["bundle_path"].iloc[0], None).get(quantity.limit) if len(rows) else None
 
 

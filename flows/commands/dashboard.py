@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
     if not 0 < options.port < 65536:
         raise UsageError(f"--port: found {options.port}, expected 1 … 65535")
-    Store(options.store).check_usable()
+    Store(options.store).existing()
     read_settings(options.store, options.settings)
     login = login_is_configured(Path.cwd())
     check_address(options.address, login)

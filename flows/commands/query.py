@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     with contextlib.closing(store.connect()) as connection:
         result = run_query(connection, options.sql)
         with _output(options.out) as output:
-            write_rows(result, row_format, output)
+            write_rows(result, row_format, output, to_file=options.out is not None)
     return 0
 
 

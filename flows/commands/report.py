@@ -30,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
     from storage.archive import Store
     from storage.archive.schema import RIVETS, SEAM_STATIONS
     from storage.report import SceneRecord, panel_page, panel_record, rows_csv, scene_page, scene_record
+    from storage.spreadsheet import ENCODING
 
     store = Store(options.store)
     scenes: tuple[SceneRecord, ...]
@@ -50,6 +51,6 @@ def run(options: argparse.Namespace) -> int:
             (SEAM_STATIONS, [station for scene in scenes for station in scene.stations]),
         ):
             path = options.out.with_name(f"{options.out.stem}-{table.name}.csv")
-            path.write_text(rows_csv(rows, [column.name for column in table.columns]), encoding="utf-8", newline="")
+            path.write_text(rows_csv(rows, [column.name for column in table.columns]), encoding=ENCODING, newline="")
             print(path)
     return 0

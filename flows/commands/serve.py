@@ -27,14 +27,32 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 def run(options: argparse.Namespace) -> int:
     """Serve until stopped."""
     from flows.commands.run import inbox_job, way_to_run
-    from flows.prefect_server import answers, configured_api
+    from flows.prefect_server import configured_api, server_problem
     from metrology.errors import UsageError
 
     job, way = inbox_job(options), way_to_run(options)
+    if options.timezone:
+        _check_timezone(options.timezone)
     api = configured_api()
-    if not api or not answers(api):
-        found = f"no answer from {api}" if api else "no Prefect server configured"
-        raise UsageError(f"serve: found {found}, expected PREFECT_API_URL of a running 'prefect server start'")
+    if not api:
+        raise UsageError(
+            "serve: found no Prefect server configured, expected PREFECT_API_URL of a running 'prefect server start'"
+        )
+    if problem := server_problem(api):
+        raise UsageError(f"serve: {problem} ('prefect server start')")
     from flows.prefect_inbox import serve
 
     return serve(job, way, options.cron, options.timezone, options.name)
+
+
+def _check_timezone(name: str) -> None:
+    from zoneinfo import ZoneInfo
+
+    from metrology.errors import UsageError
+
+    try:
+        ZoneInfo(name)
+    except (KeyError, ValueError, OSError):  # unknown, a path, a folder of zones
+        raise UsageError(
+            f"--timezone: found {name!r}, expected the name of a time zone, such as Europe/Berlin or UTC"
+        ) from None

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from storage.spreadsheet import harmless
+
 Cell = str | float | int | None
 
 
@@ -49,9 +51,9 @@ class Table:
         """Header and rows, numbers unrounded, empty where there is no value."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([column.full_name for column in self.columns])
+        writer.writerow([harmless(column.full_name) for column in self.columns])
         for row in self.rows:
-            writer.writerow(["" if isinstance(v, float) and math.isnan(v) else v for v in row])
+            writer.writerow(["" if isinstance(v, float) and math.isnan(v) else harmless(v) for v in row])
         return text.getvalue()
 
     def markdown(self) -> str:

@@ -12,6 +12,7 @@ from plotly.offline import get_plotlyjs
 
 from flows.study.document import Section, Table, bars_table
 from storage.report import markup
+from storage.spreadsheet import ENCODING
 
 SIMULATED = (
     "All figures come from simulated scans: rays traced to a virtual panel whose truth is known exactly. They tell "
@@ -35,16 +36,16 @@ def write_report(out: Path, title: str, lead: Sequence[str], sections: Sequence[
     tables.mkdir(parents=True, exist_ok=True)
     for section in sections:
         for table in section.tables:
-            _write(tables / f"{table.name}.csv", table.csv())
+            _write(tables / f"{table.name}.csv", table.csv(), ENCODING)
     _write(out / "report.md", _markdown(title, lead, sections))
     _write(out / "report.html", _html(title, lead, sections))
     return out / "report.html"
 
 
-def _write(path: Path, text: str) -> None:
+def _write(path: Path, text: str, encoding: str = "utf-8") -> None:
     """Whole or not at all."""
     partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8", newline="")
+    partial.write_text(text, encoding=encoding, newline="")
     partial.replace(path)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Literal
 
+from metrology.moments import moment_of
 from metrology.results import SceneKey
 from metrology.rig import Rig
 from simulator.pack import pack
@@ -63,7 +64,7 @@ class Scan:
     def key(self) -> SceneKey:
         """What names it in the store."""
         keys = self.series.simulation.scene
-        captured = datetime.fromisoformat(keys.captured_at) + timedelta(minutes=keys.interval_min * self.repeat)
+        captured = moment_of(keys.captured_at) + timedelta(minutes=keys.interval_min * self.repeat)
         return SceneKey(self.series.name, keys.panel, self.series.station(self.placement, self.rig), captured)
 
 

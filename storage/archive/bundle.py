@@ -24,7 +24,7 @@ from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
 from metrology.overlay import Overlay
 from metrology.results import SceneKey
-from storage.archive.files import sha256, sync, write_durably
+from storage.archive.files import protect, sha256, sync, write_durably
 from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
 from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
@@ -60,6 +60,9 @@ class BundleModel(BaseModel):
     scene_id: str
     config_hash: str
     rig_hash: str
+    frames_digest: str | None = None
+    files_state: str | None = None
+    first_stored_at: UtcTime | None = None
     files: dict[str, FileModel]
 
     @property
@@ -81,17 +84,22 @@ def encode(reconstruction: Reconstruction, preview: NDArray[np.uint8]) -> dict[s
     return {CLOUD: encode_cloud(reconstruction), PREVIEW: picture}
 
 
-def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionResult) -> None:
+def write_bundle(
+    folder: Path, run_id: str, final_path: str, result: InspectionResult, first_stored_at: datetime | None = None
+) -> None:
     """Write and sync a run's files into an empty folder; manifest.json comes last.
 
     Parameters
     ----------
     final_path : str
         Where the folder will lie, relative to the store.
+    first_stored_at : datetime, optional
+        When the scene's first run was stored; now, where this is the first one.
     """
+    first_stored_at = first_stored_at or datetime.now(UTC)
     with ThreadPoolExecutor(1) as painter:
         painted = painter.submit(_paint, result.overlay)
-        tables = result_tables(result, run_id, final_path)
+        tables = result_tables(result, run_id, final_path, first_stored_at)
         for name, content in (result.encoded or encode(result.reconstruction, result.preview)).items():
             (folder / name).write_bytes(content)
         (folder / OVERLAY).write_bytes(painted.result())
@@ -104,7 +112,7 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
     files = sorted(folder.iterdir())
     for path in files:
-        path.chmod(0o444)
+        protect(path)
         sync(path)
     manifest = {
         "format": FORMAT,
@@ -114,6 +122,9 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
         "config_hash": result.config_hash,
         "rig_hash": document_hash(result.rig_document),
         "rig": result.reconstruction.rig.id,
+        "frames_digest": result.reconstruction.frames_digest,
+        "files_state": result.files_state,
+        "first_stored_at": utc_text(first_stored_at),
         "settings": result.settings,
         "panel_spec": result.panel_spec,
         "registration": result.registration,
@@ -125,7 +136,7 @@ def write_bundle(folder: Path, run_id: str, final_path: str, result: InspectionR
         "files": {path.name: {"bytes": path.stat().st_size, "sha256": sha256(path)} for path in files},
     }
     write_durably(folder / MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
-    (folder / MANIFEST).chmod(0o444)
+    protect(folder / MANIFEST)
 
 
 def read_manifest(bundle: Path) -> BundleModel:
@@ -162,11 +173,13 @@ def check_bundle(bundle: Path, only_tables: bool = False) -> BundleModel:
     return manifest
 
 
-def result_tables(result: InspectionResult, run_id: str, bundle_path: str) -> dict[str, pa.Table]:
+def result_tables(
+    result: InspectionResult, run_id: str, bundle_path: str, first_stored_at: datetime
+) -> dict[str, pa.Table]:
     """A result's rows of every table."""
     key = {**asdict(result.key), "scene_id": result.key.scene_id}
     rows = {
-        SCENES.name: [key | _scene_row(result, run_id, bundle_path)],
+        SCENES.name: [key | _scene_row(result, run_id, bundle_path, first_stored_at)],
         RIVETS.name: [key | {f.name: getattr(rivet, f.name) for f in fields(rivet)} for rivet in result.rivets],
         SEAM_STATIONS.name: [key | {f.name: getattr(s, f.name) for f in fields(s)} for s in result.stations],
     }
@@ -179,7 +192,7 @@ def result_tables(result: InspectionResult, run_id: str, bundle_path: str) -> di
     }
 
 
-def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[str, Any]:
+def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_stored_at: datetime) -> dict[str, Any]:
     valid = result.reconstruction.valid
     sigma = result.reconstruction.sigma_z[valid]
     spec, registration = result.panel_spec, result.registration
@@ -189,6 +202,9 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str) -> dict[
         "rig_id": result.reconstruction.rig.id,
         "operator": result.operator,
         "processed_at": datetime.now(UTC),
+        "first_stored_at": first_stored_at,
+        "frames_digest": result.reconstruction.frames_digest,
+        "files_state": result.files_state,
         "software_version": result.versions.get("flushline"),
         "config_hash": result.config_hash,
         "rig_hash": document_hash(result.rig_document),

@@ -8,22 +8,25 @@ import fcntl
 import hashlib
 import os
 import shutil
-import tempfile
+import stat
 from collections.abc import Iterator
 from pathlib import Path
+from uuid import uuid4
 
 from metrology.errors import StoreError
 
 # Linux: lets two files share their blocks until one of them changes (XFS, Btrfs).
 _FICLONE = 0x40049409
+# What file systems without locks, or without their lock service, answer.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL, errno.EBADF)
 
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
     """Hold a lock file exclusively; the kernel lets go of it when a process dies."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)  # less the umask, as every file of a shared store
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        _lock(descriptor, path, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)
@@ -31,13 +34,33 @@ def locked(path: Path) -> Iterator[None]:
 
 def hold(path: Path) -> int | None:
     """A descriptor that holds `path` exclusively until it is closed; None where another process holds it."""
-    descriptor = os.open(path, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        descriptor = os.open(path, os.O_RDWR)  # network file systems lock only what may be written
+    except (PermissionError, IsADirectoryError):
+        descriptor = os.open(path, os.O_RDONLY)
+    try:
+        _lock(descriptor, path, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
         return None
+    except BaseException:
+        os.close(descriptor)
+        raise
     return descriptor
+
+
+def _lock(descriptor: int, path: Path, how: int) -> None:
+    try:
+        fcntl.flock(descriptor, how)
+    except BlockingIOError:
+        raise
+    except OSError as problem:
+        if problem.errno not in _NO_LOCKS:
+            raise
+        raise StoreError(
+            f'{path}: found "{problem.strerror}", expected a file system with file locks (flock): a local disk, or '
+            "NFS 4 with its lock service at work"
+        ) from None
 
 
 @contextlib.contextmanager
@@ -75,15 +98,18 @@ def write_durably(path: Path, content: bytes) -> None:
 
 def write_first(target: Path, content: bytes) -> bool:
     """Write a file that does not exist yet, whole or not at all; False where another was first."""
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".")
-    os.close(descriptor)
-    partial = Path(name)
+    partial = target.with_name(f".{target.name}.{uuid4().hex}")
     try:
         write_durably(partial, content)
-        partial.chmod(0o444)
+        protect(partial)
         return link_first(partial, target)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def protect(path: Path) -> None:
+    """Let nobody write a file any more; who may read it stays as the umask had it."""
+    path.chmod(stat.S_IMODE(path.stat().st_mode) & 0o444)
 
 
 def link_first(source: Path, target: Path) -> bool:

@@ -12,6 +12,7 @@ import contextlib
 import fcntl
 import json
 import os
+import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,7 +62,7 @@ def recycle(layout: Layout, generations: Sequence[Path], news: News, target: Pat
     try:
         if not _is_closed(spare):
             return False
-        spare.chmod(0o644)
+        spare.chmod(stat.S_IMODE(layout.work.stat().st_mode))
         if _replayed(layout, spare, [*(run for runs in missed for run in runs or ()), *news.runs]) != news.fingerprint:
             return False
         spare.rename(target)

@@ -13,6 +13,7 @@ from uuid import uuid4
 
 from metrology.errors import StoreError
 from storage.archive.bundle import MANIFEST
+from storage.archive.files import protect
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
@@ -70,7 +71,7 @@ class Remote:
         partial = target.with_name(f".{target.name}.{uuid4().hex}")
         try:
             fs.copy_files(f"{self.base}/{run}/{name}", str(partial), self.filesystem, fs.LocalFileSystem())
-            partial.chmod(0o444)
+            protect(partial)
             partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)

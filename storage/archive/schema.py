@@ -92,6 +92,9 @@ run_id VARCHAR the inspection run that gave the scene's rows; grows with time
 rig_id VARCHAR calibration that was used
 operator VARCHAR who scanned, where the scene says so
 processed_at TIMESTAMPTZ when the run was stored (UTC)
+first_stored_at TIMESTAMPTZ when the scene's first run was stored (UTC); NULL where it was before this was kept
+frames_digest VARCHAR names the content of the frames; another scan has another one; NULL where it was not kept yet
+files_state VARCHAR names the frame files as they lay on disk; while it is the same, nothing in them changed
 software_version VARCHAR version of Flushline
 config_hash VARCHAR names all settings and the panel specification; equal hashes were inspected alike
 rig_hash VARCHAR names the content of the rig file

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import duckdb
 
 from metrology.errors import StoreError
-from storage.archive.files import copy_durably, locked, make_folders, point_to
+from storage.archive.files import copy_durably, locked, make_folders, point_to, protect
 from storage.archive.layout import Layout
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def publish(layout: Layout, news: News | None = None) -> None:
     if news:
         note(layout, target, news)
     # Whoever opens it for writing by mistake is refused instead of changing what others read.
-    target.chmod(0o444)
+    protect(target)
     point_to(layout.archive, target)
     for old in sorted(layout.generations.glob("archive-*.duckdb"))[:-KEPT_GENERATIONS]:
         discard(old)

@@ -12,11 +12,13 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from storage.archive.bundle import PATTERN
 from storage.archive.bundles import Bundles
 from storage.archive.files import hold, link_first, locked, make_folders, write_durably
+from storage.archive.known import known_scene, refuse_rivals
 from storage.archive.layout import Layout, new_run_id
 from storage.archive.panels import PatternTaken
 
@@ -32,16 +34,21 @@ class StagedRun:
         Where its files are written.
     final : Path
         Where the folder will lie.
+    first_stored_at : datetime or None
+        When the scene's first run was stored; None where this is the first one.
     """
 
     run_id: str
     folder: Path
     final: Path
+    first_stored_at: datetime | None = None
 
 
 @contextlib.contextmanager
-def staged_run(layout: Layout, scene: Path, pattern: Path) -> Iterator[StagedRun]:
+def staged_run(layout: Layout, scene: Path, pattern: Path, frames_digest: str | None = None) -> Iterator[StagedRun]:
     """An empty folder for a run of a scene; what is not settled in the end leaves no trace.
+
+    A scene of which other frames are stored, or being stored, is refused.
 
     Parameters
     ----------
@@ -49,12 +56,22 @@ def staged_run(layout: Layout, scene: Path, pattern: Path) -> Iterator[StagedRun
         Folder of the scene's runs.
     pattern : Path
         Where the pattern of the scene's station is kept.
+    frames_digest : str, optional
+        Of the run's frames.
     """
     with locked(layout.lock):  # so that nobody sees the marker before it is locked
+        known = known_scene(layout, scene)
+        if known:
+            known.refuse_other(scene.name, frames_digest, scene.name)
+        refuse_rivals(layout, scene, frames_digest)
         run_id = new_run_id(scene)
-        run = StagedRun(run_id, layout.staging / run_id, scene / run_id)
+        run = StagedRun(run_id, layout.staging / run_id, scene / run_id, known.first_stored_at if known else None)
         marker = _marker(run.folder)
-        document = {"run": layout.relative(run.final), "pattern": layout.relative(pattern)}
+        document = {
+            "run": layout.relative(run.final),
+            "pattern": layout.relative(pattern),
+            "frames_digest": frames_digest,
+        }
         write_durably(marker, json.dumps(document).encode())
         descriptor = hold(marker)
         run.folder.mkdir()

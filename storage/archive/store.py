@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from metrology.inspection import InspectionResult
+    from metrology.results import SceneKey
     from metrology.rig import Rig
     from storage.archive.bundles import Bundles
+    from storage.archive.known import KnownScene
     from storage.archive.panels import Panels
     from storage.cloud import StoredCloud
 
@@ -141,6 +143,8 @@ class Store:
         ------
         PatternTaken
             Where the result enrols its station's pattern, but another scan's is there by now.
+        SceneError
+            Where another scan is stored under the same key.
         """
         from storage.archive.bundle import write_bundle
         from storage.archive.signed import refuse_signed_off
@@ -152,8 +156,10 @@ class Store:
         pattern = self.panels.pattern_path(key.panel, key.station)
         with disk_trouble(self.root, "the store is as it was"):
             self.prepare()
-            with staged_run(self.layout, self.layout.scene(key), pattern) as run:
-                write_bundle(run.folder, run.run_id, self.layout.relative(run.final), result)
+            digest = result.reconstruction.frames_digest
+            with staged_run(self.layout, self.layout.scene(key), pattern, digest) as run:
+                place = self.layout.relative(run.final)
+                write_bundle(run.folder, run.run_id, place, result, run.first_stored_at)
                 settle(self.layout, run, pattern)
         later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
         with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):
@@ -258,6 +264,18 @@ class Store:
                 [scene_id, config_hash, rig_hash],
             ).fetchone()
         return row is not None
+
+    def known(self, key: SceneKey) -> KnownScene | None:
+        """What is known of a scene; None where it has no run."""
+        from storage.archive.known import known_scene
+
+        return known_scene(self.layout, self.layout.scene(key))
+
+    def known_scenes(self) -> dict[str, KnownScene]:
+        """Every scene of the published index, by its id."""
+        from storage.archive.known import known_scenes
+
+        return known_scenes(self.layout)
 
     def has_rig(self, rig_id: str) -> bool:
         """Whether the store's `rigs` folder holds the calibration."""

@@ -3,6 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import timedelta
+
+# A scan cannot be newer than the moment it was first stored; a camera's clock may be a little ahead.
+CLOCK_SLACK = timedelta(minutes=5)
+AHEAD = f"(captured_at > coalesce(first_stored_at, processed_at) + INTERVAL {int(CLOCK_SLACK.total_seconds())} SECOND)"
+"""Whether a scan claims to have been taken after it was stored: its camera's clock was wrong."""
+TAKEN_AT = f"CASE WHEN {AHEAD} THEN coalesce(first_stored_at, processed_at) ELSE captured_at END"
+"""When a scan was taken, at the latest: where its time lies ahead, when it was first stored."""
+NEWEST_FIRST = f"{AHEAD}, captured_at DESC"
+"""The order in which scans are looked for: one whose time lies ahead counts only where there is no other."""
+NEWEST_TIME = f"coalesce(max(captured_at) FILTER (NOT {AHEAD}), max(captured_at))"
+"""When the newest scan was taken, by the same rule."""
 
 KEY = "aircraft_serial, panel, station, captured_at, scene_id"
 # From grave to harmless.
@@ -30,9 +42,9 @@ class View:
 VIEWS = (
     View(
         "latest_scenes",
-        "The newest scan of each station of each panel",
+        "The newest scan of each station of each panel; one whose time lies ahead only where there is no other",
         "SELECT * FROM scenes QUALIFY row_number() OVER "
-        "(PARTITION BY aircraft_serial, panel, station ORDER BY captured_at DESC) = 1",
+        f"(PARTITION BY aircraft_serial, panel, station ORDER BY {NEWEST_FIRST}) = 1",
     ),
     View(
         "latest_rivets",
@@ -71,7 +83,7 @@ VIEWS = (
     View(
         "panel_summary",
         "One row per panel of each aircraft, from the newest scan of each of its stations",
-        "WITH s AS (SELECT aircraft_serial, panel, count(*) AS n_scenes, max(captured_at) AS last_captured_at, "
+        f"WITH s AS (SELECT aircraft_serial, panel, count(*) AS n_scenes, {NEWEST_TIME} AS last_captured_at, "
         "count(*) FILTER (status <> 'ok') AS n_scenes_with_warnings FROM latest_scenes GROUP BY ALL), "
         "r AS (SELECT aircraft_serial, panel, count(*) AS n_rivets, "
         "count(*) FILTER (decision IN ('fail', 'conditional fail')) AS n_rivets_failing, "

@@ -9,13 +9,14 @@ from datetime import datetime
 from typing import Any
 
 from storage.documents import utc_text
+from storage.spreadsheet import harmless
 
 
 def rows_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
     """CSV (RFC 4180) with a head line; what was not measured is an empty cell, times are ISO 8601 in UTC."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    writer.writerow(columns)
+    writer.writerow([harmless(column) for column in columns])
     for row in rows:
         writer.writerow([_cell(row[column]) for column in columns])
     return text.getvalue()
@@ -24,6 +25,4 @@ def rows_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
 def _cell(value: object) -> object:
     if isinstance(value, datetime):
         return utc_text(value)
-    if isinstance(value, str) and value[:1] in ("=", "+", "@", "\t"):
-        return f"'{value}"  # a spreadsheet would run it as a formula
-    return "" if value is None else value
+    return "" if value is None else harmless(value)

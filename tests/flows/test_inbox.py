@@ -308,7 +308,7 @@ def test_serving_needs_a_server(
 
 _RUN_WITH_WORKERS = """
 import os, time
-from flows.inbox import worker_processes
+from flows.workers import worker_processes
 if __name__ == "__main__":
     with worker_processes(2) as processes:
         print(processes.submit(os.getpid).result(), flush=True)

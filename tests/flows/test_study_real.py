@@ -39,7 +39,7 @@ def captured(rendered: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
+    with path.open(encoding="utf-8-sig") as file:
         return list(csv.DictReader(file))
 
 

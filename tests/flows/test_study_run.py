@@ -120,7 +120,7 @@ def test_accuracy_from_the_command_line(specs: Path, tmp_path: Path, capsys: pyt
     assert said.count(": met") + said.count(": not met") == 3
     assert str(out / "report.html") in said
 
-    with (out / "tables" / "table-1.csv").open() as file:
+    with (out / "tables" / "table-1.csv").open(encoding="utf-8-sig") as file:
         rows = {row["rivet"]: row for row in csv.DictReader(file)}
     assert set(rows) == {"R01", "R02", "average"}
     for name, true in (("R01", 0.113), ("R02", -0.06)):
@@ -144,13 +144,13 @@ def test_repeatability_and_gage(specs: Path, tmp_path: Path) -> None:
     finished = run_study(study(specs, "repeatability"), tmp_path / "out", InspectionSettings())
     assert finished.problems == ()
     assert [bar.name.split(":")[0] for bar in finished.bars[:2]] == ["Table 3", "Table 3"]
-    with (tmp_path / "out" / "tables" / "table-3.csv").open() as file:
+    with (tmp_path / "out" / "tables" / "table-3.csv").open(encoding="utf-8-sig") as file:
         positions = [row for row in csv.DictReader(file) if row["position"] != "average"]
     assert len(positions) == 3
     for row in positions:
         assert abs(float(row["step: average"])) == pytest.approx(0.2, abs=0.01)
         assert float(row["width: average"]) == pytest.approx(2.0, abs=0.02)
-    with (tmp_path / "out" / "tables" / "gage.csv").open() as file:
+    with (tmp_path / "out" / "tables" / "gage.csv").open(encoding="utf-8-sig") as file:
         gage = {row["quantity"]: row for row in csv.DictReader(file)}
     assert set(gage) == {"height", "step", "width"}
     assert int(gage["height"]["parts"]) == 2

@@ -1,0 +1,58 @@
+"""Where kernels are kept when neither the program's folder nor the home can be written."""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+import pytest
+
+from metrology.jit import cached
+
+
+@pytest.fixture
+def compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[object], object]:
+    """Numba where only the folder that is given to it can be written."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+
+    def compile_(function: object) -> object:
+        if not numba.config.CACHE_DIR:  # type: ignore[attr-defined]
+            raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
+        return function
+
+    return compile_
+
+
+def test_kernels_go_into_a_folder_of_this_user(
+    compiler: Callable[[object], object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cached(compiler, len) is len
+    folder = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert folder == tmp_path / f"flushline-kernels-{os.getuid()}"
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert capsys.readouterr().err.count("kernels are compiled into") == 1
+    assert cached(compiler, abs) is abs
+    assert capsys.readouterr().err == ""  # said once
+
+
+def test_a_folder_that_others_can_write_is_not_trusted(compiler: Callable[[object], object], tmp_path: Path) -> None:
+    theirs = tmp_path / f"flushline-kernels-{os.getuid()}"
+    theirs.mkdir()
+    theirs.chmod(0o777)
+    cached(compiler, len)
+    assert os.environ["NUMBA_CACHE_DIR"] != str(theirs)
+    assert Path(os.environ["NUMBA_CACHE_DIR"]).parent == tmp_path
+
+
+def test_other_problems_are_not_hidden() -> None:
+    def fail(_: object) -> object:
+        raise RuntimeError("no such target")
+
+    with pytest.raises(RuntimeError, match="no such target"):
+        cached(fail, len)
