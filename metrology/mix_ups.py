@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 
+import cv2
 import numpy as np
 
 from metrology.cloud import DecodedView, Reconstruction
@@ -139,10 +140,12 @@ def _exchanges_and_turns() -> Iterator[_Hypothesis]:
 
 
 def _undistortions() -> Iterator[_Hypothesis]:
+    """Frames that a program undistorted, with the camera's own matrix or one of the two that OpenCV offers for it."""
     for names in (("left", "right"), ("left",), ("right",)):
         whose = "the cameras'" if len(names) == 2 else f"the {names[0]} camera's"
-        when = f"{whose} lens distortion is left out (they were undistorted already)"
-        yield _Hypothesis(MixUp(when, "frames as the cameras take them"), _undistorted(names))
+        when = f"{whose} lens distortion is left out (the frames were undistorted already)"
+        for share in (None, 0.0, 1.0):
+            yield _Hypothesis(MixUp(when, "frames as the cameras take them"), _undistorted(names, share))
 
 
 def _undoing(turns: tuple[Turn, Turn], exchanged: bool, reverse: tuple[bool, bool]) -> Callable[[_Scan, int], _Scan]:
@@ -156,10 +159,17 @@ def _undoing(turns: tuple[Turn, Turn], exchanged: bool, reverse: tuple[bool, boo
     return undo
 
 
-def _undistorted(names: tuple[str, ...]) -> Callable[[_Scan, int], _Scan]:
+def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan, int], _Scan]:
+    """Cameras without distortion; `share` 0 keeps no border without picture, 1 the whole picture (OpenCV's alpha)."""
+
+    def plain(device: Device) -> Device:
+        K = device.K
+        if share is not None:
+            K = cv2.getOptimalNewCameraMatrix(K, device.distortion8, (device.width, device.height), share)[0]
+        return replace(device, K=K, distortion=np.zeros(5))
+
     def undo(scan: _Scan, _: int) -> _Scan:
-        plain = {name: replace(getattr(scan.rig, name), distortion=np.zeros(5)) for name in names}
-        return replace(scan, rig=replace(scan.rig, **plain))
+        return replace(scan, rig=replace(scan.rig, **{name: plain(getattr(scan.rig, name)) for name in names}))
 
     return undo
 

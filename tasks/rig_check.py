@@ -16,6 +16,8 @@ from storage.scene import Scene, load_scene
 
 # Of the pixels that both cameras decode a sound rig matches most; a tenth is no small overlap but the wrong lines.
 _LEAST_MATCHED = 0.1
+# A rig drifts into a warning by hundredths of a pixel; undistorted frames bring half a pixel at once.
+_HARDLY_PX = 0.1
 
 
 def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> RigHealth:
@@ -36,8 +38,9 @@ def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) 
 
 
 def doubtful(health: RigHealth) -> bool:
-    """Whether mixed up frames could be why: the rig does not fit, or points are too few to tell."""
-    return health.verdict == "refused" or health.projector_rms_px is None
+    """Whether mixed up frames could be why: the rig does not fit or hardly, or points are too few to tell."""
+    off = health.projector_rms_px
+    return health.verdict == "refused" or off is None or (health.verdict == "warning" and off > _HARDLY_PX)
 
 
 def mixed_up(scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None) -> SceneError | None:
