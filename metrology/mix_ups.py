@@ -105,7 +105,7 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     decoded = min(float(np.isfinite(view.coordinate).mean()) for view in (scan.left, scan.right))
     if reconstruction.valid.mean() < _LEAST_MATCHED * decoded:
         return np.inf
-    rms = projector_rms(reconstruction, axis, settings)
+    rms = projector_rms(reconstruction, axis, replace(settings, block_px=max(16, settings.block_px // _EVERY)))
     return np.inf if rms is None else rms
 
 

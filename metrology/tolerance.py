@@ -79,10 +79,10 @@ class Limit:
             sides.append(self.upper - value)
         return min(sides)
 
-    def range(self, least: float | None = None) -> float | None:
-        """Width of what the limits leave; None where a side is open. `least` bounds a quantity that has no less."""
-        lower = least if self.lower is None else self.lower
-        return None if lower is None or self.upper is None else self.upper - lower
+    @property
+    def range(self) -> float | None:
+        """Width of what the limits leave; None where a side is open."""
+        return None if self.lower is None or self.upper is None else self.upper - self.lower
 
     def severity(self, value: float) -> Severity:
         """The paper's colour for a value."""
@@ -223,7 +223,7 @@ def _judgeable_rivet(rivet: Rivet, zone: Zone) -> Rivet:
     """The rivet without the values that are too vague for their limits."""
     if problem := _too_vague("height", "mm", rivet.height_u95_mm, [_range(zone.height_mm)]):
         rivet = without_height(rivet, problem)
-    if problem := _too_vague("tilt", "°", rivet.tilt_u95_deg, [_range(zone.tilt_deg, 0.0)]):
+    if problem := _too_vague("tilt", "°", rivet.tilt_u95_deg, [_range(zone.tilt_deg)]):
         rivet = without_tilt(rivet, problem)
     return rivet
 
@@ -235,16 +235,16 @@ def _judgeable_station(station: SeamStation, zone: Zone) -> SeamStation:
     if station.step_into_wind_mm is None:  # the step must keep to either amount, upwards and downwards
         ranges += [2 * limit.upper for limit in (into, out) if limit is not None and limit.upper is not None]
     elif into is not None or out is not None:
-        ranges.append(_either_way(out, into).range())
+        ranges.append(_either_way(out, into).range)
     if problem := _too_vague("step", "mm", station.step_u95_mm, ranges):
         station = without_step(station, problem)
-    if problem := _too_vague("width", "mm", station.width_u95_mm, [_range(zone.width_mm, 0.0)]):
+    if problem := _too_vague("width", "mm", station.width_u95_mm, [_range(zone.width_mm)]):
         station = without_width(station, problem)
     return station
 
 
-def _range(limit: Limit | None, least: float | None = None) -> float | None:
-    return None if limit is None else limit.range(least)
+def _range(limit: Limit | None) -> float | None:
+    return None if limit is None else limit.range
 
 
 def _too_vague(name: str, unit: str, u95: float | None, ranges: Sequence[float | None]) -> str | None:

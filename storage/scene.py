@@ -167,7 +167,7 @@ class Scene:
         wanted = [(device.width, device.height) for device in (rig.left, rig.right)]
         if found == wanted[::-1]:
             return "; they fit when left and right are exchanged"
-        turned = any(size == device[::-1] for size, device in zip(found, wanted, strict=True))
+        turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=True))
         return "; they fit when turned by 90°" if turned else ""
 
 
