@@ -130,7 +130,10 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
 
     def conclude() -> Inspected:
         with timed("register"):
-            registered = call(steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings)
+            doubts = steps.doubts(reconstruction, health)
+            registered = call(
+                steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings, doubts
+            )
         with timed("judge"):
             judged = call(steps.judge, registered.rivets, registered.stations, spec)
         with timed("overlay"):

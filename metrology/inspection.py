@@ -50,6 +50,8 @@ class InspectionResult:
     epipolar_rms_px, projector_rms_px : float or None
         How well the rig fits the scan: RMS distance of features seen by both cameras from their epipolar lines, and of
         the decoded projector coordinates from where the rig projects the points.
+    rig_verdict : str or None
+        Whether the rig fits the scan: ok, warning, or unjudged.
     encoded : mapping
         Content of files of the bundle that are encoded already, by their names.
     pattern : PanelLayout or None
@@ -75,6 +77,7 @@ class InspectionResult:
     registration: Mapping[str, Any] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
     projector_rms_px: float | None = None
+    rig_verdict: str | None = None
     encoded: Mapping[str, bytes] = field(default_factory=dict)
     pattern: PanelLayout | None = None
     files_state: str | None = None

@@ -9,7 +9,8 @@ Two observables, which between them see every way that one device can move or zo
   alike) and with the projector itself. The ripple that the projector's gamma leaves averages out over a block.
 
 What counts is the systematic part, which averaging does not remove; it is compared with what noise and the
-calibration's own uncertainty allow.
+calibration's own uncertainty allow, and never allowed more than an absolute limit. Each sees what the other is blind
+to, so a rig that one of them cannot judge is unjudged.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.errors import RigError
+from metrology.far_offset import measure_far_offsets
 from metrology.fringe import Axis
 from metrology.results import Rivet, RivetDetection
 from metrology.rig import Rig
 from metrology.texture_offset import TextureOffsets, measure_offsets
 
 Array = NDArray[np.float64]
-Verdict = Literal["ok", "warning", "refused"]
+Verdict = Literal["ok", "warning", "unjudged", "refused"]
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ class HealthSettings:
         Systematic deviations that are not warned of however small the noise: what registration of the skin's changing
         sheen, and the projector's gamma, leave after averaging.
     refuse_px : float
-        Systematic deviation of either kind from which the rig is refused: several times what a sound calibration
-        leaves.
+        Systematic deviation of either kind from which the rig is refused, whatever noise or calibration allow: several
+        times what a sound calibration leaves. Where noise alone may show so much, that kind tells nothing.
     """
 
     patch_spacing_px: int = 80
@@ -77,7 +79,7 @@ class RigHealth:
     ----------
     epipolar_rms_px : float or None
         Root mean square distance of texture patches from their epipolar lines in the right image, noise included; None
-        where the skin has too little texture.
+        where too few patches are found again in the right image.
     epipolar_drift_px : float or None
         Root mean square of its systematic part over the field.
     n : int
@@ -86,9 +88,10 @@ class RigHealth:
         Root mean square over blocks of decoded minus projected coordinate, projector pixels.
     projector_n : int
         Blocks.
-    verdict : "ok", "warning" or "refused"
+    verdict : "ok", "warning", "unjudged" or "refused"
+        Unjudged: at least one of the two cannot be told, and the other refuses nothing.
     reason : str or None
-        What does not fit.
+        What does not fit, or why it cannot be told.
     """
 
     epipolar_rms_px: float | None
@@ -128,21 +131,13 @@ def epipolar_health(
     """
     settings = settings or HealthSettings()
     allowed = _calibration_sigma(reconstruction.rig)
-    offsets = measure_offsets(reconstruction, _patch_centres(reconstruction, rivets, settings))
-    epipolar = _epipolar(offsets, reconstruction.rig)
+    epipolar = _across(reconstruction, _patch_centres(reconstruction, rivets, settings), settings)
     projector = _third_view(reconstruction, axis, settings)
-    findings = []
-    if epipolar is not None:
-        limit = max(settings.epipolar_floor_px, settings.sigmas * float(np.hypot(epipolar.sigma, allowed[0])))
-        findings.append(_judge("texture lies off the epipolar lines by", epipolar.drift, limit, settings))
-    if projector is not None:
-        limit = max(settings.projector_floor_px, settings.sigmas * float(np.hypot(projector.sigma, allowed[1])))
-        findings.append(_judge("the decoded projector coordinate is off by", projector.drift, limit, settings))
-    if not findings:
-        findings.append(("warning", "too few textured patches and too few points to tell whether the rig still fits"))
-    order: dict[Verdict, int] = {"ok": 0, "warning": 1, "refused": 2}
-    verdict = max((found for found, _ in findings), key=lambda found: order[found])
+    findings = [_judge(_EPIPOLAR, epipolar, allowed[0], settings), _judge(_PROJECTOR, projector, allowed[1], settings)]
+    verdict = max((found for found, _ in findings), key=_ORDER.index)
     reason = "; ".join(text for _, text in findings if text) or None
+    if reason and verdict in _ADVICE:
+        reason = f"{reason}: {_ADVICE[verdict]}"
     return RigHealth(
         epipolar_rms_px=epipolar.rms if epipolar else None,
         epipolar_drift_px=epipolar.drift if epipolar else None,
@@ -154,21 +149,65 @@ def epipolar_health(
     )
 
 
+def projector_rms(reconstruction: Reconstruction, axis: Axis, settings: HealthSettings | None = None) -> float | None:
+    """Root mean square over blocks of decoded minus projected coordinate, px; None where there are too few points."""
+    found = _third_view(reconstruction, axis, settings or HealthSettings())
+    return None if found is None else found.rms
+
+
+_ORDER: tuple[Verdict, ...] = ("ok", "warning", "unjudged", "refused")
+_ADVICE: dict[Verdict, str] = {
+    "warning": "calibrate the rig again",
+    "refused": "calibrate the rig again, or give the rig that took the scan",
+}
+# What is off, and what is missing where it cannot be told.
+_EPIPOLAR = ("texture lies off the epipolar lines by", "too little texture that both cameras see alike")
+_PROJECTOR = ("the decoded projector coordinate is off by", "too few points")
+
+
 @dataclass(frozen=True)
 class _Deviation:
-    """rms: of all values; drift: of their systematic part; sigma: the drift that noise alone would show."""
+    """rms: of all values; drift: of their systematic part; sigma: the drift that noise alone would show; floor: the
+    drift that is never warned of.
+    """
 
     rms: float
     drift: float
     sigma: float
     count: int
+    floor: float
 
 
-def _judge(what: str, drift: float, limit: float, settings: HealthSettings) -> tuple[Verdict, str | None]:
-    if drift <= limit:
-        return "ok", None
-    verdict: Verdict = "refused" if drift > max(settings.refuse_px, limit) else "warning"
-    return verdict, f"{what} {drift:.3f} px RMS, expected at most {limit:.3f} px: calibrate the rig again"
+def _judge(
+    what: tuple[str, str], found: _Deviation | None, allowed: float, settings: HealthSettings
+) -> tuple[Verdict, str | None]:
+    """Verdict and reason by one observable; more drift never makes it milder, nor does more noise excuse it."""
+    off, missing = what
+    if found is None:
+        return "unjudged", f"cannot tell whether the rig still fits: {missing}"
+    limit = max(found.floor, min(settings.sigmas * float(np.hypot(found.sigma, allowed)), settings.refuse_px))
+    if found.drift > settings.refuse_px:
+        return "refused", f"{off} {found.drift:.4g} px RMS, expected at most {limit:.3f} px"
+    if settings.sigmas * found.sigma > settings.refuse_px:
+        noise = f"{settings.sigmas * found.sigma:.3g} px, expected at most {settings.refuse_px:g} px"
+        return "unjudged", f"cannot tell whether the rig still fits: {off} {found.drift:.3f} px with noise of {noise}"
+    if found.drift > limit:
+        return "warning", f"{off} {found.drift:.3f} px RMS, expected at most {limit:.3f} px"
+    return "ok", None
+
+
+def _across(reconstruction: Reconstruction, centres: NDArray[np.int64], settings: HealthSettings) -> _Deviation | None:
+    """Texture across the epipolar lines: patches a few pixels around them, else blocks over the whole image."""
+    rig, refuse = reconstruction.rig, settings.refuse_px
+    near = _epipolar(measure_offsets(reconstruction, centres), rig, settings.epipolar_floor_px)
+    if near is not None and settings.sigmas * near.sigma <= refuse:
+        return near
+    # Patches that lie out of reach are found nowhere, or by chance in places that contradict each other.
+    far = _epipolar(measure_far_offsets(reconstruction), rig, refuse)
+    for found in (far, near):
+        if found is not None and settings.sigmas * found.sigma <= max(refuse, found.drift):
+            return found
+    return None
 
 
 def _calibration_sigma(rig: Rig) -> tuple[float, float]:
@@ -192,7 +231,7 @@ def _patch_centres(
     return np.concatenate([np.stack(grid, -1).reshape(-1, 2), extra])
 
 
-def _epipolar(offsets: TextureOffsets, rig: Rig) -> _Deviation | None:
+def _epipolar(offsets: TextureOffsets, rig: Rig, floor: float) -> _Deviation | None:
     """The systematic part is a quadratic over the field: offset, roll and zoom are its linear, yaw its product term."""
     if len(offsets.across_px) < _LEAST_PATCHES:
         return None
@@ -219,6 +258,7 @@ def _epipolar(offsets: TextureOffsets, rig: Rig) -> _Deviation | None:
         drift=float(np.sqrt(np.mean(fitted**2))),
         sigma=sigma,
         count=int(keep.sum()),
+        floor=floor,
     )
 
 
@@ -243,7 +283,7 @@ def _third_view(reconstruction: Reconstruction, axis: Axis, settings: HealthSett
     # A median of n normal values scatters by 1.2533 σ / √n; neighbouring pixels share little noise.
     sigma = 1.2533 * _MAD_TO_SIGMA * scatter / np.sqrt(count)
     rms = float(np.sqrt(np.mean(middle**2)))
-    return _Deviation(rms=rms, drift=rms, sigma=float(np.sqrt(np.mean(sigma**2))), count=len(middle))
+    return _Deviation(rms, rms, float(np.sqrt(np.mean(sigma**2))), len(middle), settings.projector_floor_px)
 
 
 def _medians(values: Array, group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:

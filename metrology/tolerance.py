@@ -8,7 +8,8 @@ beyond the serious limits. The decision also looks at the value's expanded uncer
     conditional fail   outside, but by no more than U95
     fail               outside by more than U95
 
-What was not measured is its own state and never a pass; what has no limit is judged neither way.
+What was not measured is its own state and never a pass; what has no limit is judged neither way. A value whose U95 is
+wider than the range that its limits leave cannot be judged by them and counts as not measured.
 
 A seam's step may have limits of its own into the wind (the downstream side stands higher) and out of it. Where the
 air's direction across the seam is not known, the step must meet both.
@@ -21,6 +22,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import get_args
 
 from metrology.errors import SpecError
+from metrology.plausibility import without_height, without_step, without_tilt, without_width
 from metrology.results import Decision, Rivet, SeamStation, Severity
 
 RULE = "ISO 14253-1, guard band U95"
@@ -76,6 +78,11 @@ class Limit:
         if self.upper is not None:
             sides.append(self.upper - value)
         return min(sides)
+
+    @property
+    def range(self) -> float | None:
+        """Width of what the limits leave; None where a side is open."""
+        return None if self.lower is None or self.upper is None else self.upper - self.lower
 
     def severity(self, value: float) -> Severity:
         """The paper's colour for a value."""
@@ -212,11 +219,48 @@ def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
     return _Verdict(severity, decision, "; ".join(dict.fromkeys(r for r in reasons if r)) or None)
 
 
+def _judgeable_rivet(rivet: Rivet, zone: Zone) -> Rivet:
+    """The rivet without the values that are too vague for their limits."""
+    if problem := _too_vague("height", "mm", rivet.height_u95_mm, [_range(zone.height_mm)]):
+        rivet = without_height(rivet, problem)
+    if problem := _too_vague("tilt", "°", rivet.tilt_u95_deg, [_range(zone.tilt_deg)]):
+        rivet = without_tilt(rivet, problem)
+    return rivet
+
+
+def _judgeable_station(station: SeamStation, zone: Zone) -> SeamStation:
+    """The seam station without the values that are too vague for their limits."""
+    into, out = zone.step_into_wind_mm, zone.step_out_of_wind_mm
+    ranges = [_range(zone.step_mm)]
+    if station.step_into_wind_mm is None:  # the step must keep to either amount, upwards and downwards
+        ranges += [2 * limit.upper for limit in (into, out) if limit is not None and limit.upper is not None]
+    elif into is not None or out is not None:
+        ranges.append(_either_way(out, into).range)
+    if problem := _too_vague("step", "mm", station.step_u95_mm, ranges):
+        station = without_step(station, problem)
+    if problem := _too_vague("width", "mm", station.width_u95_mm, [_range(zone.width_mm)]):
+        station = without_width(station, problem)
+    return station
+
+
+def _range(limit: Limit | None) -> float | None:
+    return None if limit is None else limit.range
+
+
+def _too_vague(name: str, unit: str, u95: float | None, ranges: Sequence[float | None]) -> str | None:
+    """Why a value says nothing: its U95 is wider than the narrowest range that its limits leave."""
+    narrowest = min((width for width in ranges if width), default=None)  # limits that allow one value leave none
+    if u95 is None or narrowest is None or u95 <= narrowest:
+        return None
+    return f"{name}: found U95 of {u95:.3g} {unit}, expected less than the {narrowest:.3g} {unit} that its limits leave"
+
+
 def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
     """The rivets with severity, decision and the reason for anything short of a pass."""
     judged = []
-    for rivet in rivets:
-        zone = spec.zone(rivet.zone)
+    for measured in rivets:
+        zone = spec.zone(measured.zone)
+        rivet = _judgeable_rivet(measured, zone)
         verdict = _gravest(
             [
                 _judge("height", "mm", rivet.height_mean_mm, rivet.height_u95_mm, zone.height_mm),
@@ -231,8 +275,9 @@ def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
 def judge_stations(stations: Sequence[SeamStation], spec: PanelSpec) -> list[SeamStation]:
     """The seam stations with severity, decision and the reason for anything short of a pass."""
     judged = []
-    for station in stations:
-        zone = spec.zone(station.zone)
+    for measured in stations:
+        zone = spec.zone(measured.zone)
+        station = _judgeable_station(measured, zone)
         verdict = _gravest(
             [
                 _judge("step", "mm", station.step_mm, station.step_u95_mm, zone.step_mm),

@@ -182,7 +182,17 @@ class Scene:
                 raise SceneError(
                     f"{getattr(self, camera)[0]}: found {header.width}×{header.height} pixels, "
                     f"expected {device.width}×{device.height} as the {camera} camera of rig {rig.id!r} has"
+                    f"{self._likely_mix_up(rig)}"
                 )
+
+    def _likely_mix_up(self, rig: Rig) -> str:
+        """What the frames' sizes tell of how they came not to fit a rig."""
+        found = [(header.width, header.height) for header in (self.left_header, self.right_header)]
+        wanted = [(device.width, device.height) for device in (rig.left, rig.right)]
+        if found == wanted[::-1]:
+            return "; they fit when left and right are exchanged"
+        turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=True))
+        return "; they fit when turned by 90°" if turned else ""
 
 
 def load_scene(folder: Path) -> Scene:

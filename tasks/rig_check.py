@@ -1,18 +1,71 @@
-"""Whether a rig still fits a scene."""
+"""Whether a rig still fits a scene, and what to say where it does not."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from metrology.cloud import PixelFlag, Reconstruction
+from metrology.errors import FlushlineError, RigError, SceneError
+from metrology.mix_ups import find_mix_up
 from metrology.reconstruct import reconstruct
 from metrology.rig import Rig
 from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
-from storage.scene import load_scene
+from storage.scene import Scene, load_scene
+
+# Of the pixels that both cameras decode a sound rig matches most; a tenth is no small overlap but the wrong lines.
+_LEAST_MATCHED = 0.1
+# A rig drifts into a warning by hundredths of a pixel; undistorted frames bring half a pixel at once.
+_HARDLY_PX = 0.1
 
 
 def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> RigHealth:
-    """Reconstruct a scene with a rig and judge the rig by it; nothing is stored."""
+    """Reconstruct a scene with a rig and judge the rig by it; nothing is stored.
+
+    Raises
+    ------
+    SceneError
+        Where mixed up frames explain that the rig does not fit.
+    """
     scene = load_scene(folder)
     scene.check_fits(rig)
     reconstruction = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code, scene.exposures)
-    return epipolar_health(reconstruction, axis=scene.code.axis, settings=settings)
+    health = epipolar_health(reconstruction, axis=scene.code.axis, settings=settings)
+    if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings)):
+        raise problem
+    return health
+
+
+def doubtful(health: RigHealth) -> bool:
+    """Whether mixed up frames could be why: the rig does not fit or hardly, or points are too few to tell."""
+    off = health.projector_rms_px
+    return health.verdict == "refused" or off is None or (health.verdict == "warning" and off > _HARDLY_PX)
+
+
+def mixed_up(scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None) -> SceneError | None:
+    """What is to be said where a mix-up of the frames explains that they do not fit the rig."""
+    rig = reconstruction.rig
+    size = scene.code.size(rig.projector.width, rig.projector.height)
+    found = find_mix_up(reconstruction, scene.code.axis, size, settings)
+    if found is None:
+        return None
+    return SceneError(
+        f"{scene.folder}: found that the frames fit rig {rig.id!r} when {found.when}, expected {found.expected}"
+    )
+
+
+def unmatched(
+    scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None
+) -> FlushlineError | None:
+    """What is to be said where both cameras see fringes and still hardly any pixel has its counterpart."""
+    left, right = (float(np.isfinite(view.coordinate).mean()) for view in (reconstruction.left, reconstruction.right))
+    matched = float(reconstruction.valid.mean())
+    lost = (reconstruction.flags & (PixelFlag.UNMATCHED | PixelFlag.SLOPE)) != 0
+    if matched >= _LEAST_MATCHED * min(left, right) or lost.mean() < matched:
+        return None
+    return mixed_up(scene, reconstruction, settings) or RigError(
+        f"{scene.folder}: found counterparts for {matched:.1%} of the pixels though the left camera sees fringes on "
+        f"{left:.0%} and the right one on {right:.0%}: rig {reconstruction.rig.id!r} does not fit the scan, expected "
+        "the rig that took it: calibrate the rig again, or give the rig that took the scan"
+    )

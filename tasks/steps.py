@@ -36,6 +36,7 @@ from storage.rig import load_rig, rig_document
 from storage.scan_identity import frames_digest
 from storage.scene import MANIFEST, Camera, Scene, load_scene
 from tasks.clock import clock_warnings
+from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.scan_checks import check_frames, contradiction_warnings, refuse_reversed_steps, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks
 
@@ -106,6 +107,8 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     del right_stack, reading_right
     reconstruction = replace(reconstruct.triangulate(left, right, rig, settings.reconstruction), frames_digest=digest)
     refuse_reversed_steps(scene, reconstruction, settings)
+    if problem := unmatched(scene, reconstruction, settings.rig_health):
+        raise problem
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
 
@@ -131,8 +134,10 @@ def check_rig(
     detections: list[RivetDetection],
     settings: InspectionSettings,
 ) -> RigHealth:
-    """Judge by the scan itself whether the rig still fits; refuse one that does not."""
+    """Judge by the scan itself whether the rig still fits; refuse one that does not, or frames that were mixed up."""
     health = rig_health.epipolar_health(reconstruction, detections, loaded.scene.code.axis, settings.rig_health)
+    if doubtful(health) and (problem := mixed_up(loaded.scene, reconstruction, settings.rig_health)):
+        raise problem
     if health.verdict == "refused":
         raise RigError(
             f"{loaded.scene.folder}: found that rig {loaded.rig.id!r} does not fit the scan ({health.reason}), "
@@ -183,16 +188,18 @@ def register(
     spec: PanelSpecification,
     store: Store,
     settings: InspectionSettings,
+    doubts: Sequence[str] = (),
 ) -> Registration:
     """Give rivets and seams the panel's ids; the first scan of a station without a pattern is to become its pattern.
 
-    Nothing is kept here: the pattern goes into the store with the result.
+    Nothing is kept here: the pattern goes into the store with the result. A scan with doubts, or in which nothing was
+    found, becomes no pattern and says why.
     """
     key = loaded.scene.key
     vouched = _nominal(spec, key)
     pattern = vouched or store.panels.pattern(key.panel, key.station)
     if pattern is None:
-        return registration.enrol(measured, stations, reconstruction.points, key.station)
+        return registration.enrol(measured, stations, reconstruction.points, key.station, doubts)
     return registration.register(
         measured,
         stations,
@@ -207,6 +214,12 @@ def register(
 def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:
     """The pattern that the specification vouches for, if it is of this panel and has one."""
     return spec.layout if spec.limits.panel == key.panel and not spec.layout.empty else None
+
+
+def doubts(reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]:
+    """Why a scan may not become its station's pattern."""
+    flags = {"left": reconstruction.left.flags, "right": reconstruction.right.flags}
+    return registration.enrolment_doubts(flags, health.verdict)
 
 
 def judge(measured: Sequence[Rivet], stations: Sequence[SeamStation], spec: PanelSpecification) -> Judged:
@@ -267,7 +280,7 @@ def assemble(
         *contradiction_warnings(reconstruction, settings.checks),
         *registered.warnings,
     ]
-    if health.verdict == "warning":
+    if health.verdict in ("warning", "unjudged"):
         warnings.append(f"rig {loaded.rig.id}: {health.reason}")
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
@@ -294,6 +307,7 @@ def assemble(
         registration=_registration_document(registered),
         epipolar_rms_px=health.epipolar_rms_px,
         projector_rms_px=health.projector_rms_px,
+        rig_verdict=health.verdict,
         pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
         files_state=loaded.scene.files_state,
     )

@@ -71,7 +71,8 @@ def _rigs(desk: Desk, selection: Selection) -> None:
     days = desk.archive.rows(
         "SELECT rig_id, date_trunc('day', captured_at) AS day, count(*) AS scenes, "
         "median(epipolar_rms_px) AS epipolar, median(projector_rms_px) AS projector, "
-        "median(sigma_z_median_mm) AS sigma, median(valid_fraction) AS valid "
+        "median(sigma_z_median_mm) AS sigma, median(valid_fraction) AS valid, "
+        "count(*) FILTER (rig_verdict = 'unjudged') AS unjudged "
         f"FROM scenes WHERE {condition} GROUP BY ALL ORDER BY 2, 1",
         parameters,
     )
@@ -98,6 +99,7 @@ def _rigs(desk: Desk, selection: Selection) -> None:
             "rig_id": "Rig calibration",
             "day": "Last used",
             "scenes": "Scenes that day",
+            "unjudged": "Rig unjudged",
             "epipolar_px": "Cameras, px",
             "projector_px": "Projector, px",
             "sigma_mm": "Noise, mm",

@@ -234,7 +234,7 @@ def _files(desk: Desk, row: Any) -> None:
         "Limits": row.panel_spec,
         "Points": f"{habits.whole(row.n_points)} ({habits.percent(row.valid_fraction)} of the picture)",
         "Noise of a point": f"{habits.number(row.sigma_z_median_mm, 4)} mm",
-        "Rig fit": f"cameras {habits.number(row.epipolar_rms_px)} px, "
+        "Rig fit": f"{row.rig_verdict or 'not judged'}: cameras {habits.number(row.epipolar_rms_px)} px, "
         f"projector {habits.number(row.projector_rms_px, 4)} px",
         "Folder": row.bundle_path,
     }

@@ -97,17 +97,25 @@ def enrol(options: argparse.Namespace) -> int:
     """Make a pattern of what an inspected scene found."""
     from metrology.errors import StoreError
     from storage.archive import Store
-    from storage.archive.enrolment import pattern_of
+    from storage.archive.enrolment import doubts_of, pattern_of
     from storage.panel_spec import pattern_toml
 
     store = Store(options.store)
     key, layout = pattern_of(store, options.scene_id)
+    doubts = doubts_of(store, options.scene_id)
     panel, station = key.panel, key.station
     if options.out:
         options.out.parent.mkdir(parents=True, exist_ok=True)
         options.out.write_text(pattern_toml(layout, panel, "enrolled", options.scene_id), encoding="utf-8")
         print(options.out)
+        for doubt in doubts:
+            print(f"  warning: {doubt}: see to what is in the file before it is put in force")
         return 0
+    if doubts:
+        raise StoreError(
+            f"{options.scene_id}: found that {'; '.join(doubts)}, expected a scan that can be vouched for: scan the "
+            "station again, or write its pattern to a file with --out and complete it by hand"
+        )
     if not store.panels.enrol(layout, panel, station, options.scene_id, options.replace):
         raise StoreError(
             f"{store.panels.pattern_path(panel, station)}: found a pattern enrolled already, expected none or --replace"

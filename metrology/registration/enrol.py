@@ -21,7 +21,11 @@ _SAMPLES = 20_000
 
 
 def enrol(
-    rivets: Sequence[Rivet], stations: Sequence[SeamStation], points: NDArray[np.float32], station: str
+    rivets: Sequence[Rivet],
+    stations: Sequence[SeamStation],
+    points: NDArray[np.float32],
+    station: str,
+    doubts: Sequence[str] = (),
 ) -> Registration:
     """Take a scan as its station's pattern.
 
@@ -35,6 +39,8 @@ def enrol(
     points : (h, w, 3) array
         Organised cloud on the left image's pixels, rig frame, mm.
     station : str
+    doubts : sequence of str
+        Why nobody can vouch for the scan; with any, or with neither rivets nor seams, it becomes no pattern.
     """
     placement = _facing(points)
     placed_rivets = [placed(rivet, placement) for rivet in rivets]
@@ -63,6 +69,10 @@ def enrol(
             corners = course[_corners(course, _COURSE_TOLERANCE_MM)]
             seams.append(NominalSeam(name, tuple((float(x), float(y), float(z)) for x, y, z in corners)))
     layout = PanelLayout(tuple(nominal), tuple(seams), {station: placement})
+    if doubts or layout.empty:
+        found = "; ".join(doubts) or "no rivet and no seam was found"
+        warning = f"first scan of station {station}: not enrolled as the panel's pattern, since {found}; scan it again"
+        return Registration("not enrolled", None, tuple(rivets), tuple(stations), warnings=(warning,))
     return Registration(
         "enrolled",
         placement,

@@ -27,7 +27,7 @@ from metrology.results import Rivet, SeamStation
 from metrology.skin_normal import skin_normal
 
 Array = NDArray[np.float64]
-Status = Literal["recognised", "enrolled", "not recognised"]
+Status = Literal["recognised", "enrolled", "not enrolled", "not recognised"]
 
 _NORMAL_REACH = 1.5  # in diameters of the head
 _COURSE_POINTS = 24
@@ -41,7 +41,8 @@ class Registration:
 
     Attributes
     ----------
-    status : "recognised", "enrolled" or "not recognised"
+    status : "recognised", "enrolled", "not enrolled" or "not recognised"
+        Not enrolled: there is no pattern yet, and this scan is not fit to become it.
     placement : Placement or None
         Rig frame to panel frame.
     rivets, stations : tuple

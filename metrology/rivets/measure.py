@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.plausibility import plausible_rivet
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
 from metrology.rivets.fits import Fits
@@ -65,7 +66,7 @@ def measure_rivets(
     fits = [f for f in outcomes if isinstance(f, Fits)]
     inflation = noise_inflation(fits, controls)
     return [
-        _row(f"R{k + 1:02d}", detection, outcome, reconstruction, inflation, settings, generator)
+        plausible_rivet(_row(f"R{k + 1:02d}", detection, outcome, reconstruction, inflation, settings, generator))
         for k, (detection, outcome) in enumerate(zip(detections, outcomes, strict=True))
     ]
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.plausibility import plausible_station
 from metrology.results import COVERAGE_95, RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
@@ -24,6 +25,8 @@ from metrology.seams.tracks import Track, lay_on_skin, oriented
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# "Under … mm" says something of a gap up to here.
+_WIDEST_BOUND_MM = 1.0
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
 
@@ -122,7 +125,8 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
         _row(seam_id, station, section, gap, reconstruction)
         for station, section, gap in zip(stations, sections, gaps, strict=True)
     ]
-    return _with_unevenness(rows, settings.station_step_mm, settings.half_length_mm)
+    rows = _with_unevenness(rows, settings.station_step_mm, settings.half_length_mm)
+    return [plausible_station(row) for row in rows]
 
 
 def _with_unevenness(rows: list[SeamStation], station_step: float, half_length: float) -> list[SeamStation]:
@@ -219,7 +223,7 @@ def _row(
     if isinstance(gap, str):
         return row
     width, u95 = gap_width(section, gap.a, gap.b), COVERAGE_95 * gap.sigma_width_mm
-    if width < u95:
+    if width < u95 <= _WIDEST_BOUND_MM:
         limit = max(width, 0.0) + u95
         return replace(row, reason=f"too narrow for its width to be measured: under {limit:.2f} mm")
     return replace(row, width_mm=width, width_u95_mm=u95)

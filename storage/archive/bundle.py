@@ -216,6 +216,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "sigma_z_median_mm": float(np.median(sigma)) if sigma.size else None,
         "epipolar_rms_px": result.epipolar_rms_px,
         "projector_rms_px": result.projector_rms_px,
+        "rig_verdict": result.rig_verdict,
         "n_rivets": len(result.rivets) - len(missing),
         "n_seams": len({station.seam_id for station in result.stations}),
         "n_stations": len(result.stations),

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from metrology.errors import StoreError
 from metrology.panel import PanelLayout
-from metrology.registration import enrol
+from metrology.registration import enrol, enrolment_doubts
 from metrology.registration.relabel import MISSING, UNLISTED
 from metrology.results import Rivet, SceneKey, SeamStation
 from storage.archive.store import Store
@@ -35,6 +35,17 @@ def pattern_of(store: Store, scene_id: str) -> tuple[SceneKey, PanelLayout]:
     scene = SceneKey(*key)
     layout = enrol(rivets, stations, cloud.points, scene.station).enrolled
     return scene, layout or PanelLayout()
+
+
+def doubts_of(store: Store, scene_id: str) -> tuple[str, ...]:
+    """Why nobody can vouch for what was found in an inspected scene; the store keeps the left camera's flags."""
+    cloud = store.load_cloud(scene_id)
+    with contextlib.closing(store.connect()) as connection:
+        [(rig_verdict, registration)] = connection.execute(
+            "SELECT rig_verdict, registration FROM scenes WHERE scene_id = ?", [scene_id]
+        ).fetchall()
+    doubts = enrolment_doubts({"left": cloud.flags}, rig_verdict)
+    return doubts or (("its inspection found it unfit",) if registration == "not enrolled" else ())
 
 
 def _rows(store: Store, kind: type[Row], table: str, scene_id: str) -> list[Row]:

@@ -106,10 +106,11 @@ valid_fraction DOUBLE share of the left camera's pixels with a point
 sigma_z_median_mm DOUBLE median standard deviation of a point's depth, mm
 epipolar_rms_px DOUBLE how far features seen by both cameras lie from their epipolar lines, RMS px; NULL where unknown
 projector_rms_px DOUBLE how far decoded projector coordinates lie from where the rig projects their points, RMS px
+rig_verdict VARCHAR whether the rig fits the scan: ok, warning, or unjudged (the scan cannot tell); NULL in older runs
 n_rivets INTEGER rivets found
 n_seams INTEGER seams found
 n_stations INTEGER positions measured along seams
-registration VARCHAR whether the panel's pattern was recognised, enrolled from this scene, or not recognised
+registration VARCHAR whether the panel's pattern was recognised, not recognised, enrolled by this scene or not enrolled
 n_missing INTEGER rivets of the pattern that are in view but were not found
 n_unlisted INTEGER rivets found that are in no pattern
 registration_rms_mm DOUBLE RMS distance of the recognised rivets from their nominal places, mm

@@ -84,7 +84,8 @@ VIEWS = (
         "panel_summary",
         "One row per panel of each aircraft, from the newest scan of each of its stations",
         f"WITH s AS (SELECT aircraft_serial, panel, count(*) AS n_scenes, {NEWEST_TIME} AS last_captured_at, "
-        "count(*) FILTER (status <> 'ok') AS n_scenes_with_warnings FROM latest_scenes GROUP BY ALL), "
+        "count(*) FILTER (status <> 'ok') AS n_scenes_with_warnings, "
+        "count(*) FILTER (rig_verdict = 'unjudged') AS n_scenes_rig_unjudged FROM latest_scenes GROUP BY ALL), "
         "r AS (SELECT aircraft_serial, panel, count(*) AS n_rivets, "
         "count(*) FILTER (decision IN ('fail', 'conditional fail')) AS n_rivets_failing, "
         "count(*) FILTER (decision = 'not measured') AS n_rivets_not_measured, "

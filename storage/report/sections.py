@@ -174,6 +174,7 @@ def traceability(record: SceneRecord) -> str:
                 f"{scene['n_points']:,} ({scene['valid_fraction']:.1%} of the picture), "
                 f"median σ of depth {'–' if sigma is None else f'{1000 * sigma:.1f} µm'}",
             ),
+            ("rig fits", escape(scene["rig_verdict"] or "–")),
             ("epipolar distance", _epipolar(scene)),
             ("versions", escape(versions)),
         ]

@@ -59,11 +59,17 @@ def view(device: Device, projector: Device, grain: NDArray[np.float32], rng: np.
     )
 
 
-@pytest.fixture(scope="module")
-def views(rig: Rig) -> tuple[DecodedView, DecodedView]:
+def seen_by(rig: Rig, *names: str) -> list[DecodedView]:
+    """What cameras of a rig decode and see of the one plane."""
     rng = np.random.default_rng(1)
     grain = (100 + cv2.GaussianBlur(rng.normal(0, 12, (700, 700)), (0, 0), 1.0)).astype(np.float32)
-    return view(rig.left, rig.projector, grain, rng), view(rig.right, rig.projector, grain, rng)
+    return [view(getattr(rig, name), rig.projector, grain, rng) for name in names]
+
+
+@pytest.fixture(scope="module")
+def views(rig: Rig) -> tuple[DecodedView, DecodedView]:
+    left, right = seen_by(rig, "left", "right")
+    return left, right
 
 
 def health(rig: Rig, views: tuple[DecodedView, DecodedView]) -> RigHealth:
@@ -138,12 +144,67 @@ def test_what_the_calibration_leaves_uncertain_is_allowed_for(rig: Rig, views: t
     assert health(vague, views).verdict == "ok"
 
 
+def knocked(rig: Rig, kind: str, degrees: float) -> Rig:
+    """A rig of which a part was turned by degrees, moved or zoomed by as much as that shifts the image."""
+    name, how = kind.split()
+    device, share = getattr(rig, name), float(np.tan(np.radians(degrees)))
+    if how == "moved":
+        return replace(rig, **{name: replace(device, t=device.t + np.array([0.0, 700 * share, 0.0]))})
+    if how == "nearer":
+        return replace(rig, **{name: replace(device, t=device.t * (1 - share))})
+    if how == "zoomed":
+        return replace(rig, **{name: zoomed(device, 1 + share)})
+    return replace(rig, **{name: turned(device, ["pitched", "yawed", "rolled"].index(how), degrees)})
+
+
+ORDER = ("ok", "warning", "unjudged", "refused")
+CAMERAS = ("right pitched", "right yawed", "right rolled", "right moved", "right nearer", "right zoomed")
+PROJECTOR = ("projector pitched", "projector yawed", "projector rolled", "projector nearer")
+
+
+@pytest.mark.parametrize("kind", CAMERAS + PROJECTOR)
+def test_worse_is_never_judged_milder(rig: Rig, views: tuple[DecodedView, DecodedView], kind: str) -> None:
+    verdicts = [health(knocked(rig, kind, degrees), views).verdict for degrees in (0.05, 0.3, 4.0)]
+    assert verdicts == sorted(verdicts, key=ORDER.index)
+    assert verdicts[-1] == "refused"
+    assert "unjudged" not in verdicts
+
+
+@pytest.mark.parametrize("degrees", [0.3, 4.0])
+def test_a_pitch_beyond_the_fine_search_is_measured(
+    rig: Rig, views: tuple[DecodedView, DecodedView], degrees: float
+) -> None:
+    found = health(replace(rig, right=turned(rig.right, 0, degrees)), views)
+    assert found.verdict == "refused"
+    assert found.epipolar_drift_px == pytest.approx(np.radians(degrees) * rig.right.K[1, 1], rel=0.03, abs=0.2)
+
+
+@pytest.mark.parametrize(("off_px", "noise_px", "verdict"), [(4.1, 40.0, "refused"), (0.0, 1.5, "unjudged")])
+def test_the_scans_own_scatter_excuses_nothing(
+    rig: Rig, views: tuple[DecodedView, DecodedView], off_px: float, noise_px: float, verdict: str
+) -> None:
+    whole = triangulate(*views, rig)
+    noise = np.random.default_rng(5).normal(off_px, noise_px, whole.flags.shape).astype(np.float32)
+    scattered = replace(whole, left=replace(whole.left, coordinate=whole.left.coordinate + noise))
+    found = epipolar_health(scattered, settings=HealthSettings(patch_spacing_px=48, block_px=48))
+    assert found.verdict == verdict
+
+
+def test_a_poor_calibration_excuses_no_more_than_the_limit(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    moved = replace(rig, right=turned(rig.right, 2, 0.3))
+    vague = replace(moved, extra={"calibration": {"health_sigma_px": {"epipolar": 9.0, "projector": 9.0}}})
+    assert health(vague, views).verdict == "refused"
+
+
 def test_a_skin_without_texture_leaves_the_third_view(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
     rng = np.random.default_rng(2)
     plain = [replace(v, texture=(100 + rng.normal(0, 0.6, v.texture.shape)).astype(np.float32)) for v in views]
     found = health(rig, (plain[0], plain[1]))
     assert found.epipolar_rms_px is None
-    assert found.verdict == "ok"
+    assert found.projector_rms_px is not None
+    assert found.verdict == "unjudged"
+    assert found.reason is not None
+    assert "too little texture" in found.reason
     assert health(replace(rig, projector=turned(rig.projector, 1, 0.05)), (plain[0], plain[1])).verdict == "refused"
 
 
@@ -151,9 +212,9 @@ def test_nothing_to_see_is_said(rig: Rig, views: tuple[DecodedView, DecodedView]
     whole = triangulate(*views, rig)
     empty: Reconstruction = replace(whole, points=np.full_like(whole.points, np.nan))
     found = epipolar_health(empty)
-    assert found.verdict == "warning"
+    assert found.verdict == "unjudged"
     assert found.reason is not None
-    assert "too few" in found.reason
+    assert "too few points" in found.reason
 
 
 def test_rivets_join_the_patches(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metrology.cloud import PixelFlag, Reconstruction
 from metrology.panel import NominalRivet, PanelLayout
+from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.scene import Scene
@@ -95,7 +97,40 @@ def test_a_scan_in_which_nothing_was_found_enrols_nothing(loaded: steps.LoadedSc
     result = small_result()
     registered = steps.register([], [], result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings())
     assert registered.rivets == ()
+    assert registered.status == "not enrolled"
+    assert registered.enrolled is None
+    assert "not enrolled as the panel's pattern, since no rivet and no seam was found" in registered.warnings[0]
     assert not store.root.exists()
+
+
+def health(verdict: str) -> RigHealth:
+    return RigHealth(0.06, 0.004, 200, 0.001, 400, verdict, None)  # type: ignore[arg-type]
+
+
+def contradicting(reconstruction: Reconstruction, camera: str, share: float) -> Reconstruction:
+    view = getattr(reconstruction, camera)
+    flags = np.zeros_like(view.flags)
+    flags[: round(share * len(flags))] = PixelFlag.ORDER_RESIDUAL
+    return replace(reconstruction, **{camera: replace(view, flags=flags)})
+
+
+@pytest.mark.parametrize("camera", ["left", "right"])
+def test_a_scan_with_contradictory_fringes_enrols_nothing(loaded: steps.LoadedScene, store: Store, camera: str) -> None:
+    result = small_result()
+    doubts = steps.doubts(contradicting(result.reconstruction, camera, 0.25), health("ok"))
+    assert doubts == (f"25% of the {camera} camera's fringes contradict each other",)
+    registered = steps.register(
+        result.rivets, [], result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings(), doubts
+    )
+    assert (registered.status, registered.enrolled) == ("not enrolled", None)
+    assert doubts[0] in registered.warnings[0]
+    assert [rivet.rivet_id for rivet in registered.rivets] == ["R1", "R2", "R3"]
+
+
+@pytest.mark.parametrize(("verdict", "count"), [("ok", 0), ("warning", 0), ("unjudged", 1)])
+def test_a_scan_that_cannot_judge_its_rig_enrols_nothing(verdict: str, count: int) -> None:
+    reconstruction = contradicting(small_result().reconstruction, "left", 0.0)
+    assert len(steps.doubts(reconstruction, health(verdict))) == count
 
 
 def test_the_example_gives_way_to_what_is_in_force(store: Store, tmp_path: Path) -> None:

@@ -11,10 +11,11 @@ import pytest
 from metrology.cloud import PixelFlag
 from metrology.errors import RigError, SceneError, UsageError
 from metrology.fringe import FringeCode
+from metrology.mix_ups import MixUp
 from metrology.rig_health import RigHealth
 from storage.panel_spec import load_panel_spec
 from storage.scene import Scene
-from tasks import steps
+from tasks import rig_check, steps
 from tasks.settings import InspectionSettings, SceneChecks, load_settings, settings_from
 from tests.storage.results import small_key, small_result
 
@@ -56,6 +57,31 @@ def test_a_rig_that_does_not_fit_is_refused(scene: Scene, monkeypatch: pytest.Mo
     loaded = steps.LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
     with pytest.raises(RigError, match=r"scene: found that rig 'rig-a' does not fit the scan \(the decoded"):
         steps.check_rig(loaded, result.reconstruction, [], InspectionSettings())
+
+
+def test_frames_that_were_mixed_up_are_named_instead(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    health = RigHealth(0.06, 0.004, 200, 41.5, 400, "refused", "the decoded projector coordinate is off by 41.5 px")
+    found = MixUp("left and right are exchanged", "scene.json to list them as the rig's cameras are")
+    monkeypatch.setattr(steps.rig_health, "epipolar_health", lambda *_: health)
+    monkeypatch.setattr(rig_check, "find_mix_up", lambda *_: found)
+    result = small_result()
+    loaded = steps.LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
+    with pytest.raises(SceneError, match=r"fit rig 'rig-a' when left and right are exchanged, expected scene\.json to"):
+        steps.check_rig(loaded, result.reconstruction, [], InspectionSettings())
+
+
+def test_hardly_any_counterparts_are_no_darkness(scene: Scene) -> None:
+    reconstruction = small_result().reconstruction
+    lost = replace(
+        reconstruction,
+        points=np.full_like(reconstruction.points, np.nan),
+        flags=np.full_like(reconstruction.flags, PixelFlag.UNMATCHED),
+    )
+    problem = rig_check.unmatched(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), lost)
+    assert isinstance(problem, RigError)
+    assert "counterparts for 0.0% of the pixels though the left camera sees fringes on 98%" in str(problem)
+    assert "give the rig that took the scan" in str(problem)
+    assert rig_check.unmatched(scene, reconstruction) is None
 
 
 def test_the_preview_keeps_grey_levels_where_they_fit() -> None:

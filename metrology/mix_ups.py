@@ -1,0 +1,209 @@
+"""Likely mix-ups of frames, tried on decoded views when a scan does not fit its rig: which one makes it fit.
+
+A mix-up is undone on the decoded views (exchange them, turn or mirror an image, reverse the coordinate) or on the rig
+(leave out the lens distortion); the scan is then triangulated and the rig judged as always. All are tried by the third
+view with every third row and column; those that fit are confirmed by texture with all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+
+from metrology.cloud import DecodedView, Reconstruction
+from metrology.fringe import Axis
+from metrology.reconstruct import triangulate
+from metrology.rig import Device, Rig
+from metrology.rig_health import HealthSettings, epipolar_health, projector_rms
+
+Turn = tuple[int, int]  # steps through an image's rows and columns, 1 or −1
+
+_EVERY = 3
+# What is mixed up is off by many pixels; put right it is ten times closer, even where the rig has drifted a little.
+_CLOSER = 10.0
+_MOST_OFF_PX = 5.0
+_CONFIRMED = 3
+# Of the pixels that both cameras decode, the share that must find a counterpart.
+_LEAST_MATCHED = 0.3
+
+
+@dataclass(frozen=True)
+class MixUp:
+    """What was mixed up.
+
+    Attributes
+    ----------
+    when : str
+        What makes the scan fit, to be read after "the frames fit the rig when …".
+    expected : str
+        What the scan should be.
+    """
+
+    when: str
+    expected: str
+
+
+@dataclass(frozen=True)
+class _Scan:
+    left: DecodedView
+    right: DecodedView
+    rig: Rig
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    mix_up: MixUp
+    undo: Callable[[_Scan, int], _Scan]
+
+
+_TURNS: dict[Turn, str] = {
+    (-1, -1): "turned by 180° (they are upside-down)",
+    (1, -1): "mirrored left to right",
+    (-1, 1): "mirrored top to bottom",
+}
+_AS_CALIBRATED = "frames as the cameras gave them when the rig was calibrated"
+_AS_LISTED = "scene.json to list them as the rig's cameras are"
+_AS_SHOWN = "the steps in the order that scene.json says"
+
+
+def find_mix_up(
+    reconstruction: Reconstruction, axis: Axis, projector_size: int, settings: HealthSettings | None = None
+) -> MixUp | None:
+    """The mix-up that explains why a scan does not fit its rig; None where none does.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+        As it came out with the frames as they are.
+    axis : "x" or "y"
+        Of the fringes.
+    projector_size : int
+        Projector pixels along the fringe axis.
+    settings : HealthSettings, optional
+    """
+    settings = settings or HealthSettings()
+    scan = _Scan(reconstruction.left, reconstruction.right, reconstruction.rig)
+    limit = min(_misfit(scan, axis, settings) / _CLOSER, _MOST_OFF_PX)
+    for hypotheses in (_exchanges_and_turns(), _undistortions()):
+        found: list[tuple[float, _Hypothesis]] = []
+        for hypothesis in hypotheses:
+            undone = hypothesis.undo(scan, projector_size)
+            if _sizes_fit(undone) and (misfit := _misfit(undone, axis, settings)) < limit:
+                found.append((misfit, hypothesis))
+        for _, hypothesis in sorted(found, key=lambda item: item[0])[:_CONFIRMED]:
+            if _fits(hypothesis.undo(scan, projector_size), axis, settings):
+                return hypothesis.mix_up
+    return None
+
+
+def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
+    """How far the projector is from where a scan's points tell, px; infinite where they are too few to tell."""
+    reconstruction = triangulate(_thinned(scan.left, _EVERY), _thinned(scan.right, _EVERY), _thinned_rig(scan.rig))
+    decoded = min(float(np.isfinite(view.coordinate).mean()) for view in (scan.left, scan.right))
+    if reconstruction.valid.mean() < _LEAST_MATCHED * decoded:
+        return np.inf
+    rms = projector_rms(reconstruction, axis, replace(settings, block_px=max(16, settings.block_px // _EVERY)))
+    return np.inf if rms is None else rms
+
+
+def _fits(scan: _Scan, axis: Axis, settings: HealthSettings) -> bool:
+    """Whether texture bears out what the third view says; a rig that has drifted a little may still be mixed up."""
+    reconstruction = triangulate(_thinned(scan.left, 1), _thinned(scan.right, 1), scan.rig)
+    health = epipolar_health(reconstruction, (), axis, settings)
+    return max(health.projector_rms_px or 0.0, health.epipolar_drift_px or 0.0) <= _MOST_OFF_PX
+
+
+def _exchanges_and_turns() -> Iterator[_Hypothesis]:
+    """What is done to the frames of both cameras, alone or together, and to those of one."""
+    for exchanged in (False, True):
+        for turn, turned in {(1, 1): "", **_TURNS}.items():
+            for reverse in (False, True):
+                parts = ["left and right are exchanged"] if exchanged else []
+                parts += [f"all frames are {turned}"] if turned else []
+                parts += ["the phase steps are taken in reverse order"] if reverse else []
+                expected = [_AS_LISTED] if exchanged else []
+                expected += [_AS_CALIBRATED] if turned else []
+                expected += [_AS_SHOWN] if reverse else []
+                if parts:
+                    mix_up = MixUp(" and ".join(parts), " and ".join(expected))
+                    yield _Hypothesis(mix_up, _undoing((turn, turn), exchanged, (reverse, reverse)))
+    for name, which in (("left", 0), ("right", 1)):
+        for turn, turned in _TURNS.items():
+            turns = (turn, (1, 1)) if which == 0 else ((1, 1), turn)
+            mix_up = MixUp(f"the {name} camera's frames are {turned}", _AS_CALIBRATED)
+            yield _Hypothesis(mix_up, _undoing(turns, False, (False, False)))
+        mix_up = MixUp(f"the {name} camera's phase steps are taken in reverse order", _AS_SHOWN)
+        yield _Hypothesis(mix_up, _undoing(((1, 1), (1, 1)), False, (which == 0, which == 1)))
+
+
+def _undistortions() -> Iterator[_Hypothesis]:
+    """Frames that a program undistorted, with the camera's own matrix or one of the two that OpenCV offers for it."""
+    for names in (("left", "right"), ("left",), ("right",)):
+        whose = "the cameras'" if len(names) == 2 else f"the {names[0]} camera's"
+        when = f"{whose} lens distortion is left out (the frames were undistorted already)"
+        for share in (None, 0.0, 1.0):
+            yield _Hypothesis(MixUp(when, "frames as the cameras take them"), _undistorted(names, share))
+
+
+def _undoing(turns: tuple[Turn, Turn], exchanged: bool, reverse: tuple[bool, bool]) -> Callable[[_Scan, int], _Scan]:
+    def undo(scan: _Scan, size: int) -> _Scan:
+        views = [
+            _turned(view, turn, size if back else None)
+            for view, turn, back in zip((scan.left, scan.right), turns, reverse, strict=True)
+        ]
+        return _Scan(*(views[::-1] if exchanged else views), scan.rig)
+
+    return undo
+
+
+def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan, int], _Scan]:
+    """Cameras without distortion; `share` 0 keeps no border without picture, 1 the whole picture (OpenCV's alpha)."""
+
+    def plain(device: Device) -> Device:
+        K = device.K
+        if share is not None:
+            K = cv2.getOptimalNewCameraMatrix(K, device.distortion8, (device.width, device.height), share)[0]
+        return replace(device, K=K, distortion=np.zeros(5))
+
+    def undo(scan: _Scan, _: int) -> _Scan:
+        return replace(scan, rig=replace(scan.rig, **{name: plain(getattr(scan.rig, name)) for name in names}))
+
+    return undo
+
+
+def _turned(view: DecodedView, turn: Turn, size: int | None) -> DecodedView:
+    """A view with its image turned, and its coordinate counted from the projector's other end where a size is given."""
+    if size is not None:
+        # Reversed steps decode x + ½ as its negative, whole fringes apart from W − (x + ½).
+        view = replace(view, coordinate=(np.float32(size - 1) - view.coordinate).astype(np.float32))
+    return _sliced(view, (slice(None, None, turn[0]), slice(None, None, turn[1])))
+
+
+def _sliced(view: DecodedView, part: tuple[slice, slice]) -> DecodedView:
+    return replace(view, **{f.name: getattr(view, f.name)[part] for f in fields(view) if f.name != "noise"})
+
+
+def _thinned(view: DecodedView, every: int) -> DecodedView:
+    """Every so many rows and columns of a view, in memory of their own as the compiled kernels want it."""
+    part = (slice(None, None, every), slice(None, None, every))
+    images = {f.name: getattr(view, f.name)[part] for f in fields(view) if f.name != "noise"}
+    return replace(view, **{name: np.ascontiguousarray(image) for name, image in images.items()})
+
+
+def _thinned_rig(rig: Rig) -> Rig:
+    return replace(rig, left=_thinned_device(rig.left), right=_thinned_device(rig.right))
+
+
+def _thinned_device(device: Device) -> Device:
+    """The camera whose pixels are every third of a camera's."""
+    K = device.K.copy()
+    K[:2] /= _EVERY
+    return replace(device, width=-(-device.width // _EVERY), height=-(-device.height // _EVERY), K=K)
+
+
+def _sizes_fit(scan: _Scan) -> bool:
+    pairs = ((scan.left, scan.rig.left), (scan.right, scan.rig.right))
+    return all(view.coordinate.shape == (device.height, device.width) for view, device in pairs)

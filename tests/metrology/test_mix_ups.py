@@ -1,0 +1,76 @@
+"""Frames that were mixed up are told from a rig that does not fit, and the mix-up is named."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from metrology.cloud import DecodedView
+from metrology.mix_ups import find_mix_up
+from metrology.reconstruct import triangulate
+from metrology.rig import Rig
+from tests.metrology.test_rig_health import rig, seen_by, turned, views
+
+__all__ = ["rig", "views"]
+Views = tuple[DecodedView, DecodedView]
+
+
+def turn(view: DecodedView, rows: int, columns: int) -> DecodedView:
+    images = {f.name: getattr(view, f.name) for f in fields(view) if f.name != "noise"}
+    return replace(view, **{name: np.ascontiguousarray(image[::rows, ::columns]) for name, image in images.items()})
+
+
+def reversed_steps(view: DecodedView, size: int) -> DecodedView:
+    return replace(view, coordinate=np.float32(size - 1) - view.coordinate)
+
+
+def said(views: Views, rig: Rig) -> str:
+    found = find_mix_up(triangulate(*views, rig), "x", rig.projector.width)
+    return "" if found is None else found.when
+
+
+def test_exchanged_cameras(rig: Rig, views: Views) -> None:
+    assert said((views[1], views[0]), rig) == "left and right are exchanged"
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "words"), [(-1, -1, "turned by 180°"), (1, -1, "left to right"), (-1, 1, "top to bottom")]
+)
+def test_turned_and_mirrored_frames(rig: Rig, views: Views, rows: int, columns: int, words: str) -> None:
+    both = (turn(views[0], rows, columns), turn(views[1], rows, columns))
+    assert said(both, rig).startswith("all frames are")
+    assert words in said(both, rig)
+    right = said((views[0], both[1]), rig)
+    assert right.startswith("the right camera's frames are")
+    assert words in right
+
+
+def test_reversed_steps(rig: Rig, views: Views) -> None:
+    size = rig.projector.width
+    both = (reversed_steps(views[0], size), reversed_steps(views[1], size))
+    assert said(both, rig) == "the phase steps are taken in reverse order"
+    assert said((both[0], views[1]), rig) == "the left camera's phase steps are taken in reverse order"
+    assert (
+        said((both[1], both[0]), rig) == "left and right are exchanged and the phase steps are taken in reverse order"
+    )
+
+
+def test_undistorted_frames(rig: Rig, views: Views) -> None:
+    # Frames of cameras without distortion, inspected with a rig that has it: what undistorted frames come to.
+    stronger = replace(rig.right, distortion=rig.right.distortion + np.array([-0.2, 0.1, 0, 0, 0]))
+    bent = replace(rig, right=stronger)
+    plain = replace(rig, right=replace(rig.right, distortion=np.zeros(5)))
+    [right] = seen_by(plain, "right")
+    assert "the right camera's lens distortion is left out" in said((views[0], right), bent)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_knocked_rig_is_no_mix_up(rig: Rig, views: Views, axis: int) -> None:
+    assert said(views, replace(rig, right=turned(rig.right, axis, 0.5))) == ""
+
+
+def test_another_rigs_projector_is_no_mix_up(rig: Rig, views: Views) -> None:
+    moved = replace(rig.projector, t=rig.projector.t + np.array([25.0, 3.0, 0.0]))
+    assert said(views, replace(rig, projector=moved)) == ""
