@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import streamlit as st
 
+from dashboard.address import one_of
 from dashboard.frame import Desk, plain
 from dashboard.sql_runner import MOST_ROWS, MOST_SECONDS, run_query
 from dashboard.sql_worker import DISPOSITIONS_COLUMNS
@@ -47,7 +48,7 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
 
 
 def _ask(desk: Desk, known: dict[str, str], saved: SavedQueries) -> None:
-    name = st.selectbox("Examples and saved queries", list(known), key="query", bind="query-params")
+    name = st.selectbox("Examples and saved queries", list(known), **one_of("query", list(known)))
     if st.session_state.get("sql_of") != name:
         st.session_state["sql_of"], st.session_state["sql"] = name, known.get(str(name), "")
     sql = st.text_area(
