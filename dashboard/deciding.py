@@ -20,7 +20,7 @@ import streamlit as st
 from dashboard.frame import Desk, link, plain
 from metrology.errors import FlushlineError, OutdatedError
 from storage.archive.decisions import close_work, dispose, sign_off
-from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED
+from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, said
 from storage.review import DISPOSITIONS, MAX_COMMENT, Entry, Review, ShownFinding, ShownScene
 
 _OUTCOME = "review_outcome"
@@ -117,7 +117,7 @@ def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
         return
     key = _checksum(shown)
     disposition = st.pills("Disposition", DISPOSITIONS, key=f"disposition-{key}")
-    with st.form(f"decide-{key}", border=True):
+    with st.form(f"decide-{key}", border=False):
         left, right = st.columns([5, 3])
         # Kept where the same findings are shown anew; the disposition is not.
         comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
@@ -153,8 +153,8 @@ def _record(desk: Desk, shown: tuple[ShownFinding, ...], disposition_key: str, c
         st.session_state[_OUTCOME] = _Outcome("hint", "Choose a disposition and give your name.")
         return
     comment = str(st.session_state.get(comment_key) or "")
-    said = f"Recorded *{disposition}* for {_named(shown)}."
-    _try(lambda: dispose(desk.archive.root, who, shown, disposition, comment), said, shown[0].scene_id, done)
+    text = f"Recorded *{disposition}* for {_named(shown)}."
+    _try(lambda: dispose(desk.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
 
 
 def _close(desk: Desk, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
@@ -196,8 +196,8 @@ def _record_close(desk: Desk, shown: tuple[ShownFinding, ...], asked: str, reaso
     if not who or not reason.strip():
         st.session_state[_OUTCOME] = _Outcome("hint", "Give your name, and the reason why the work is closed.")
         return
-    said = f"Closed *{asked}* of {_named(shown)}."
-    _try(lambda: close_work(desk.archive.root, who, shown, reason), said, shown[0].scene_id, done)
+    text = f"Closed *{asked}* of {_named(shown)}."
+    _try(lambda: close_work(desk.archive.root, who, shown, reason), text, shown[0].scene_id, done)
 
 
 def offer_sign_off(desk: Desk, scene: Any) -> None:
@@ -206,7 +206,7 @@ def offer_sign_off(desk: Desk, scene: Any) -> None:
     if review.problem or not desk.person.may_review or scene.scene_id in review.sign_offs():
         return
     standings = desk.archive.standings(scene.scene_id)
-    left = Counter(standing.state for standing in standings if standing.state in UNRESOLVED)
+    left = any(standing.state in UNRESOLVED for standing in standings)
     place = plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}")
     shown = ShownScene(
         str(scene.scene_id),
@@ -221,7 +221,7 @@ def offer_sign_off(desk: Desk, scene: Any) -> None:
         review.last_of_scene(str(scene.scene_id)),
     )
     key = _checksum(shown)
-    with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=bool(left), key=f"signing-{key}"):
+    with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
         decided = [e for (scene_id, _), e in review.current().items() if scene_id == scene.scene_id]
         st.markdown(f"Scanned {desk.habits.time(scene.captured_at)}, {_counted(decided)}.")
         st.caption("Its dispositions can not be changed afterwards.")
@@ -235,31 +235,27 @@ def offer_sign_off(desk: Desk, scene: Any) -> None:
             on_click=partial(_record_sign_off, desk, shown, place),
         )
     if left:
-        said = " and ".join(
-            f"{desk.habits.whole(count)} {'with open work' if state == OPEN_WORK else 'waiting for a disposition'}"
-            for state, count in sorted(left.items(), reverse=True)
-        )
-        st.caption(f"Not yet: {said}.")
+        st.caption(f"It can be signed off when nothing waits and no work is open. Findings: {said(standings)}.")
 
 
 def _counted(decided: Sequence[Entry]) -> str:
     counts = Counter(str(entry.disposition) for entry in decided)
-    said = ", ".join(f"{name}: {count}" for name, count in sorted(counts.items()))
-    return f"dispositions: {said}" if said else "nothing needed a disposition"
+    text = ", ".join(f"{name}: {count}" for name, count in sorted(counts.items()))
+    return f"dispositions: {text}" if text else "nothing needed a disposition"
 
 
 def _record_sign_off(desk: Desk, shown: ShownScene, place: str) -> None:
     _try(lambda: sign_off(desk.archive.root, _who(desk), shown), f"Signed off {place}.", None, lambda: None)
 
 
-def _try(act: Callable[[], object], said: str, scene_id: str | None, done: Done) -> None:
+def _try(act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:
     try:
         act()
     except OutdatedError as problem:
-        text = f"**Not recorded**, nothing was changed. {plain(problem)}. What is there now is shown below."
-        st.session_state[_OUTCOME] = _Outcome("refused", text)
+        refusal = f"**Not recorded**, nothing was changed. {plain(problem)}. What is there now is shown below."
+        st.session_state[_OUTCOME] = _Outcome("refused", refusal)
     except FlushlineError as problem:
         st.session_state[_OUTCOME] = _Outcome("refused", f"**Not recorded.** {plain(problem)}")
     else:
-        st.session_state[_OUTCOME] = _Outcome("done", said, scene_id)
+        st.session_state[_OUTCOME] = _Outcome("done", text, scene_id)
         done()

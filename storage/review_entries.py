@@ -56,10 +56,14 @@ class Entry(StrictModel):
         return Feature(self.feature_kind, self.feature_id) if self.feature_kind and self.feature_id else None
 
     @property
+    def what(self) -> str:
+        """What was decided."""
+        return {"sign-off": "signed off", "close": "work closed"}.get(self.action, str(self.disposition))
+
+    @property
     def said(self) -> str:
         """What was decided, by whom and when, in one line."""
-        what = {"sign-off": "signed off", "close": "work closed"}.get(self.action, str(self.disposition))
-        return f"{what} by {self.who} at {utc_text(self.at)}"
+        return f"{self.what} by {self.who} at {utc_text(self.at)}"
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
         "that are not signed off; and open work.",
     )
     boxes[1].metric(
-        "of them open work",
+        "Open work",
         habits.whole(panels["open_work"].sum()),
         help="Rework, repair or re-scan was asked for. It is done when the feature passes on a later scan of its "
         "station, or when a person closes it with a reason.",

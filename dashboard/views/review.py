@@ -299,7 +299,6 @@ def _history(desk: Desk, shown: ShownFinding) -> None:
         if entry.scene_id == shown.scene_id and (entry.action == "sign-off" or entry.feature == shown.feature)
     ]
     for entry in entries[-4:]:
-        what = {"sign-off": "signed off", "close": "work closed"}.get(entry.action, str(entry.disposition))
         comment = f" · {plain(entry.comment)}" if entry.comment else ""
         earlier = "" if entry.run_id == shown.run_id else " · on another run of this scan"
-        st.markdown(f":small[{desk.habits.time(entry.at)} **{what}** by {plain(entry.who)}{comment}{earlier}]")
+        st.markdown(f":small[{desk.habits.time(entry.at)} **{entry.what}** by {plain(entry.who)}{comment}{earlier}]")

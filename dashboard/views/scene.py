@@ -30,6 +30,7 @@ from dashboard.scenes import (
 )
 from metrology.errors import FlushlineError, StoreError
 from metrology.tolerance import Limit
+from storage.archive.work import said
 from storage.cloud import StoredCloud
 from storage.review import Feature
 
@@ -79,6 +80,8 @@ def _headline(desk: Desk, row: Any) -> None:
             f"scanned {desk.habits.time(row.captured_at)} · rivets: {desk.habits.whole(row.n_rivets)}, "
             f"seams: {desk.habits.whole(row.n_seams)} · rig {plain(row.rig_id)}"
         )
+        if standings := desk.archive.standings(str(row.scene_id)):
+            st.caption(f"findings: {said(standings)}")
         if signed:
             note = "" if signed.run_id == row.run_id else " (an earlier run)"
             st.badge(f"signed off by {plain(signed.who)}{note}", icon=":material/lock:", color="green")

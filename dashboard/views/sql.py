@@ -23,6 +23,8 @@ _EXAMPLES = {
     "GROUP BY reason ORDER BY n DESC",
     "Rivets that people let pass": "SELECT r.*, d.who, d.comment\nFROM rivets r JOIN dispositions d\n"
     "ON r.scene_id = d.scene_id AND r.rivet_id = d.feature_id\nWHERE d.disposition = 'use as is'",
+    "Open work": "SELECT scene_id, feature_id, disposition, who, decided_at\nFROM dispositions "
+    "WHERE open_work ORDER BY decided_at",
     "Seconds per scene and rig": "SELECT rig_id, count(*) AS scenes, median(seconds_total) AS seconds\n"
     "FROM scenes GROUP BY rig_id ORDER BY scenes DESC",
 }

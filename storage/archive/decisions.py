@@ -40,10 +40,10 @@ def shown_finding(
     FROM ({features_sql(feature.kind, "scene_id = ?")}) f JOIN scenes s USING (scene_id) WHERE f.feature_id = ?"""
     found = connection.execute(sql, [scene_id, feature.id])
     names = [column[0] for column in found.description or ()]
-    row = found.fetchone()
-    if row is None:
+    rows = found.fetchall()
+    if not rows:
         return None
-    values = {name: _plain(value) for name, value in zip(names, row, strict=True)}
+    values = {name: _plain(value) for name, value in zip(names, rows[0], strict=True)}
     last = review.last_about(scene_id, feature)
     run_id = str(values.pop("run_id"))
     return ShownFinding(values.pop("scene_id"), run_id, feature, values, last.number if last else 0)
@@ -113,12 +113,12 @@ def _change(shown: ShownFinding, now: ShownFinding | None) -> str | None:
 
 
 def _check_run(connection: duckdb.DuckDBPyConnection, shown: ShownScene) -> None:
-    newest = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [shown.scene_id]).fetchone()
-    if newest is None:
+    newest = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [shown.scene_id]).fetchall()
+    if not newest:
         raise OutdatedError(f"{shown.scene_id}: found it no more in the archive, expected the scene that was shown")
-    if newest[0] != shown.run_id:
+    if newest[0][0] != shown.run_id:
         raise OutdatedError(
-            f"{shown.scene_id}: found that it was inspected again (run {newest[0]}), expected run {shown.run_id}; "
+            f"{shown.scene_id}: found that it was inspected again (run {newest[0][0]}), expected run {shown.run_id}; "
             "look at the new result first"
         )
 

@@ -9,7 +9,8 @@ finding waits again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -224,6 +225,12 @@ def standings(connection: duckdb.DuckDBPyConnection, review: Review, scene_id: s
         [scene_id] * (1 + 2 * len(KINDS)),
     ).fetchall()
     return tuple(Standing(Feature(kind, name), state) for kind, name, state in rows)
+
+
+def said(standings: Iterable[Standing]) -> str:
+    """How many findings stand how, in words: "18 waiting, 1 open work, 1 decided"."""
+    counts = Counter(standing.state for standing in standings)
+    return ", ".join(f"{counts[state]} {state}" for state in (*UNRESOLVED, DECIDED) if counts[state]) or "no findings"
 
 
 def _row(key: tuple[str, Feature]) -> tuple[str, str, str]:
