@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -35,6 +35,7 @@ class _Outcome:
     kind: str
     text: str
     scene_id: str | None = None
+    at: tuple[object] | None = None
 
 
 def name_of(shown: ShownFinding) -> str:
@@ -64,11 +65,19 @@ def _checksum(shown: object) -> str:
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:16]
 
 
-def say_outcome(desk: Desk) -> None:
-    """What became of the last click."""
+def say_outcome(desk: Desk, at: object) -> None:
+    """What became of the last click, while the same finding is looked at as then.
+
+    Parameters
+    ----------
+    at : object
+        What is looked at.
+    """
     outcome: _Outcome | None = st.session_state.get(_OUTCOME)
-    if outcome is None:
+    if outcome is None or outcome.at not in (None, (at,)):
+        st.session_state.pop(_OUTCOME, None)
         return
+    st.session_state[_OUTCOME] = replace(outcome, at=(at,))
     if outcome.kind == "done":
         st.success(outcome.text, icon=":material/check:")
         _offer_sign_off(desk, outcome.scene_id)
@@ -84,11 +93,6 @@ def _offer_sign_off(desk: Desk, scene_id: str | None) -> None:
         return
     if not any(standing.state in UNRESOLVED for standing in desk.archive.standings(scene_id)):
         link("review", "All of that scan is decided: sign it off", ":material/lock:", scene=scene_id, state=DECIDED)
-
-
-def forget_outcome() -> None:
-    """Another finding is looked at."""
-    st.session_state.pop(_OUTCOME, None)
 
 
 def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
@@ -116,14 +120,20 @@ def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
         st.caption("You may look; disposing and signing off needs the role reviewer.")
         return
     key = _checksum(shown)
-    disposition = st.pills("Disposition", DISPOSITIONS, key=f"disposition-{key}")
+    # Kept where the same findings are shown anew; the disposition is not.
+    comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
+    left, right = st.columns([5, 2])
+    disposition = left.pills("Disposition", DISPOSITIONS, key=f"disposition-{key}")
+    with right:
+        ask_who(desk)
     with st.form(f"decide-{key}", border=False):
-        left, right = st.columns([5, 3])
-        # Kept where the same findings are shown anew; the disposition is not.
-        comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
-        left.text_input("Comment", key=comment_key, max_chars=MAX_COMMENT, placeholder="what and why")
-        with right:
-            ask_who(desk)
+        st.text_input(
+            "Comment",
+            key=comment_key,
+            max_chars=MAX_COMMENT,
+            placeholder="comment: what and why",
+            label_visibility="collapsed",
+        )
         chosen = f" *{disposition}*" if disposition else ""
         st.form_submit_button(
             f"Record{chosen} for {_named(shown)}",
@@ -173,7 +183,7 @@ def _close(desk: Desk, review: Review, shown: Sequence[ShownFinding], done: Done
     with st.popover(f"Close *{asked}* of {_named(shown)} …", icon=":material/task_alt:"), st.form(f"close-{key}"):
         st.text_input("Why is the work done, or not needed any more?", key=f"reason-{key}", max_chars=MAX_COMMENT)
         who = _who(desk)
-        st.markdown(f"Closes: **{plain(who) or 'give your name in the form below first'}**")
+        st.markdown(f"Closes: **{plain(who) or 'give your name first'}**")
         st.form_submit_button(
             f"Close *{asked}* of {_named(shown)}",
             key=f"close-work-{key}",
@@ -226,7 +236,7 @@ def offer_sign_off(desk: Desk, scene: Any) -> None:
         st.markdown(f"Scanned {desk.habits.time(scene.captured_at)}, {_counted(decided)}.")
         st.caption("Its dispositions can not be changed afterwards.")
         who = _who(desk)
-        st.markdown(f"Signs: **{plain(who) or 'give your name in the form first'}**")
+        st.markdown(f"Signs: **{plain(who) or 'give your name first'}**")
         st.button(
             f"Sign off {place}",
             type="primary",

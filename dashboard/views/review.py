@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of, some_of
-from dashboard.deciding import ask_who, decide, forget_outcome, names_of, offer_sign_off, place_of, say_outcome
+from dashboard.deciding import ask_who, decide, names_of, offer_sign_off, place_of, say_outcome
 from dashboard.filters import scene_filters
 from dashboard.findings import (
     OPEN,
@@ -36,7 +37,7 @@ from storage.review import Feature, ShownFinding
 
 TITLE = "Tolerance review"
 _CROP_PX = 90
-_TURN = "findings_turn"
+_TURN, _STAND = "findings_turn", "review_stand"
 _COLUMNS = {
     "aircraft_serial": "Aircraft",
     "panel": "Panel",
@@ -59,16 +60,16 @@ def render(desk: Desk) -> None:
     wanted = _filters(desk)
     rows = findings(desk.archive, wanted)
     names = [(str(row.scene_id), feature_of(row)) for row in rows.itertuples()]
-    at = _standing(desk, names)
+    at = _standing(desk, names, wanted)
     if at is None:
-        say_outcome(desk)
+        say_outcome(desk, at)
         _nothing(desk, wanted)
         return
     left, right = st.columns([13, 9])
     with left:
         ticked = _list(desk, rows, names, at) if names else _empty(wanted)
     with right:
-        say_outcome(desk)
+        say_outcome(desk, at)
         if ticked:
             _several(desk, ticked)
         _one(desk, names, at, alone=not ticked)
@@ -90,15 +91,38 @@ def _filters(desk: Desk) -> Wanted:
     return Wanted(tuple(decisions), tuple(kinds), state, selection)
 
 
-def _standing(desk: Desk, names: Sequence[Name]) -> Name | None:
-    """The finding that is looked at: the one that the address names, else the first of its scan, else the first."""
-    scene_id = st.query_params.get("scene")
-    feature = feature_from_parameter(st.query_params.get("feature"))
+@dataclass(frozen=True)
+class _Stand:
+    """What this person looked at last, by which filters, and what the address named."""
+
+    wanted: Wanted
+    named: tuple[str | None, Feature | None]
+    at: Name | None
+
+
+def _standing(desk: Desk, names: Sequence[Name], wanted: Wanted) -> Name | None:
+    """The finding that is looked at: the one that the address names, else the first of its scan, else the first.
+
+    It stays when the list changes under it: only a person's click, or a filter that leaves it out, leads elsewhere.
+    """
+    last: _Stand | None = st.session_state.get(_STAND)
+    named = st.query_params.get("scene"), feature_from_parameter(st.query_params.get("feature"))
+    filtered = last is not None and last.named == named and last.wanted != wanted
+    scene_id, feature = named
+    at: Name | None
     if scene_id and feature and desk.archive.shown(scene_id, feature):
-        return scene_id, feature
-    if scene_id and not feature and load_scene_row(desk.archive, scene_id) is not None:
-        return next((name for name in names if name[0] == scene_id), None)
-    return names[0] if names else None
+        at = (scene_id, feature)
+        if filtered and at not in names:
+            _look_at(None)
+            named, at = (None, None), names[0] if names else None
+    elif scene_id and not feature and load_scene_row(desk.archive, scene_id) is not None:
+        at = next((name for name in names if name[0] == scene_id), None)
+    elif last and last.at and last.named == named and not filtered and desk.archive.shown(*last.at):
+        at = last.at
+    else:
+        at = names[0] if names else None
+    st.session_state[_STAND] = _Stand(wanted, named, at)
+    return at
 
 
 def _look_at(name: Name | None) -> None:
@@ -162,15 +186,10 @@ def _list(desk: Desk, rows: pd.DataFrame, names: Sequence[Name], at: Name) -> li
         column_config=config,
         key=key,
         placeholder=NOTHING,
-        on_select=clicked_row(key, names, _clicked, cells_only=True),
+        on_select=clicked_row(key, names, _look_at, cells_only=True),
         selection_mode=["multi-row", "single-cell"],
     )
     return [names[row] for row in event["selection"]["rows"] if row < len(names)]
-
-
-def _clicked(name: Name) -> None:
-    forget_outcome()
-    _look_at(name)
 
 
 def _exports(desk: Desk, rows: pd.DataFrame, total: int) -> None:
@@ -288,7 +307,7 @@ def _steps(names: Sequence[Name], at: Name) -> None:
         ("↑", "k", before, "Previous finding", "previous"),
         ("↓", "j", after, "Next finding", "next"),
     ):
-        st.button(sign, shortcut=shortcut, disabled=name is None, help=words, key=key, on_click=_clicked, args=(name,))
+        st.button(sign, shortcut=shortcut, disabled=name is None, help=words, key=key, on_click=_look_at, args=(name,))
 
 
 def _history(desk: Desk, shown: ShownFinding) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from dashboard.sql_runner import run_query
 from metrology.errors import UsageError
-from storage.review import Feature, ReviewLog
+from storage.review import Feature, ReviewLog, ShownFinding
 
 
 def test_rows_and_the_row_limit(filled: Path) -> None:
@@ -21,7 +21,7 @@ def test_rows_and_the_row_limit(filled: Path) -> None:
 
 
 def test_dispositions_can_be_joined(writable: Path) -> None:
-    ReviewLog(writable).dispose("x", "scene", "run", [Feature("rivet", "R04")], "scrap", "why", {})
+    ReviewLog(writable).dispose("x", [ShownFinding("scene", "run", Feature("rivet", "R04"))], "scrap", "why")
     assert run_query(writable, "SELECT disposition, comment FROM dispositions").rows.iloc[0].tolist() == [
         "scrap",
         "why",
