@@ -1,8 +1,7 @@
-"""A decision lands on what the person saw: two tabs, and scans stored between showing and recording, in a real browser."""
+"""A decision lands on what the person saw, in a real browser: two tabs, and scans stored meanwhile."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,10 +35,10 @@ def shown_name(page: Any) -> str:
 
 
 @pytest.fixture
-def tabs(server: tuple[str, Path], chromium: Any) -> Iterator[tuple[Any, Any, Path]]:
+def tabs(server: tuple[str, Path], chromium: Any) -> tuple[Any, Any, Path]:
     """Two tabs on the same list, and the store."""
     address, root = server
-    yield open_review(chromium, address, "MSN-0421"), open_review(chromium, address, "MSN-0421"), root
+    return open_review(chromium, address, "MSN-0421"), open_review(chromium, address, "MSN-0421"), root
 
 
 def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
