@@ -27,7 +27,8 @@ def one_of(name: str, options: Sequence[str], default: str | None = None) -> dic
     """
     first = default if default in options else options[0] if options else None
     named = st.query_params.get(name)
-    _show(name, named if named in options else first)
+    # Always, for a field of another page with this name leaves its value here, which the new field would not show.
+    st.session_state[name] = named if named in options else first
     return {"key": name, "on_change": _write_one, "args": (name, first)}
 
 
@@ -37,13 +38,8 @@ def some_of(name: str, options: Sequence[str], default: Sequence[str] = ()) -> d
     given = st.query_params.get_all(name)
     named = [option for option in options if option in given]
     # An address that names nothing at all (name=) says that nothing is chosen.
-    _show(name, named if named or given == [""] else first)
+    st.session_state[name] = named if named or given == [""] else first
     return {"key": name, "on_change": _write_some, "args": (name, first)}
-
-
-def _show(name: str, value: Any) -> None:
-    if name not in st.session_state or st.session_state[name] != value:
-        st.session_state[name] = value
 
 
 def _write_one(name: str, default: str | None) -> None:
