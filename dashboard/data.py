@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import duckdb
 import pandas as pd
+import pyarrow as pa
 import streamlit as st
 
 from metrology.errors import StoreError
 from metrology.rig import Rig
+from storage.archive.decisions import shown_finding
 from storage.archive.store import Store
+from storage.archive.work import Standing, reviewed_features, signed_scenes, standings
 from storage.cloud import StoredCloud
-from storage.review import Review, ReviewLog
+from storage.review import Feature, Review, ReviewLog, ShownFinding
 
 _CACHED_QUERIES, _CACHED_GENERATIONS, _CACHED_CLOUDS = 200, 2, 2
 
@@ -36,11 +40,16 @@ class Archive:
         self.root = Path(root)
         self.store = Store(self.root)
 
-    @property
+    # Both are looked up once, so that all of a page shows the same state of the store.
+    @cached_property
     def generation(self) -> str:
         """Names the published index: its real path, empty where there is none."""
         link = self.store.layout.archive
         return os.path.realpath(link) if link.exists() else ""
+
+    @cached_property
+    def _review_version(self) -> tuple[int, int]:
+        return ReviewLog(self.root).version
 
     @property
     def empty(self) -> bool:
@@ -53,17 +62,23 @@ class Archive:
 
     def review(self) -> Review:
         """What people decided so far."""
-        log = ReviewLog(self.root)
-        return _review(str(self.root), log.version)
+        return _review(str(self.root), self._review_version)
 
     def rows_with_review(self, sql: str, parameters: Sequence[Any] = ()) -> pd.DataFrame:
-        """Rows of a query of ours that may use two tables more.
+        """Rows of a query of ours that may use what people decided (see `storage.archive.work.register`)."""
+        return _rows_with_review(str(self.root), self.generation, self._review_version, sql, tuple(parameters))
 
-        `reviewed` has scene_id, feature_kind, feature_id, disposition, who, decided_at and comment of the last
-        disposition of each feature; `signed` has scene_id, signed_by, signed_at.
-        """
-        version = ReviewLog(self.root).version
-        return _rows_with_review(str(self.root), self.generation, version, sql, tuple(parameters))
+    def shown(self, scene_id: str, feature: Feature) -> ShownFinding | None:
+        """A finding as this page shows it, for a decision about it; None where there is no such feature."""
+        cursor = _connection(str(self.root), self.generation).cursor()
+        try:
+            return shown_finding(cursor, self.review(), scene_id, feature)
+        finally:
+            cursor.close()
+
+    def standings(self, scene_id: str) -> tuple[Standing, ...]:
+        """How the findings of a scene stand."""
+        return _standings(str(self.root), self.generation, self._review_version, scene_id)
 
     def file(self, relative: object) -> Path:
         """A file of the store; refused where the path leads out of it."""
@@ -102,11 +117,28 @@ def _rows(root: str, generation: str, sql: str, parameters: tuple[Any, ...]) -> 
 def _rows_with_review(
     root: str, generation: str, version: tuple[int, int], sql: str, parameters: tuple[Any, ...]
 ) -> pd.DataFrame:
-    review = _review(root, version)
     cursor = _connection(root, generation).cursor()
-    cursor.register("reviewed", reviewed_features(review))
-    cursor.register("signed", signed_scenes(review))
+    cursor.register("reviewed", _reviewed(root, generation, version))
+    cursor.register("signed", signed_scenes(_review(root, version)))
     return _fetch(cursor, sql, parameters)
+
+
+@st.cache_resource(max_entries=4, show_spinner=False)
+def _reviewed(root: str, generation: str, version: tuple[int, int]) -> pa.Table:
+    cursor = _connection(root, generation).cursor()
+    try:
+        return reviewed_features(cursor, _review(root, version))
+    finally:
+        cursor.close()
+
+
+@st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
+def _standings(root: str, generation: str, version: tuple[int, int], scene_id: str) -> tuple[Standing, ...]:
+    cursor = _connection(root, generation).cursor()
+    try:
+        return standings(cursor, _review(root, version), scene_id)
+    finally:
+        cursor.close()
 
 
 @st.cache_data(max_entries=4, show_spinner=False)
@@ -119,24 +151,6 @@ def _cloud(path: str) -> StoredCloud:
     from storage.cloud import read_cloud
 
     return read_cloud(Path(path))
-
-
-def reviewed_features(review: Review) -> pd.DataFrame:
-    """The last disposition of each feature."""
-    names = ["scene_id", "feature_kind", "feature_id", "disposition", "who", "decided_at", "comment"]
-    rows = [
-        (scene, feature.kind, feature.id, entry.disposition, entry.who, entry.at, entry.comment)
-        for (scene, feature), entry in review.current().items()
-    ]
-    frame = pd.DataFrame(rows, columns=names)
-    return frame.astype(dict.fromkeys(set(names) - {"decided_at"}, "str")).astype({"decided_at": "datetime64[us, UTC]"})
-
-
-def signed_scenes(review: Review) -> pd.DataFrame:
-    """The sign-off of each scene that has one."""
-    rows = [(scene, entry.who, entry.at) for scene, entry in review.sign_offs().items()]
-    frame = pd.DataFrame(rows, columns=["scene_id", "signed_by", "signed_at"])
-    return frame.astype({"scene_id": "str", "signed_by": "str", "signed_at": "datetime64[us, UTC]"})
 
 
 def _fetch(cursor: duckdb.DuckDBPyConnection, sql: str, parameters: Sequence[Any]) -> pd.DataFrame:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta
+from typing import Any
 
 import streamlit as st
 
+from dashboard.address import one_of, some_of
 from dashboard.data import Archive
 from dashboard.findings import PERIODS, Selection, start_of
 from storage.archive.views import NEWEST_TIME
@@ -36,29 +38,24 @@ def scene_filters(archive: Archive, more: bool = False, period: str = "any time"
         Chosen at first.
     """
     columns = st.columns(5 if more else 3)
-    aircraft = columns[0].multiselect(
-        "Aircraft", names(archive, "aircraft_serial"), key="aircraft", bind="query-params", placeholder="all"
-    )
-    panels = columns[1].multiselect(
-        "Panel", names(archive, "panel"), key="panel", bind="query-params", placeholder="all"
-    )
+    aircraft = _several(columns[0], archive, "Aircraft", "aircraft", "aircraft_serial")
+    panels = _several(columns[1], archive, "Panel", "panel", "panel")
     chosen = columns[2].selectbox(
         "Scanned",
         list(PERIODS),
-        index=list(PERIODS).index(period),
-        key="period",
-        bind="query-params",
         help="Counted back from the newest scan in the store.",
+        **one_of("period", list(PERIODS), period),
     )
     stations, rigs = [], []
     if more:
-        stations = columns[3].multiselect(
-            "Station", names(archive, "station"), key="station", bind="query-params", placeholder="all"
-        )
-        rigs = columns[4].multiselect(
-            "Rig", names(archive, "rig_id"), key="rig", bind="query-params", placeholder="all"
-        )
+        stations = _several(columns[3], archive, "Station", "station", "station")
+        rigs = _several(columns[4], archive, "Rig", "rig", "rig_id")
     since = start_of(chosen, newest_scan(archive))
     # A whole second, so that the same filter is the same query.
     since = since.replace(microsecond=0) - timedelta(seconds=1) if since else None
     return Selection(tuple(aircraft), tuple(panels), tuple(stations), tuple(rigs), since)
+
+
+def _several(box: Any, archive: Archive, title: str, name: str, column: str) -> list[str]:
+    known = names(archive, column)
+    return list(box.multiselect(title, known, placeholder="all", **some_of(name, known)))

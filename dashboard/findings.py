@@ -10,6 +10,7 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.palette import DECISIONS, OPEN_DECISIONS
+from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, findings_sql
 from storage.review import Feature, FeatureKind
 
 MOST_ROWS = 500
@@ -20,20 +21,10 @@ PERIODS: dict[str, timedelta | None] = {
     LAST_WEEK: timedelta(days=7),
     "last 30 days": timedelta(days=30),
 }
-STATES = ("open", "decided", "all")
+OPEN, ALL = "open", "all"
+STATES = (OPEN, OPEN_WORK, DECIDED, ALL)
+"""What the list may be narrowed to; open is what waits and what has open work."""
 
-STATION_ID = "seam_id || '@' || printf('%.1f', s_mm)"
-_PARTS = {
-    "rivet": (
-        "rivets",
-        "rivet_id AS feature_id, height_mean_mm AS value_mm, height_u95_mm AS u95_mm, tilt_deg, "
-        "NULL::DOUBLE AS width_mm",
-    ),
-    "seam station": (
-        "seam_stations",
-        f"{STATION_ID} AS feature_id, step_mm AS value_mm, step_u95_mm AS u95_mm, NULL::DOUBLE AS tilt_deg, width_mm",
-    ),
-}
 _RANK = "CASE decision " + " ".join(f"WHEN '{name}' THEN {i}" for i, name in enumerate(DECISIONS)) + " ELSE 9 END"
 _ORDER = f"{_RANK}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, scene_id, feature_id"
 
@@ -89,8 +80,8 @@ class Wanted:
     ----------
     decisions : tuple of str
     kinds : tuple of "rivet", "seam station"
-    state : "open", "decided" or "all"
-        Open: neither disposed of nor signed off.
+    state : "open", "open work", "decided" or "all"
+        Open: waiting for a decision, or with open work.
     """
 
     decisions: tuple[str, ...] = OPEN_DECISIONS
@@ -102,46 +93,30 @@ class Wanted:
 def findings(archive: Archive, wanted: Wanted, most: int = MOST_ROWS) -> pd.DataFrame:
     """Findings, the gravest first, then by size; at most `most`.
 
-    Columns: the key, feature_kind, feature_id, value_mm and u95_mm (height or step), tilt_deg, width_mm, severity,
-    decision, reason, run_id, panel_spec, software_version, disposition, who, decided_at, signed_by, and total: how many
-    there are without the limit.
+    Columns: those of `findings_sql`, and total: how many there are without the limit.
     """
     candidates, parameters = _candidates(wanted)
     return archive.rows_with_review(
-        f"WITH c AS MATERIALIZED ({candidates}), top AS (SELECT * FROM c ORDER BY {_ORDER} LIMIT {int(most)}) "
-        "SELECT top.*, s.run_id, s.panel_spec, s.software_version, (SELECT count(*) FROM c) AS total "
-        f"FROM top JOIN scenes s USING (scene_id) ORDER BY {_ORDER}",
+        f"WITH c AS MATERIALIZED ({candidates}) SELECT *, (SELECT count(*) FROM c) AS total FROM c "
+        f"ORDER BY {_ORDER} LIMIT {int(most)}",
         parameters,
     )
 
 
 def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
     """All findings that are wanted."""
-    condition, selected = wanted.selection.where()
-    decisions = list(wanted.decisions) or [""]
-    bad = f"decision IN ({', '.join('?' * len(decisions))})"
-    # The selection stands in both tables: in this one it lets DuckDB pass over most rows.
+    scenes, selected = wanted.selection.where()
+    # The selection stands in all tables: in those of features it lets DuckDB pass over most rows.
     near, near_selected = replace(wanted.selection, rigs=()).where()
-    key = "aircraft_serial, panel, station, captured_at, scene_id"
-    parts = [
-        f"SELECT {key}, '{kind}' AS feature_kind, {columns}, severity, decision, reason FROM {table} "
-        f"WHERE {bad} AND {near}"
-        for kind, (table, columns) in _PARTS.items()
-        if kind in wanted.kinds
-    ] or [
-        f"SELECT {key}, 'rivet' AS feature_kind, {_PARTS['rivet'][1]}, severity, decision, reason FROM rivets LIMIT 0"
-    ]
-    state = {
-        "open": "WHERE d.disposition IS NULL AND g.signed_by IS NULL",
-        "decided": "WHERE d.disposition IS NOT NULL OR g.signed_by IS NOT NULL",
-    }.get(wanted.state, "")
-    sql = (
-        f"SELECT f.*, d.disposition, d.who, d.decided_at, g.signed_by FROM ({' UNION ALL '.join(parts)}) f "
-        f"SEMI JOIN (SELECT scene_id FROM latest_scenes WHERE {condition}) s USING (scene_id) "
-        "LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id) "
-        f"{state}"
-    )
-    return sql, [*(decisions + near_selected) * (len(wanted.kinds)), *selected]
+    decisions = list(wanted.decisions) or [""]
+    verdict = f"decision IN ({', '.join('?' * len(decisions))})"
+    # Open work is listed whatever a later run of its scan says, unless verdicts are chosen.
+    worked, worked_decisions = ("true", list[str]()) if set(decisions) == set(OPEN_DECISIONS) else (verdict, decisions)
+    sql = findings_sql(wanted.kinds, verdict, worked, near, scenes)
+    states = {OPEN: UNRESOLVED, ALL: ()}.get(wanted.state, (wanted.state,))
+    condition = f"WHERE state IN ({', '.join('?' * len(states))})" if states else ""
+    of_kind = [*decisions, *near_selected, *near_selected, *worked_decisions, *decisions]
+    return f"FROM ({sql}) {condition}", [*selected, *of_kind * len(wanted.kinds), *states]
 
 
 def feature_of(row: Any) -> Feature:

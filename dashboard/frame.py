@@ -13,13 +13,15 @@ from typing import Any, cast
 import streamlit as st
 
 from dashboard.access import Person, current_person, log_out, login_configured
+from dashboard.address import one_of
 from dashboard.data import Archive
-from dashboard.habits import STYLE_NAMES, STYLES, Habits, habits_of
+from dashboard.habits import STYLE_NAMES, Habits, habits_of
 from dashboard.settings import SettingsModel, load_settings, store_root
 from metrology.errors import FlushlineError
 
 _LOG = logging.getLogger("flushline.dashboard")
 _PAGES = "flushline_pages"
+_STYLE = "flushline_style"
 
 
 @dataclass(frozen=True)
@@ -86,13 +88,10 @@ def _corner(settings: SettingsModel, person: Person, root: Path) -> Habits:
             st.caption(f"{plain(person.name)} · {person.role}")
         with st.popover("Settings", icon=":material/tune:", type="tertiary"):
             guessed = habits_of(_context("locale"), _context("timezone"), settings.numbers)
-            style = st.selectbox(
-                "Numbers and dates",
-                list(STYLE_NAMES),
-                index=STYLES.index(guessed.style),
-                key="numbers",
-                bind="query-params",
-            )
+            named = {short: name for name, short in STYLE_NAMES.items()}
+            first = st.session_state.get(_STYLE) or named[guessed.style]
+            style = st.selectbox("Numbers and dates", list(STYLE_NAMES), **one_of("numbers", list(STYLE_NAMES), first))
+            st.session_state[_STYLE] = style  # stays when a link leads to another page
             habits = Habits(STYLE_NAMES.get(style, guessed.style), guessed.zone)
             st.caption(f"{habits.number(1234.5, 1)} · {habits.time(datetime.now(UTC))}")
             st.caption(f"Times: {guessed.zone}")

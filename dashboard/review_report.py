@@ -9,11 +9,13 @@ from typing import Any
 import pandas as pd
 
 from dashboard.data import Archive
+from dashboard.findings import feature_of
 from dashboard.habits import Habits, with_minus
 from dashboard.palette import BLUE, GREEN, RED
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from metrology.errors import FlushlineError
+from storage.archive.work import Standing, said
 from storage.review import Feature
 from storage.spreadsheet import ENCODING, harmless
 
@@ -59,6 +61,7 @@ def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str
         "± U95, mm",
         "Verdict",
         "Why",
+        "State",
         "Disposition",
     )
     titles = "".join(f"<th>{head}</th>" for head in heads)
@@ -67,7 +70,7 @@ def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str
 <html lang="en"><head><meta charset="utf-8"><title>{_text(title)}: tolerance review</title>
 <style>{_STYLE}</style></head><body>
 <h1>{_text(title)}: tolerance review</h1>
-<p>{len(rows)} findings · made {_text(made)} from {_text(archive.root)}<br>
+<p>{len(rows)} findings ({_text(said(_standings(rows)))}) · made {_text(made)} from {_text(archive.root)}<br>
 Limits: {_text(limits)} · Flushline {_text(versions)} · decisions by ISO 14253-1 with the guard band U95</p>
 <table><thead><tr>{titles}</tr></thead><tbody>
 {body}
@@ -76,12 +79,18 @@ Limits: {_text(limits)} · Flushline {_text(versions)} · decisions by ISO 14253
     return page.encode()
 
 
+def _standings(rows: pd.DataFrame) -> list[Standing]:
+    return [Standing(feature_of(row), row.state) for row in rows.itertuples()]
+
+
 def _row(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -> str:
     decided = ""
     if not pd.isna(row["disposition"]):
         decided = f"{row['disposition']}, {row['who']}, {habits.time(row['decided_at'])}"
     if not pd.isna(row["signed_by"]):
         decided += f" (signed off by {row['signed_by']})"
+    if not pd.isna(row["closed_by"]):
+        decided += f"; work closed by {row['closed_by']}: {row['closed_because']}"
     reason = "" if pd.isna(row["reason"]) else with_minus(row["reason"])
     cells = [
         f"<td>{_picture(row, archive) if picture else ''}</td>",
@@ -89,7 +98,7 @@ def _row(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -
         f'<td class="n">{_text(habits.number(row["value_mm"], sign=True))}</td>',
         f'<td class="n">{_text(habits.number(row["u95_mm"]))}</td>',
         f"<td>{_text(row['decision'])}</td><td>{_text(reason)}</td>",
-        f"<td>{_text(decided)}</td>",
+        f"<td>{_text(row['state'])}</td><td>{_text(decided)}</td>",
     ]
     severity = row["severity"] if row["severity"] in ("red", "blue", "green") else ""
     return f'<tr class="{severity}">{"".join(cells)}</tr>'

@@ -8,10 +8,10 @@ import numpy as np
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
-from dashboard.findings import STATION_ID
 from metrology.errors import FlushlineError
 from metrology.tolerance import Limit
 from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, Table
+from storage.archive.work import STATION_ID
 from storage.review import Feature
 
 

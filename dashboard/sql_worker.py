@@ -59,20 +59,12 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | No
 
     from metrology.errors import UsageError
     from storage.archive.store import Store, query_problem
+    from storage.archive.work import reviewed_features
     from storage.review import ReviewLog
 
     connection = Store(root).connect(spill)
-    review = ReviewLog(root).read()
-    connection.register("dispositions", pa.Table.from_pylist(
-        [
-            {
-                "scene_id": scene, "feature_kind": feature.kind, "feature_id": feature.id, "decided_at": entry.at,
-                "disposition": entry.disposition, "who": entry.who, "comment": entry.comment,
-            }
-            for (scene, feature), entry in review.current().items()
-        ],
-        pa.schema([(n, pa.timestamp("us", "UTC") if n == "decided_at" else pa.string()) for n in DISPOSITIONS_COLUMNS]),
-    ))  # fmt: skip
+    reviewed = reviewed_features(connection, ReviewLog(root).read())
+    connection.register("dispositions", reviewed.select(list(DISPOSITIONS_COLUMNS)))
     try:
         rows = connection.sql(sql)
     except duckdb.InvalidInputException as problem:
@@ -99,6 +91,9 @@ DISPOSITIONS_COLUMNS = {
     "disposition": "use as is, rework, repair, scrap, re-scan",
     "who": "who decided",
     "comment": "what they said",
+    "open_work": "whether rework, repair or re-scan was asked for and is not done",
+    "closed_by": "who closed the work, where a person did",
+    "closed_because": "why they closed it",
 }
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import pandas as pd
 import streamlit as st
 
 from dashboard.habits import NOTHING, Habits, with_minus
 from dashboard.palette import DECISION_MARKS
+from dashboard.picking import Picked, clicked_row
 
-Mode = Literal["single-row", "multi-row", "none"]
 _SIGNED = ("value_mm", "height_mean_mm", "step_mm", "difference_mm", "deviation_mm")
 
 
@@ -22,19 +22,41 @@ def show_table(
     habits: Habits,
     key: str,
     height: int = 400,
-    mode: Mode = "single-row",
-    selected: int | None = None,
-) -> list[int]:
-    """Show columns of a frame under their headings; returns the places of the selected rows.
+    names: Sequence[Any] = (),
+    picked: Picked | None = None,
+) -> None:
+    """Show columns of a frame under their headings.
 
     Parameters
     ----------
     columns : mapping of str to str
         Column to heading, in order; columns that the frame lacks are left out.
-    mode : "single-row", "multi-row" or "none"
-    selected : int, optional
-        Row that is selected at first.
+    names : sequence, optional
+        Of the rows, where they can be picked.
+    picked : callable, optional
+        Gets the name of a row that is clicked.
     """
+    styled, config = styled_table(rows, columns, habits)
+    options: dict[str, Any] = {}
+    if picked:
+        key = f"{key}-{hash(tuple(names))}"  # other rows begin without a selection
+        options = {
+            "on_select": clicked_row(key, names, picked),
+            "selection_mode": ["single-row", "single-cell"],
+        }
+    st.dataframe(
+        styled,
+        hide_index=True,
+        height=fitting(height, len(rows)),
+        column_config=config,
+        key=key,
+        placeholder=NOTHING,
+        **options,
+    )
+
+
+def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], habits: Habits) -> tuple[Any, dict[str, Any]]:
+    """Columns of a frame under their headings, written as the person is used to, and how to lay them out."""
     present = {name: heading for name, heading in columns.items() if name in rows.columns}
     shown = rows[list(present)].rename(columns=present).reset_index(drop=True)
     formats = {heading: _writer(name, rows[name], habits) for name, heading in present.items()}
@@ -44,41 +66,20 @@ def show_table(
         for name, heading in present.items()
         if name in _NARROW or name in _HELP
     }
-    if mode == "none":
-        st.dataframe(
-            styled,
-            hide_index=True,
-            height=_fitting(height, len(shown)),
-            column_config=config,
-            key=key,
-            placeholder=NOTHING,
-        )
-        return []
-    first: Any = {"selection": {"rows": [selected]}} if selected is not None and selected < len(shown) else None
-    event = st.dataframe(
-        styled,
-        hide_index=True,
-        height=_fitting(height, len(shown)),
-        column_config=config,
-        key=key,
-        on_select="rerun",
-        placeholder=NOTHING,
-        selection_mode=mode,
-        selection_default=first,
-    )
-    return [row for row in event["selection"]["rows"] if row < len(shown)]
+    return styled, config
 
 
 _NARROW = ("reason",)
 _HELP = {
     "value_mm": "Height of a rivet head, + proud of the skin; step of a seam, side B above side A",
     "u95_mm": "Expanded uncertainty, 95 %",
-    "waiting": "Findings without a disposition, on scenes that are not signed off",
+    "waiting": "Findings without a disposition, and those whose rework, repair or re-scan is not done",
+    "open_work": "Of those waiting: rework, repair or re-scan was asked for and is not done",
     "worst_mm": "Largest |height| or |step| among what does not simply pass",
 }
 
 
-def _fitting(height: int, rows: int) -> int:
+def fitting(height: int, rows: int) -> int:
     """No taller than the rows need."""
     return min(height, 38 + 35 * max(1, rows))
 

@@ -29,3 +29,7 @@ class SpecError(FlushlineError):
 
 class StoreError(FlushlineError):
     """A store that is damaged, absent, or asked for what it does not hold."""
+
+
+class OutdatedError(UsageError):
+    """A decision about something that is not any more what the person had before them."""

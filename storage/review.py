@@ -2,102 +2,56 @@
 
 `reviews/log.jsonl` in the store has one JSON object per line. A line is never changed or removed; each names the
 checksum of the one before it, so a change made behind Flushline's back shows. Measurements are not touched by this.
+
+A decision is about what was on the screen: whoever records one says what was shown, and it is refused where somebody
+else decided since. `storage.archive.decisions` also sees to it that the archive still shows the same values.
 """
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
-from metrology.errors import StoreError, UsageError
-from storage.archive.files import locked, sync
-from storage.documents import utc_text
-from storage.models import StrictModel, UtcTime
+from metrology.errors import OutdatedError, StoreError, UsageError
+from storage.archive.files import locked
+from storage.review_entries import (
+    ASKS_FOR_WORK,
+    DISPOSITIONS,
+    FORMAT,
+    FORMAT_OF_CLOSES,
+    MAX_COMMENT,
+    Disposition,
+    Entry,
+    Feature,
+    FeatureKind,
+    Review,
+    ShownFinding,
+    ShownScene,
+    station_id,
+)
+from storage.review_file import FIRST, ReviewFile, checksum, last_checksum
 
-FORMAT = "flushline-review/1"
-Disposition = Literal["use as is", "rework", "repair", "scrap", "re-scan"]
-DISPOSITIONS: tuple[Disposition, ...] = get_args(Disposition)
-FeatureKind = Literal["rivet", "seam station"]
+__all__ = [
+    "ASKS_FOR_WORK",
+    "DISPOSITIONS",
+    "MAX_COMMENT",
+    "Disposition",
+    "Entry",
+    "Feature",
+    "FeatureKind",
+    "Review",
+    "ReviewLog",
+    "ShownFinding",
+    "ShownScene",
+    "station_id",
+]
 
-_FIRST = "0" * 64
-MAX_COMMENT = 4000
-
-
-class Entry(StrictModel):
-    """A line of the log.
-
-    `shown` holds what the person had before them: values, verdict, reason, revision of the limits, software version,
-    settings and rig.
-    """
-
-    format: Literal["flushline-review/1"]
-    number: Annotated[int, Field(ge=1)]
-    at: UtcTime
-    who: str
-    action: Literal["disposition", "sign-off"]
-    scene_id: str
-    run_id: str
-    feature_kind: FeatureKind | None = None
-    feature_id: str | None = None
-    disposition: Disposition | None = None
-    comment: str = ""
-    shown: Annotated[dict[str, Any], Field(default_factory=dict)]
-    previous: str
-
-
-@dataclass(frozen=True)
-class Feature:
-    """A rivet, or a position along a seam, of a scene.
-
-    Attributes
-    ----------
-    kind : "rivet" or "seam station"
-    id : str
-        rivet_id, or seam_id@s_mm with one decimal.
-    """
-
-    kind: FeatureKind
-    id: str
-
-
-def station_id(seam_id: str, s_mm: float) -> str:
-    """Name of a seam station within its scene, such as ``S1@24.0``."""
-    return f"{seam_id}@{s_mm:.1f}"
-
-
-@dataclass(frozen=True)
-class Review:
-    """All that was decided so far.
-
-    Attributes
-    ----------
-    entries : tuple of Entry
-        From the first to the last.
-    problem : str or None
-        Where the log was damaged or changed; entries before that place only are given.
-    """
-
-    entries: tuple[Entry, ...] = ()
-    problem: str | None = None
-
-    def current(self) -> dict[tuple[str, Feature], Entry]:
-        """The last disposition of each feature, by scene and feature."""
-        return {
-            (entry.scene_id, Feature(entry.feature_kind, entry.feature_id)): entry
-            for entry in self.entries
-            if entry.action == "disposition" and entry.feature_kind and entry.feature_id
-        }
-
-    def sign_offs(self) -> dict[str, Entry]:
-        """The sign-off of each scene that has one."""
-        return {entry.scene_id: entry for entry in self.entries if entry.action == "sign-off"}
+Check = Callable[[Review], None]
+"""Raises where what was decided so far forbids an entry."""
 
 
 class ReviewLog:
@@ -111,152 +65,156 @@ class ReviewLog:
 
     def __init__(self, root: Path) -> None:
         self.path = Path(root) / "reviews" / "log.jsonl"
+        self._file = ReviewFile(self.path)
 
     @property
     def version(self) -> tuple[int, int]:
-        """Changes with every new entry: size and time of the file."""
-        try:
-            status = self.path.stat()
-        except OSError:
-            return 0, 0
-        return status.st_size, status.st_mtime_ns
+        """Changes with every new entry."""
+        return self._file.version
 
     def read(self) -> Review:
         """Everything decided so far; a damaged or changed log is read up to that place."""
-        return _parse(self._content(), self.path)
+        return _parse(self._file.content(), self.path)
 
     def dispose(
-        self,
-        who: str,
-        scene_id: str,
-        run_id: str,
-        features: Iterable[Feature],
-        disposition: Disposition,
-        comment: str,
-        shown: Mapping[Feature, Mapping[str, Any]],
+        self, who: str, shown: Sequence[ShownFinding], disposition: Disposition, comment: str = ""
     ) -> list[Entry]:
-        """Record what shall happen with features of one scene; refused where the scene is signed off.
+        """Record what shall happen with findings: with all of them or, where one is refused, with none.
 
-        Parameters
-        ----------
-        shown : mapping
-            What the person had before them, by feature.
+        Refused where the scene is signed off, or where something was decided about a finding since it was shown.
         """
         if disposition not in DISPOSITIONS:
             raise UsageError(f"disposition: found {disposition!r}, expected one of {', '.join(DISPOSITIONS)}")
-        wanted = [
-            {
-                "action": "disposition",
-                "feature_kind": feature.kind,
-                "feature_id": feature.id,
-                "disposition": disposition,
-                "shown": dict(shown.get(feature, {})),
-            }
-            for feature in features
-        ]
-        if not wanted:
+        if not shown:
             raise UsageError("disposition: found no feature, expected at least one")
-        return self._append(who, scene_id, run_id, comment, wanted)
+        wanted = [{**_of_feature(s), "action": "disposition", "disposition": disposition} for s in shown]
 
-    def sign_off(self, who: str, scene_id: str, run_id: str, comment: str, shown: Mapping[str, Any]) -> Entry:
+        def check(review: Review) -> None:
+            for finding in shown:
+                _check_open(review, finding.scene_id)
+                _check_undecided_since(review, finding)
+
+        return self._append(who, comment, wanted, check)
+
+    def close(self, who: str, shown: Sequence[ShownFinding], reason: str) -> list[Entry]:
+        """Record why the work that the last disposition of features asked for is done, or is not needed any more.
+
+        Refused where a feature has no open work, or where something was decided about it since it was shown.
+        """
+        if not reason.strip():
+            raise UsageError("close: found no reason, expected why the work is done")
+        if not shown:
+            raise UsageError("close: found no feature, expected at least one")
+        wanted = [{**_of_feature(s), "action": "close", "format": FORMAT_OF_CLOSES} for s in shown]
+
+        def check(review: Review) -> None:
+            work = review.work()
+            for finding in shown:
+                _check_undecided_since(review, finding)
+                if (finding.scene_id, finding.feature) not in work:
+                    raise UsageError(
+                        f"{finding.scene_id} {finding.feature.id}: found no open work, expected a disposition such as "
+                        f"{' or '.join(ASKS_FOR_WORK)} that nobody closed"
+                    )
+
+        return self._append(who, reason, wanted, check)
+
+    def sign_off(self, who: str, shown: ShownScene, comment: str = "") -> Entry:
         """Close a scene: from now on its dispositions and the run that was signed off stay as they are.
 
-        `storage.archive.sign_off` also sees to it that the archive still shows that run.
+        Refused where something was decided about the scene since it was shown. `storage.archive.decisions` also sees
+        to it that the archive still shows that run, and that nothing of the scene waits.
         """
-        return self._append(who, scene_id, run_id, comment, [{"action": "sign-off", "shown": dict(shown)}])[0]
+        wanted = {
+            "action": "sign-off",
+            "scene_id": shown.scene_id,
+            "run_id": shown.run_id,
+            "shown": dict(shown.values),
+        }
 
-    def _append(self, who: str, scene_id: str, run_id: str, comment: str, wanted: list[dict[str, Any]]) -> list[Entry]:
+        def check(review: Review) -> None:
+            _check_open(review, shown.scene_id)
+            if review.last_of_scene(shown.scene_id) != shown.last_entry:
+                last = review.entries[review.last_of_scene(shown.scene_id) - 1]
+                about = f"{last.feature.id} " if last.feature else ""
+                raise OutdatedError(
+                    f"{shown.scene_id}: found that {about}was decided since it was shown ({last.said}), expected the "
+                    "decisions that were on the screen"
+                )
+
+        return self._append(who, comment, [wanted], check)[0]
+
+    def _append(self, who: str, comment: str, wanted: list[dict[str, Any]], check: Check) -> list[Entry]:
         if not who.strip():
             raise UsageError("review: found no name, expected who decides")
         if len(comment) > MAX_COMMENT:
             raise UsageError(f"review: found a comment of {len(comment)} characters, expected at most {MAX_COMMENT}")
+        same = {"who": who.strip(), "comment": comment.strip()}
         try:
             self.path.parent.mkdir(exist_ok=True)
             with locked(self.path.parent / ".lock"):
-                return self._append_locked(who.strip(), scene_id, run_id, comment.strip(), wanted)
+                return self._append_locked([{**same, **part} for part in wanted], check)
         except OSError as problem:
             raise StoreError(
                 f'{self.path}: found "{problem.strerror}", expected a review log that can be written'
             ) from None
 
-    def _append_locked(
-        self, who: str, scene_id: str, run_id: str, comment: str, wanted: list[dict[str, Any]]
-    ) -> list[Entry]:
-        content = self._content()
+    def _append_locked(self, wanted: list[dict[str, Any]], check: Check) -> list[Entry]:
+        content = self._file.content()
         review = _parse(content, self.path)
         if review.problem:
             raise StoreError(f"{review.problem}; nothing more is written to it until that is cleared up")
-        if closed := review.sign_offs().get(scene_id):
-            raise UsageError(
-                f"{scene_id}: found it signed off by {closed.who} at {utc_text(closed.at)}, expected an open scene"
-            )
-        previous = _checksum(content.splitlines()[-1]) if content else _FIRST
+        check(review)
+        previous = last_checksum(content)
         lines: list[bytes] = []
         entries: list[Entry] = []
-        for part in wanted:
+        for number, part in enumerate(wanted, start=len(review.entries) + 1):
             entry = Entry.model_validate(
-                {
-                    "format": FORMAT,
-                    "number": len(review.entries) + len(entries) + 1,
-                    "at": datetime.now(UTC),
-                    "who": who,
-                    "scene_id": scene_id,
-                    "run_id": run_id,
-                    "comment": comment,
-                    "previous": previous,
-                    **part,
-                }
+                {"format": FORMAT, "number": number, "at": datetime.now(UTC), "previous": previous, **part}
             )
             line = entry.model_dump_json().encode()
-            previous = _checksum(line)
+            previous = checksum(line)
             lines.append(line + b"\n")
             entries.append(entry)
-        self._write(b"".join(lines), len(content))
+        self._file.append(b"".join(lines), len(content))
         return entries
 
-    def _write(self, lines: bytes, length: int) -> None:
-        """Append after `length` bytes; what lies beyond them is a write that a crash cut short."""
-        fresh = not self.path.exists()
-        descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o666)
-        try:
-            os.ftruncate(descriptor, length)
-            os.lseek(descriptor, length, os.SEEK_SET)
-            written = 0
-            while written < len(lines):
-                written += os.write(descriptor, lines[written:])
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        if fresh:
-            sync(self.path.parent)
 
-    def _content(self) -> bytes:
-        """The complete lines of the file."""
-        try:
-            content = self.path.read_bytes()
-        except FileNotFoundError:
-            return b""
-        except OSError as problem:
-            raise StoreError(f'{self.path}: found "{problem.strerror}", expected a readable review log') from None
-        return content[: content.rfind(b"\n") + 1]
+def _of_feature(shown: ShownFinding) -> dict[str, Any]:
+    return {
+        "scene_id": shown.scene_id,
+        "run_id": shown.run_id,
+        "feature_kind": shown.feature.kind,
+        "feature_id": shown.feature.id,
+        "shown": dict(shown.values),
+    }
+
+
+def _check_open(review: Review, scene_id: str) -> None:
+    if signed := review.sign_offs().get(scene_id):
+        raise UsageError(f"{scene_id}: found it {signed.said}, expected an open scene")
+
+
+def _check_undecided_since(review: Review, shown: ShownFinding) -> None:
+    last = review.last_about(shown.scene_id, shown.feature)
+    if (last.number if last else 0) != shown.last_entry:
+        found = f"decided since it was shown ({last.said})" if last else "shown with a decision that the log lacks"
+        raise OutdatedError(f"{shown.scene_id} {shown.feature.id}: found it {found}, expected it as it was shown")
 
 
 def _parse(content: bytes, path: Path) -> Review:
     entries: list[Entry] = []
-    previous = _FIRST
+    previous = FIRST
     for number, line in enumerate(content.splitlines(), start=1):
         try:
             entry = Entry.model_validate_json(line)
         except ValidationError:
-            return Review(tuple(entries), f"{path}: found line {number} damaged, expected an entry of {FORMAT}")
+            known = f"{FORMAT} or {FORMAT_OF_CLOSES}"
+            return Review(tuple(entries), f"{path}: found line {number} damaged, expected an entry of {known}")
         if entry.number != number or entry.previous != previous:
             return Review(
                 tuple(entries), f"{path}: found the lines before line {number} changed, expected them as written"
             )
         entries.append(entry)
-        previous = _checksum(line)
+        previous = checksum(line)
     return Review(tuple(entries))
-
-
-def _checksum(line: bytes) -> str:
-    return hashlib.sha256(line).hexdigest()

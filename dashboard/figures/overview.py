@@ -51,7 +51,8 @@ def panel_matrix(
     )
     text = [
         f"<b>{escape(r.aircraft_serial)} {escape(r.panel)}</b><br>{habits.whole(r.waiting)} waiting, "
-        f"{habits.whole(r.fail)} fail<br>last scan {habits.time(r.last_scan)}"
+        f"{habits.whole(r.open_work)} of them open work, {habits.whole(r.fail)} fail<br>"
+        f"last scan {habits.time(r.last_scan)}"
         for r in part.itertuples()
     ]
     # Heat maps send no clicks; invisible markers on top of them do.

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pandas as pd
 import streamlit as st
 
+from dashboard.address import one_of
 from dashboard.data import Archive
 from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
@@ -36,7 +39,7 @@ def render(desk: Desk) -> None:
         return
     selection = scene_filters(desk.archive, more=True)
     verdict_field, page_field, actions = st.columns([2, 1, 5], vertical_alignment="bottom")
-    verdict = verdict_field.selectbox("Verdict", list(VERDICTS), key="verdict", bind="query-params")
+    verdict = verdict_field.selectbox("Verdict", list(VERDICTS), **one_of("verdict", list(VERDICTS)))
     total = _count(desk.archive, selection, verdict)
     pages = max(1, -(-total // _PAGE))
     page = page_field.number_input("Page", 1, pages, key="page")
@@ -46,17 +49,26 @@ def render(desk: Desk) -> None:
         return
     with actions:
         buttons = st.container(horizontal=True, vertical_alignment="center")
-    picked = _list(desk, scenes)
+    chosen = _list(desk, scenes)
     with buttons:
-        chosen = [str(scenes["scene_id"].iloc[row]) for row in picked]
-        if st.button("Open", type="primary", disabled=len(chosen) != 1, icon=":material/center_focus_strong:"):
-            go("scene", scene=chosen[0])
-        if st.button("Compare two", disabled=len(chosen) != 2, icon=":material/compare:"):
-            go("archive", compare=",".join(chosen))
+        _way("Open", ":material/center_focus_strong:", len(chosen) == 1, "scene", scene=",".join(chosen))
+        _way("Compare two", ":material/compare:", len(chosen) == 2, "archive", compare=",".join(chosen))
         st.caption(
             f"{desk.habits.whole(total)} scans, page {page} of {desk.habits.whole(pages)}. "
             "Tick one scan to open it, two to compare them."
         )
+
+
+def _way(title: str, icon: str, possible: bool, page: str, **parameters: str) -> None:
+    """A button to a page with what was ticked when it was drawn."""
+    st.button(
+        title,
+        type="primary" if page == "scene" else "secondary",
+        disabled=not possible,
+        icon=icon,
+        key=f"{title} {parameters}",
+        on_click=partial(go, page, **parameters),
+    )
 
 
 _SCENES_SQL = """
@@ -100,7 +112,9 @@ def _scenes(archive: Archive, selection: Selection, verdict: str, most: int, ski
     )
 
 
-def _list(desk: Desk, scenes: pd.DataFrame) -> list[int]:
+def _list(desk: Desk, scenes: pd.DataFrame) -> list[str]:
+    """The scans; returns the names of those that are ticked."""
+    names = [str(name) for name in scenes["scene_id"]]
     shown = scenes.copy()
     shown.insert(0, "picture", [_thumbnail_of(desk.archive, path) for path in scenes["preview_path"]])
     shown["captured_at"] = [desk.habits.time(moment) for moment in scenes["captured_at"]]
@@ -110,7 +124,7 @@ def _list(desk: Desk, scenes: pd.DataFrame) -> list[int]:
         hide_index=True,
         row_height=76,
         height=520,
-        key="scenes",
+        key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
         on_select="rerun",
         selection_mode="multi-row",
         column_config={
@@ -128,7 +142,7 @@ def _list(desk: Desk, scenes: pd.DataFrame) -> list[int]:
             "software_version": "Version",
         },
     )
-    return [row for row in event["selection"]["rows"] if row < len(scenes)]
+    return [names[row] for row in event["selection"]["rows"] if row < len(names)]
 
 
 def _thumbnail_of(archive: Archive, path: object) -> str | None:
@@ -187,5 +201,4 @@ def _compare(desk: Desk, first: str, second: str) -> None:
         desk.habits,
         key="differences",
         height=260,
-        mode="none",
     )

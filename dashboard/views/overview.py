@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pandas as pd
 import streamlit as st
 
 from dashboard.figures.overview import decision_bar, panel_matrix
 from dashboard.filters import newest_scan, scene_filters
-from dashboard.findings import STATION_ID, Selection
+from dashboard.findings import Selection
 from dashboard.frame import Desk, go, link, plain
 from dashboard.habits import Habits
 from dashboard.palette import DECISION_MARKS
+from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
 from storage.archive.views import NEWEST_TIME
+from storage.archive.work import DECIDED, KINDS, OPEN_WORK, findings_sql
 
 TITLE = "Overview"
 _MOST_ROWS = 200
@@ -38,55 +42,62 @@ def render(desk: Desk) -> None:
 
 def panel_states(desk: Desk, selection: Selection) -> pd.DataFrame:
     """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
-    condition, parameters = selection.where()
+    condition, selected = selection.where()
     sql = f"""
 WITH s AS (
     SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, n_rivets, n_stations, status
     FROM latest_scenes WHERE {condition}
-), bad AS (
-    SELECT scene_id, 'rivet' AS feature_kind, rivet_id AS feature_id, decision, abs(height_mean_mm) AS off_mm
-    FROM rivets WHERE decision NOT IN ('pass', 'no limit')
-    UNION ALL
-    SELECT scene_id, 'seam station', {STATION_ID}, decision, abs(step_mm)
-    FROM seam_stations WHERE decision NOT IN ('pass', 'no limit')
-), per_scene AS (
-    SELECT scene_id,
-        count(*) FILTER (decision = 'fail') AS fail,
-        count(*) FILTER (decision = 'conditional fail') AS conditional_fail,
-        count(*) FILTER (decision = 'not measured') AS not_measured,
-        count(*) FILTER (decision = 'conditional pass') AS conditional_pass,
-        max(off_mm) AS worst_mm,
-        count(*) FILTER (d.disposition IS NULL AND g.signed_by IS NULL) AS waiting
-    FROM bad LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id)
-    GROUP BY scene_id
+), f AS (
+    SELECT *, scene_id IN (SELECT scene_id FROM s) AS newest FROM ({findings_sql(near=condition, scenes=condition)})
+), per_panel AS (
+    SELECT aircraft_serial, panel,
+        count(*) FILTER (newest AND decision = 'fail') AS fail,
+        count(*) FILTER (newest AND decision = 'conditional fail') AS conditional_fail,
+        count(*) FILTER (newest AND decision = 'not measured') AS not_measured,
+        count(*) FILTER (newest AND decision = 'conditional pass') AS conditional_pass,
+        max(abs(value_mm)) FILTER (newest) AS worst_mm,
+        count(*) FILTER (state <> '{DECIDED}') AS waiting,
+        count(*) FILTER (state = '{OPEN_WORK}') AS open_work
+    FROM f GROUP BY ALL
+), panels AS (
+    SELECT aircraft_serial, panel, sum(n_rivets) AS n_rivets, sum(n_stations) AS n_stations, count(*) AS scenes,
+        count(*) FILTER (status <> 'ok') AS with_warnings, {NEWEST_TIME} AS last_scan
+    FROM s GROUP BY ALL
 )
-SELECT aircraft_serial, panel, coalesce(sum(waiting), 0)::BIGINT AS waiting,
-    coalesce(sum(fail), 0)::BIGINT AS fail, coalesce(sum(conditional_fail), 0)::BIGINT AS conditional_fail,
-    coalesce(sum(not_measured), 0)::BIGINT AS not_measured,
-    coalesce(sum(conditional_pass), 0)::BIGINT AS conditional_pass,
-    coalesce(sum(n_rivets), 0)::BIGINT + coalesce(sum(n_stations), 0)::BIGINT AS features,
-    max(worst_mm) AS worst_mm, count(*) AS scenes, count(*) FILTER (status <> 'ok') AS with_warnings,
-    {NEWEST_TIME} AS last_scan
-FROM s LEFT JOIN per_scene USING (scene_id)
-GROUP BY ALL ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
+SELECT aircraft_serial, panel, {
+        _counted("waiting", "open_work", "fail", "conditional_fail", "not_measured", "conditional_pass")
+    },
+    (coalesce(n_rivets, 0) + coalesce(n_stations, 0))::BIGINT AS features, worst_mm, scenes, with_warnings, last_scan
+FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
+ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """
-    return desk.archive.rows_with_review(sql, parameters)
+    return desk.archive.rows_with_review(sql, [*selected, *selected, *selected * (2 * len(KINDS))])
+
+
+def _counted(*columns: str) -> str:
+    return ", ".join(f"coalesce({name}, 0)::BIGINT AS {name}" for name in columns)
 
 
 def _totals(desk: Desk, panels: pd.DataFrame) -> None:
     habits = desk.habits
-    boxes = st.columns([1.3, 0.7, 0.7, 0.7, 1.9, 3.4], vertical_alignment="center")
+    boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 1.8, 3.2], vertical_alignment="center")
     boxes[0].metric(
         "Waiting for a person",
         habits.whole(panels["waiting"].sum()),
-        help="Rivets and seam stations of the newest scans that do not simply pass, without a disposition, on scenes "
-        "that are not signed off.",
+        help="Rivets and seam stations of the newest scans that do not simply pass and have no disposition, on scenes "
+        "that are not signed off; and open work.",
     )
-    boxes[1].metric("Aircraft", habits.whole(panels["aircraft_serial"].nunique()))
-    boxes[2].metric("Panels", habits.whole(len(panels)), help="Panels counted on each aircraft.")
-    boxes[3].metric("Scans", habits.whole(panels["scenes"].sum()), help="The newest scan of each station.")
-    boxes[4].metric("Last scan", habits.time(newest_scan(desk.archive)))
-    with boxes[5]:
+    boxes[1].metric(
+        "Open work",
+        habits.whole(panels["open_work"].sum()),
+        help="Rework, repair or re-scan was asked for. It is done when the feature passes on a later scan of its "
+        "station, or when a person closes it with a reason.",
+    )
+    boxes[2].metric("Aircraft", habits.whole(panels["aircraft_serial"].nunique()))
+    boxes[3].metric("Panels", habits.whole(len(panels)), help="Panels counted on each aircraft.")
+    boxes[4].metric("Scans", habits.whole(panels["scenes"].sum()), help="The newest scan of each station.")
+    boxes[5].metric("Last scan", habits.time(newest_scan(desk.archive)))
+    with boxes[6]:
         counts = _counts(panels)
         st.html(decision_bar(counts, habits))
         said = " · ".join(f"{DECISION_MARKS[name]} {habits.whole(count)}" for name, count in counts.items())
@@ -108,12 +119,13 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
         "**Where work waits** · select a row to review that panel"
         + (f" · {desk.habits.whole(len(shown))} of {desk.habits.whole(len(panels))} panels" if more else "")
     )
-    picked = show_table(
+    show_table(
         shown,
         {
             "aircraft_serial": "Aircraft",
             "panel": "Panel",
             "waiting": "Waiting",
+            "open_work": "Open work",
             "fail": "✖ Fail",
             "conditional_fail": "◆ Cond. fail",
             "not_measured": "? Not measured",
@@ -123,12 +135,14 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
         desk.habits,
         key="panels",
         height=430,
+        names=list(zip(shown["aircraft_serial"].astype(str), shown["panel"].astype(str), strict=True)),
+        picked=_review,
     )
-    if picked:
-        row = shown.iloc[picked[0]]
-        go("review", aircraft=str(row["aircraft_serial"]), panel=str(row["panel"]))
     if panels["waiting"].sum() == 0:
-        st.success("Nothing waits: every finding of these panels has a disposition.", icon=":material/check:")
+        st.success(
+            "Nothing waits: every finding of these panels has a disposition, and no work is open.",
+            icon=":material/check:",
+        )
     elif not selection.aircraft and not selection.panels:
         link("review", "Review what waits, the worst first", icon=":material/fact_check:")
 
@@ -138,10 +152,9 @@ def _matrix(habits: Habits, panels: pd.DataFrame) -> None:
     fig, shown = panel_matrix(panels, list(aircraft.index), habits)
     note = f" · the newest {shown} of {len(aircraft)} aircraft" if shown < len(aircraft) else ""
     st.markdown(f"**Aircraft × panels** · findings waiting, click to review{note}")
-    event = st.plotly_chart(
-        fig, key="matrix", on_select="rerun", selection_mode="points", config={"displayModeBar": False}
-    )
-    points = event["selection"]["points"] if event else []
-    if points and points[0].get("customdata"):
-        aircraft_serial, panel = points[0]["customdata"][:2]
-        go("review", aircraft=str(aircraft_serial), panel=str(panel))
+    clickable_chart(fig, "matrix", _review, {"displayModeBar": False})
+
+
+def _review(panel: Sequence[str]) -> None:
+    """Open the review of a panel of an aircraft."""
+    go("review", aircraft=str(panel[0]), panel=str(panel[1]))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pandas as pd
 import streamlit as st
 
+from dashboard.address import one_of
 from dashboard.figures.runs import rig_figure, seconds_figure
 from dashboard.filters import newest_scan
 from dashboard.findings import LAST_WEEK, PERIODS, Selection, start_of
@@ -21,11 +23,9 @@ TITLE = "Runs and rigs"
 def render(desk: Desk) -> None:
     """Show the page."""
     left, right = st.columns([1, 4], vertical_alignment="bottom")
-    period = left.selectbox(
-        "Scanned", list(PERIODS), index=list(PERIODS).index(LAST_WEEK), key="period", bind="query-params"
-    )
+    period = left.selectbox("Scanned", list(PERIODS), **one_of("period", list(PERIODS), LAST_WEEK))
     selection = Selection(since=start_of(period, newest_scan(desk.archive)))
-    view = right.segmented_control("View", list(_VIEWS), default=next(iter(_VIEWS)), key="view", bind="query-params")
+    view = right.segmented_control("View", list(_VIEWS), **one_of("view", list(_VIEWS)))
     _VIEWS.get(str(view), _runs)(desk, selection)
 
 
@@ -58,7 +58,6 @@ def _runs(desk: Desk, selection: Selection) -> None:
             },
             desk.habits,
             key="nights",
-            mode="none",
             height=400,
         )
     with right:
@@ -107,7 +106,6 @@ def _rigs(desk: Desk, selection: Selection) -> None:
         },
         desk.habits,
         key="rig-table",
-        mode="none",
         height=180,
     )
 
@@ -127,7 +125,8 @@ def _flows(desk: Desk, _selection: Selection) -> None:
     if runs.empty:
         st.info("The server knows no run of Flushline's flows yet.")
         return
-    shown = show_table(
+    _link_to_picked(runs)
+    show_table(
         runs,
         {
             "flow": "Flow",
@@ -139,9 +138,18 @@ def _flows(desk: Desk, _selection: Selection) -> None:
         },
         desk.habits,
         key="flow-runs",
+        names=list(runs["page"]),
+        picked=_pick_run,
     )
-    if shown:
-        run = runs.iloc[shown[0]]
+
+
+def _pick_run(page: str) -> None:
+    st.session_state["flow_run"] = page
+
+
+def _link_to_picked(runs: pd.DataFrame) -> None:
+    picked = runs[runs["page"] == st.session_state.get("flow_run")]
+    for run in picked.head(1).to_dict("records"):
         st.link_button(f"Open {plain(run['run'])} in Prefect", run["page"], icon=":material/open_in_new:")
 
 
@@ -157,7 +165,7 @@ def _failures(desk: Desk, selection: Selection) -> None:
     if warned.empty:
         st.success("No inspection in that time had a warning.", icon=":material/check:")
     else:
-        picked = show_table(
+        show_table(
             warned,
             {
                 "aircraft_serial": "Aircraft",
@@ -170,9 +178,9 @@ def _failures(desk: Desk, selection: Selection) -> None:
             desk.habits,
             key="warned",
             height=240,
+            names=[str(scene) for scene in warned["scene_id"]],
+            picked=lambda scene: go("scene", scene=scene),
         )
-        if picked:
-            go("scene", scene=str(warned["scene_id"].iloc[picked[0]]))
     st.markdown("**Could not be inspected**")
     inboxes = desk.settings.inboxes
     if not inboxes:
@@ -187,7 +195,6 @@ def _failures(desk: Desk, selection: Selection) -> None:
         {"at": "Put aside", "scene": "Scene folder", "inbox": "Inbox", "why": "Why"},
         desk.habits,
         key="failed",
-        mode="none",
     )
 
 

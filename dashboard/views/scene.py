@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import Any
 
 import pandas as pd
 import streamlit as st
 
+from dashboard.address import one_of
 from dashboard.closeup import rivet_close_up, seam_section
 from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
@@ -16,6 +18,7 @@ from dashboard.findings import feature_from_parameter, feature_parameter
 from dashboard.frame import Desk, link, plain
 from dashboard.habits import with_minus
 from dashboard.palette import DECISION_BADGES, DECISION_MARKS
+from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
 from dashboard.scenes import (
     find_feature,
@@ -28,6 +31,7 @@ from dashboard.scenes import (
 from metrology.errors import FlushlineError, StoreError
 from metrology.tolerance import Limit
 from storage.archive.views import NEWEST_FIRST
+from storage.archive.work import said
 from storage.cloud import StoredCloud
 from storage.review import Feature
 
@@ -77,6 +81,8 @@ def _headline(desk: Desk, row: Any) -> None:
             f"scanned {desk.habits.time(row.captured_at)} · rivets: {desk.habits.whole(row.n_rivets)}, "
             f"seams: {desk.habits.whole(row.n_seams)} · rig {plain(row.rig_id)}"
         )
+        if standings := desk.archive.standings(str(row.scene_id)):
+            st.caption(f"findings: {said(standings)}")
         if signed:
             note = "" if signed.run_id == row.run_id else " (an earlier run)"
             st.badge(f"signed off by {plain(signed.who)}{note}", icon=":material/lock:", color="green")
@@ -94,9 +100,7 @@ def _headline(desk: Desk, row: Any) -> None:
 
 def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     names = ["Picture", "Deviation map", "3-D", "Overlay", "Table", "Files"]
-    view = st.segmented_control(
-        "View", names, default="Picture", key="view", bind="query-params", label_visibility="collapsed"
-    )
+    view = st.segmented_control("View", names, label_visibility="collapsed", **one_of("view", names))
     show = {
         "Deviation map": _deviation,
         "3-D": _cloud_view,
@@ -114,24 +118,13 @@ def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
 def _picture(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     picture = load_picture(desk.archive.file(row.preview_path))
     fig = scene_figure(picture, features, chosen, desk.habits, _HEIGHT)
-    event = st.plotly_chart(
-        fig,
-        key="picture",
-        on_select="rerun",
-        selection_mode="points",
-        config={"scrollZoom": True, "displaylogo": False},
-    )
+    clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False})
     st.caption("Click a rivet or a seam station for its close-up; scroll to zoom, drag to move.")
-    clicked = next((p.get("customdata") for p in event["selection"]["points"] if p.get("customdata")), None)
-    clicked = clicked[0] if isinstance(clicked, (list, tuple)) else clicked
-    if (
-        clicked
-        and (chosen is None or clicked != feature_parameter(chosen))
-        and clicked != st.session_state.get("clicked")
-    ):
-        st.session_state["clicked"] = clicked  # the chart keeps its selection; act on it once
-        st.query_params["scene"], st.query_params["feature"] = row.scene_id, str(clicked)
-        st.rerun()
+
+
+def _choose(scene_id: str, feature: str) -> None:
+    """Show the close-up of a feature that was clicked."""
+    st.query_params["scene"], st.query_params["feature"] = scene_id, feature
 
 
 def _deviation(desk: Desk, row: Any) -> None:
@@ -181,7 +174,7 @@ def _overlay(desk: Desk, row: Any) -> None:
 def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
     from dashboard.tables import show_table
 
-    rivets = show_table(
+    show_table(
         features.rivets,
         {
             "rivet_id": "Rivet",
@@ -195,8 +188,10 @@ def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
         desk.habits,
         key="rivets",
         height=270,
+        names=[feature_parameter(Feature("rivet", str(name))) for name in features.rivets["rivet_id"]],
+        picked=partial(_choose, row.scene_id),
     )
-    stations = show_table(
+    show_table(
         features.stations,
         {
             "feature_id": "Seam@mm",
@@ -210,15 +205,9 @@ def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
         desk.habits,
         key="stations",
         height=220,
+        names=[feature_parameter(Feature("seam station", str(name))) for name in features.stations["feature_id"]],
+        picked=partial(_choose, row.scene_id),
     )
-    picked = None
-    if rivets:
-        picked = Feature("rivet", str(features.rivets["rivet_id"].iloc[rivets[0]]))
-    elif stations:
-        picked = Feature("seam station", str(features.stations["feature_id"].iloc[stations[0]]))
-    if picked and feature_parameter(picked) != st.query_params.get("feature"):
-        st.query_params["scene"], st.query_params["feature"] = row.scene_id, feature_parameter(picked)
-        st.rerun()
 
 
 def _files(desk: Desk, row: Any) -> None:

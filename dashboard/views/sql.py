@@ -5,6 +5,7 @@ from __future__ import annotations
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
+from dashboard.address import one_of
 from dashboard.frame import Desk, plain
 from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
@@ -24,6 +25,8 @@ _EXAMPLES = {
     "GROUP BY reason ORDER BY n DESC",
     "Rivets that people let pass": "SELECT r.*, d.who, d.comment\nFROM rivets r JOIN dispositions d\n"
     "ON r.scene_id = d.scene_id AND r.rivet_id = d.feature_id\nWHERE d.disposition = 'use as is'",
+    "Open work": "SELECT scene_id, feature_id, disposition, who, decided_at\nFROM dispositions "
+    "WHERE open_work ORDER BY decided_at",
     "Seconds per scene and rig": "SELECT rig_id, count(*) AS scenes, median(seconds_total) AS seconds\n"
     "FROM scenes GROUP BY rig_id ORDER BY scenes DESC",
 }
@@ -52,7 +55,7 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
 
 
 def _ask(desk: Desk, known: dict[str, str], names: dict[str, str], saved: SavedQueries) -> None:
-    name = st.selectbox("Examples and saved queries", list(known), key="query", bind="query-params")
+    name = st.selectbox("Examples and saved queries", list(known), **one_of("query", list(known)))
     if st.session_state.get("sql_of") != name:
         st.session_state["sql_of"], st.session_state["sql"] = name, known.get(str(name), "")
     sql = st.text_area(

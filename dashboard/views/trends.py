@@ -6,12 +6,14 @@ from typing import Any
 
 import streamlit as st
 
+from dashboard.address import one_of
 from dashboard.data import Archive
 from dashboard.figures.trends import control_figure, histogram, layout_figure, pareto_figure
 from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
 from dashboard.frame import Desk, go, plain
 from dashboard.habits import Habits
+from dashboard.picking import clickable_chart
 from dashboard.scenes import limits_used
 from dashboard.trends import (
     FASTENER_TYPE,
@@ -54,9 +56,7 @@ def render(desk: Desk) -> None:
     if subject is None:
         st.info("There is nothing of this kind on that panel and station.")
         return
-    view = st.segmented_control(
-        "View", _VIEWS, default=_VIEWS[0], key="view", bind="query-params", label_visibility="collapsed"
-    )
+    view = st.segmented_control("View", _VIEWS, label_visibility="collapsed", **one_of("view", _VIEWS))
     if view == _VIEWS[1]:
         _pareto(desk, selection)
     elif view == _VIEWS[2]:
@@ -68,27 +68,22 @@ def render(desk: Desk) -> None:
 def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
     archive = desk.archive
     boxes = st.columns([1.2, 1.2, 1, 1.2, 1.2, 1.2, 1.2])
-    kind = boxes[0].selectbox("Trend of", list(SUBJECTS), key="what", bind="query-params")
+    kind = boxes[0].selectbox("Trend of", list(SUBJECTS), **one_of("what", list(SUBJECTS)))
     panel = station = name = ""
     if kind != FASTENER_TYPE:
-        panel = boxes[1].selectbox("Panel", names(archive, "panel"), key="panel", bind="query-params") or ""
+        panels = names(archive, "panel")
+        panel = boxes[1].selectbox("Panel", panels, **one_of("panel", panels)) or ""
     if kind in ("rivet", "seam"):
         within = Selection(panels=(panel,))
-        station = (
-            boxes[2].selectbox("Station", names(archive, "station", within), key="station", bind="query-params") or ""
-        )
+        stations = names(archive, "station", within)
+        station = boxes[2].selectbox("Station", stations, **one_of("station", stations)) or ""
     if kind != "panel":
         title = {"rivet": "Rivet", "seam": "Seam", FASTENER_TYPE: "Head Ø, mm"}[kind]
         known = options(archive, kind, panel, station)
-        name = boxes[3].selectbox(title, known, key="name", bind="query-params") or "" if known else ""
-    quantity = boxes[4].selectbox(
-        "Quantity",
-        SUBJECTS[kind],
-        key="quantity",
-        bind="query-params",
-    )
-    period = boxes[5].selectbox("Scanned", list(PERIODS), key="period", bind="query-params")
-    rules = boxes[6].selectbox("Run rules", list(_RULES), key="rules", bind="query-params")
+        name = boxes[3].selectbox(title, known, **one_of("name", known)) or "" if known else ""
+    quantity = boxes[4].selectbox("Quantity", SUBJECTS[kind], **one_of("quantity", SUBJECTS[kind]))
+    period = boxes[5].selectbox("Scanned", list(PERIODS), **one_of("period", list(PERIODS)))
+    rules = boxes[6].selectbox("Run rules", list(_RULES), **one_of("rules", list(_RULES)))
     subject = Subject(kind, panel, station, name) if kind == "panel" or name else None
     return subject, QUANTITIES[quantity], Selection(since=start_of(period, newest_scan(archive))), rules
 
@@ -127,10 +122,7 @@ def _control(
             _capability(capability_of(subject, rows, values, limit), subject, limit, desk.habits)
     with left:
         fig = control_figure(rows, chart, violations, quantity, limit, events(rows), desk.habits)
-        event = st.plotly_chart(
-            fig, key="control", on_select="rerun", selection_mode="points", config={"displaylogo": False}
-        )
-        _open_clicked(event)
+        clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False})
         each = "the mean over each aircraft" if subject.kind in ("panel", FASTENER_TYPE) else "one scan"
         st.caption(f"Each point is {each}; click one to open the scan. Dashed: tolerance limits.")
         _rules(rules, tests, violations, len(rows))
@@ -138,13 +130,6 @@ def _control(
         distribution.plotly_chart(
             histogram(values, quantity, limit, desk.habits), key="histogram", config={"displaylogo": False}
         )
-
-
-def _open_clicked(event: Any) -> None:
-    points = event["selection"]["points"] if event else []
-    clicked = next((p.get("customdata") for p in points if p.get("customdata")), None)
-    if clicked:
-        go("scene", scene=str(clicked[0] if isinstance(clicked, (list, tuple)) else clicked))
 
 
 def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n: int) -> None:
@@ -212,7 +197,7 @@ def _map(desk: Desk, subject: Subject, quantity: Quantity, selection: Selection)
     if not subject.panel:
         st.info("Choose a rivet, a seam or a panel to see its map.")
         return
-    measure = st.segmented_control("Colour", list(_MEASURES), default="mean value", key="measure", bind="query-params")
+    measure = st.segmented_control("Colour", list(_MEASURES), **one_of("measure", list(_MEASURES)))
     rows = layout(desk.archive, subject.panel, quantity, selection)
     if rows.empty:
         st.info("Nothing was measured on this panel in that time.")

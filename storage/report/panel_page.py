@@ -5,11 +5,13 @@ from __future__ import annotations
 from html import escape
 
 from metrology.tolerance import PanelSpec
+from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
 from storage.report.markup import badge, data_uri, figure, moment, page, table
 from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
     decisions_table,
+    entries_table,
     limits_table,
     rivet_table,
     seams,
@@ -33,6 +35,8 @@ def panel_page(record: PanelRecord) -> str:
         "<h2>Needs attention</h2>",
         _attention(record),
     ]
+    if record.earlier_work:
+        parts += ["<h2>Open work of earlier scans</h2>", entries_table(record.earlier_work, where=True)]
     for scene in record.scenes:
         parts += _station(scene)
     parts.append("<h2>Limits</h2>")
@@ -56,12 +60,13 @@ def _stations(record: PanelRecord) -> str:
             str(len(s.rivets)),
             str(len({station["seam_id"] for station in s.stations})),
             str(sum(needs_attention(feature) for feature in s.features)),
+            escape(said(s.standings)),
             escape("; ".join(s.scene["warnings"] or ())),
         ]
         for s in record.scenes
     ]
-    heads = ["station", "captured", "verdict", "rivets", "seams", "need attention", "why"]
-    return table([*heads[:-1], "warnings"], rows, [3, 4, 5])
+    heads = ["station", "captured", "verdict", "rivets", "seams", "need attention", "findings", "warnings"]
+    return table(heads, rows, [3, 4, 5])
 
 
 def _maps(record: PanelRecord) -> list[str]:

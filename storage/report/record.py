@@ -16,6 +16,7 @@ from metrology.errors import SpecError, StoreError
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
+from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
 from storage.panel_spec import panel_spec_from
 from storage.review import Entry, ReviewLog
@@ -41,6 +42,8 @@ class SceneRecord:
         As the scene was judged by; None where the manifest's copy cannot be read any more.
     decisions : tuple of Entry
         What people decided about its features, and its sign-off.
+    standings : tuple of Standing
+        How its findings stand.
     """
 
     scene: Row
@@ -51,6 +54,7 @@ class SceneRecord:
     overlay_png: bytes
     limits: PanelSpec | None
     decisions: tuple[Entry, ...] = ()
+    standings: tuple[Standing, ...] = ()
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -66,11 +70,18 @@ class SceneRecord:
 
 @dataclass(frozen=True)
 class PanelRecord:
-    """The newest scan of each station of a panel of an aircraft."""
+    """The newest scan of each station of a panel of an aircraft.
+
+    Attributes
+    ----------
+    earlier_work : tuple of Entry
+        Dispositions of earlier scans whose work is still open.
+    """
 
     aircraft_serial: str
     panel: str
     scenes: tuple[SceneRecord, ...]
+    earlier_work: tuple[Entry, ...] = ()
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -90,10 +101,13 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         raise StoreError(
             f"{paths.preview}: found a damaged picture, expected a PNG; 'flushline archive check' says more"
         )
-    decisions = tuple(entry for entry in ReviewLog(store.root).read().entries if entry.scene_id == scene_id)
+    review = ReviewLog(store.root).read()
+    decisions = tuple(entry for entry in review.entries if entry.scene_id == scene_id)
+    with contextlib.closing(store.connect()) as connection:
+        how_they_stand = standings(connection, review, scene_id)
     return SceneRecord(
         scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
-        _limits(manifest, paths.bundle / MANIFEST), decisions,
+        _limits(manifest, paths.bundle / MANIFEST), decisions, how_they_stand,
     )  # fmt: skip
 
 
@@ -107,7 +121,17 @@ def panel_record(store: Store, aircraft_serial: str, panel: str) -> PanelRecord:
     )
     if not found:
         raise StoreError(f"{store.root}: found no scene of {aircraft_serial} {panel}, expected at least one")
-    return PanelRecord(aircraft_serial, panel, tuple(scene_record(store, row["scene_id"]) for row in found))
+    newest = [row["scene_id"] for row in found]
+    scenes = tuple(scene_record(store, scene_id) for scene_id in newest)
+    return PanelRecord(aircraft_serial, panel, scenes, _earlier_work(store, aircraft_serial, panel, newest))
+
+
+def _earlier_work(store: Store, aircraft_serial: str, panel: str, newest: list[str]) -> tuple[Entry, ...]:
+    found = _rows(store, "SELECT scene_id FROM scenes WHERE aircraft_serial = ? AND panel = ?", aircraft_serial, panel)
+    earlier = {row["scene_id"] for row in found} - set(newest)
+    with contextlib.closing(store.connect()) as connection:
+        work = open_work(connection, ReviewLog(store.root).read())
+    return tuple(entry for (scene_id, _), entry in work.items() if scene_id in earlier)
 
 
 def _limits(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:

@@ -10,10 +10,12 @@ from itertools import groupby
 from typing import Any
 
 from metrology.tolerance import RULE, Limit, PanelSpec, Zone
+from storage.archive.work import OPEN_WORK, said
 from storage.report.drawings import seam_chart
 from storage.report.markup import badge, facts, figure, moment, number, table, with_u95
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
+from storage.review import Entry
 
 Row = Mapping[str, Any]
 
@@ -136,18 +138,26 @@ def limits_table(spec: PanelSpec | None) -> str:
 
 
 def decisions_table(record: SceneRecord) -> str:
-    """What people decided; "" where nobody has."""
-    if not record.decisions:
+    """How the findings stand, and what people decided; "" where there is neither."""
+    if not record.decisions and not record.standings:
         return ""
+    open_names = [standing.feature.id for standing in record.standings if standing.state == OPEN_WORK]
+    work = f" Open work: {', '.join(open_names)}." if open_names else ""
+    stand = f"<p>Findings: {escape(said(record.standings))}.{escape(work)}</p>"
+    return stand + (entries_table(record.decisions) if record.decisions else "")
+
+
+def entries_table(entries: Sequence[Entry], where: bool = False) -> str:
+    """Entries of the review log; with the scan that they are about where `where`."""
     rows = [
         [
             moment(entry.at),
             escape(entry.who),
-            escape(f"{entry.feature_kind or 'scene'} {entry.feature_id or ''}"),
-            escape(entry.disposition or entry.action),
+            escape(f"{entry.feature_kind or 'scene'} {entry.feature_id or ''} {entry.scene_id if where else ''}"),
+            escape(entry.what),
             escape(entry.comment),
         ]
-        for entry in record.decisions
+        for entry in entries
     ]
     return table(["when", "who", "what", "decision", "comment"], rows)
 

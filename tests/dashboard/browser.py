@@ -17,6 +17,7 @@ import pytest
 from week import ROOT
 
 from dashboard.launch import command
+from storage.review import Entry, ReviewLog
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = [
@@ -104,3 +105,62 @@ def settle(page: Any) -> None:
     assert page.locator('[data-testid="stException"]').count() == 0
     assert page.locator("text=Traceback").count() == 0
     page.wait_for_timeout(400)
+
+
+def row_place(page: Any, row: int, table: int = 0, row_height: int = 35, tick: bool = False) -> tuple[float, float]:
+    """Where a row of a table is drawn, in pixels of the page: its first cells, or its box for ticks."""
+    box = page.locator('[data-testid="stDataFrame"]').nth(table).bounding_box()
+    return box["x"] + (17 if tick else 75), box["y"] + 36 + row_height * row + row_height / 2
+
+
+def click_row(page: Any, row: int, **where: Any) -> None:
+    """Click a row of a table, or tick it."""
+    page.mouse.click(*row_place(page, row, **where))
+    page.wait_for_timeout(300)
+    settle(page)
+
+
+# Where Plotly drew a point that carries a name, in pixels of the page.
+_POINT = """(k) => {
+    for (const plot of document.querySelectorAll('.js-plotly-plot')) {
+        const trace = (plot._fullData || []).find(t => t.customdata && t.customdata.length > k);
+        if (!trace) continue;
+        const box = plot.getBoundingClientRect(), x = plot._fullLayout.xaxis, y = plot._fullLayout.yaxis;
+        return [box.x + x._offset + x.d2p(trace.x[k]), box.y + y._offset + y.d2p(trace.y[k])];
+    }
+    return null;
+}"""
+
+
+def click_point(page: Any, k: int) -> None:
+    """Click a point of a chart."""
+    page.wait_for_function(_POINT, arg=k)
+    place = page.evaluate(_POINT, k)
+    page.mouse.move(*place)
+    page.wait_for_timeout(300)
+    page.mouse.click(*place)
+
+
+def choose(page: Any, disposition: str, comment: str = "", who: str = "") -> None:
+    """Choose a disposition, and say why and who."""
+    if who:
+        page.get_by_role("textbox", name="Your name").fill(who)
+        page.get_by_role("textbox", name="Your name").press("Tab")
+        settle(page)
+    page.get_by_role("button", name=disposition).or_(page.get_by_role("radio", name=disposition)).first.click()
+    page.get_by_role("button", name=f"Record {disposition}").wait_for()
+    settle(page)
+    if comment:
+        page.get_by_role("textbox", name="Comment").fill(comment)
+
+
+def record(page: Any, button: str, said: str = "Recorded") -> None:
+    """Click the button of this name, and wait for what the page says then."""
+    page.get_by_role("button", name=button).click()
+    page.get_by_text(said).first.wait_for()
+    settle(page)
+
+
+def entries_of(root: Path, begins: str) -> list[Entry]:
+    """What the log has about scenes whose name begins so."""
+    return [entry for entry in ReviewLog(root).read().entries if entry.scene_id.startswith(begins)]

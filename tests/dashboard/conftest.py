@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import streamlit as st
+from browser import browser, served
 from streamlit.testing.v1 import AppTest
 from week import fill
 
@@ -18,6 +19,24 @@ from week import fill
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The week's store; do not write to it."""
     return fill(tmp_path_factory.mktemp("filled") / "store")
+
+
+@pytest.fixture(scope="session")
+def server(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """A dashboard on a copy of the week's store that tests share; gives its address and the store.
+
+    Who decides about findings takes an aircraft of their own: see `week.AIRCRAFT`.
+    """
+    root = Path(shutil.copytree(filled, tmp_path_factory.mktemp("browser") / "store", symlinks=True))
+    with served(root) as address:
+        yield address, root
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser; not longer than a module, as its event loop stands in the way of others."""
+    with browser() as started:
+        yield started
 
 
 @pytest.fixture

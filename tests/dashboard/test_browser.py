@@ -6,16 +6,12 @@ Screenshots go to docs/images where FLUSHLINE_SCREENSHOTS is set, else to a temp
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browser, new_page, served, settle, wait
+from browser import choose, entries_of, new_page, record, settle
 from week import ROOT
-
-from storage.review import ReviewLog
 
 pytestmark = pytest.mark.browser
 
@@ -30,21 +26,6 @@ MIDDLE_STATION = """() => {
     return [box.x + layout.xaxis._offset + layout.xaxis.l2p(trace.x[i]),
             box.y + layout.yaxis._offset + layout.yaxis.l2p(trace.y[i])];
 }"""
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """The browser."""
-    with browser() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def server(chromium: Any, filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """A dashboard on a copy of the week's store; gives its address and the store."""
-    root = Path(shutil.copytree(filled, tmp_path_factory.mktemp("browser") / "store", symlinks=True))
-    with served(root) as address:
-        yield address, root
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +61,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
 
     # The worst rivet of last night …
     page.get_by_role("link", name="Tolerance review").first.click()
-    page.get_by_text("Disposition", exact=True).wait_for()
+    page.get_by_text("Disposition", exact=True).first.wait_for()
     page.get_by_role("combobox", name="Scanned").click()
     page.get_by_role("option", name="last night").click()
     page.get_by_text("Rivet R04").wait_for()
@@ -97,16 +78,12 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
 
     # … what shall happen with it …
     page.go_back()
-    page.get_by_text("Disposition", exact=True).wait_for()
+    page.get_by_text("Disposition", exact=True).first.wait_for()
     settle(page)
-    page.get_by_role("button", name="rework").or_(page.get_by_role("radio", name="rework")).first.click()
-    page.get_by_role("textbox", name="Comment").fill("shave the head")
-    page.get_by_role("textbox", name="Your name").fill("M. Weber")
-    page.get_by_role("button", name="Record").click()
-    wait(lambda: len(ReviewLog(root).read().entries) == 1)
-    (entry,) = ReviewLog(root).read().entries
-    assert (entry.feature_id, entry.disposition, entry.comment) == ("R04", "rework", "shave the head")
-    settle(page)
+    choose(page, "scrap", "cracked", who="M. Weber")
+    record(page, "Record scrap for R04 (MSN-0425 LH-F12 S2)")
+    (entry,) = entries_of(root, "MSN-0425")
+    assert (entry.feature_id, entry.disposition, entry.comment) == ("R04", "scrap", "cracked")
 
     # … the report …
     page.get_by_role("combobox", name="State").click()
@@ -118,7 +95,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
         page.get_by_role("button", name="HTML report").click()
     report = Path(download.value.path()).read_text()
     assert "R04" in report
-    assert "rework, M. Weber" in report
+    assert "scrap, M. Weber" in report
     page.keyboard.press("Escape")
 
     # … its trend …
@@ -130,7 +107,9 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
 
     # … and a question of one's own.
     page.get_by_role("link", name="SQL").first.click()
-    page.get_by_role("textbox", name="Query").fill("SELECT who, disposition FROM dispositions")
+    page.get_by_role("textbox", name="Query").fill(
+        "SELECT who, disposition FROM dispositions WHERE scene_id LIKE 'MSN-0425%'"
+    )
     page.get_by_role("textbox", name="Query").press("Control+Enter")
     settle(page)
     page.get_by_role("button", name="Run").click()

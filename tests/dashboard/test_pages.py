@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import pytest
@@ -14,7 +16,7 @@ from week import WORST_HEIGHT, texts
 from dashboard.app import PAGES
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
-from storage.review import Feature, ReviewLog
+from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
 
 Open = Callable[..., AppTest]
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
@@ -263,13 +265,27 @@ def test_the_worst_rivet_of_last_night_is_first(filled: Path, open_page: Open) -
     assert "outside" in said
 
 
+def button(page: AppTest, begins: str) -> Any:
+    """The button whose label begins so."""
+    return next(button for button in page.button if button.label.startswith(begins))
+
+
+def choose(page: AppTest, disposition: str, comment: str = "") -> AppTest:
+    """Choose a disposition, give a name, and say why."""
+    next(group for group in page.button_group if str(group.key).startswith("disposition-")).set_value(disposition)
+    page.text_input(key="who").set_value("M. Weber")
+    page = page.run()
+    next(field for field in page.text_input if field.label == "Comment").set_value(comment)
+    return page
+
+
 def test_disposing_is_recorded_with_what_was_shown(writable: Path, open_page: Open) -> None:
     page = clean(open_page("review", writable, period="last night"))
-    page.button_group(key="disposition").set_value("rework")
-    page.text_input(key="comment").set_value("shave the head")
-    page.text_input(key="who").set_value("M. Weber")
-    record = next(button for button in page.button if "Record" in button.label)
-    clean(record.click().run())
+    page = clean(choose(page, "rework", "shave the head"))
+    record = button(page, "Record")
+    assert record.label.replace("\\", "") == "Record *rework* for R04 (MSN-0425 LH-F12 S2)"
+    page = clean(record.click().run())
+    assert "Recorded *rework* for R04 (MSN-0425 LH-F12 S2)." in texts(page).replace("\\", "")
     (entry,) = ReviewLog(writable).read().entries
     assert (entry.who, entry.disposition, entry.comment) == ("M. Weber", "rework", "shave the head")
     assert (entry.scene_id, entry.feature_id) == (LAST, "R04")
@@ -280,24 +296,77 @@ def test_disposing_is_recorded_with_what_was_shown(writable: Path, open_page: Op
 
 def test_disposing_needs_a_name_and_a_disposition(writable: Path, open_page: Open) -> None:
     page = open_page("review", writable)
-    record = next(button for button in page.button if "Record" in button.label)
-    assert "Choose a disposition" in texts(record.click().run())
+    assert "Choose a disposition" in texts(button(page, "Record").click().run())
     assert ReviewLog(writable).read().entries == ()
+
+
+def test_nothing_is_chosen_for_the_next_finding(writable: Path, open_page: Open) -> None:
+    page = open_page("review", writable)
+    page = choose(page, "scrap", "cracked")
+    page = clean(button(page, "Record *scrap*").click().run())
+    assert "Recorded" in texts(page)
+    group = next(group for group in page.button_group if str(group.key).startswith("disposition-"))
+    assert not group.value
+    assert next(field for field in page.text_input if field.label == "Comment").value == ""
+
+
+SHOWN = ShownFinding(LAST, "run", Feature("rivet", "R04"))
+
+
+def test_a_decision_of_another_person_is_said_instead_of_overruled(writable: Path, open_page: Open) -> None:
+    page = open_page("review", writable)
+    page = clean(choose(page, "scrap"))
+    ReviewLog(writable).dispose("K. Ito", [SHOWN], "use as is", "checked by hand")
+    page = button(page, "Record *scrap* for R04").click().run()
+    assert not page.exception
+    (error,) = page.error
+    assert "Not recorded" in error.value
+    assert "R04: found it decided since it was shown (use as is by K.Ito" in error.value.replace("\\", "").replace(
+        ". ", "."
+    )
+    assert [entry.who for entry in ReviewLog(writable).read().entries] == ["K. Ito"]
+    # Shown anew: R04 with the other person's decision, nothing chosen.
+    assert "Rivet R04" in texts(page)
+    assert "checked by hand" in texts(page)
+    assert not next(group for group in page.button_group if str(group.key).startswith("disposition-")).value
+
+
+def test_open_work_is_counted_alike_and_can_be_closed(writable: Path, open_page: Open) -> None:
+    waiting = {m.label: m.value for m in open_page("overview", writable).metric}
+    ReviewLog(writable).dispose("K. Ito", [SHOWN], "rework")
+    now = {m.label: m.value for m in open_page("overview", writable).metric}
+    assert now["Waiting for a person"] == waiting["Waiting for a person"]
+    assert (waiting["Open work"], now["Open work"]) == ("0", "1")
+    assert "19 waiting, 1 open work" in texts(open_page("scene", writable, scene=LAST))
+    page = open_page("review", writable, state="open work")
+    assert "1 findings" in texts(page)
+    assert "Open work: rework of R04" in texts(page)
+    page.text_input(key="who").set_value("M. Weber")
+    page = page.run()
+    close = button(page, "Close *rework* of R04")
+    page = close.click().run()
+    assert "the reason why" in texts(page)
+    next(field for field in page.text_input if field.label.startswith("Why")).set_value("work order 4711")
+    page = clean(button(page, "Close *rework* of R04").click().run())
+    assert "Closed *rework* of R04" in texts(page)
+    last = ReviewLog(writable).read().entries[-1]
+    assert (last.action, last.who, last.comment, last.feature_id) == ("close", "M. Weber", "work order 4711", "R04")
+    assert "19 waiting, 1 decided" in texts(open_page("scene", writable, scene=LAST))
 
 
 def test_a_signed_off_scene_offers_no_form(writable: Path, open_page: Open) -> None:
     log = ReviewLog(writable)
-    log.dispose("a", LAST, "run", [Feature("rivet", "R04")], "rework", "", {})
-    log.sign_off("K. Ito", LAST, "run", "", {})
+    log.dispose("a", [SHOWN], "scrap")
+    log.sign_off("K. Ito", ShownScene(LAST, "run", {}, 1))
     page = clean(open_page("review", writable, scene=LAST, state="decided"))
     assert "this scan is locked" in texts(page)
-    assert not [button for button in page.button if "Record" in button.label]
+    assert not [button for button in page.button if "Record" in button.label or "Sign off" in button.label]
 
 
 def test_a_tampered_log_is_said_and_not_written(writable: Path, open_page: Open) -> None:
     log = ReviewLog(writable)
-    for _ in range(2):
-        log.dispose("a", LAST, "run", [Feature("rivet", "R04")], "rework", "", {})
+    for number in range(2):
+        log.dispose("a", [replace(SHOWN, last_entry=number)], "rework")
     log.path.write_bytes(log.path.read_bytes().replace(b"rework", b"scrap ", 1))
     page = open_page("review", writable)
     assert not page.exception

@@ -30,7 +30,7 @@ from dashboard.scenes import limits_used, load_features, load_scene_row, seam_ne
 from dashboard.trends import QUANTITIES, Subject, capability_of, events, series, spread
 from metrology.errors import StoreError, UsageError
 from metrology.tolerance import Limit
-from storage.review import Feature, ReviewLog
+from storage.review import Feature, ReviewLog, ShownFinding
 from storage.saved_queries import SavedQueries
 
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
@@ -232,14 +232,20 @@ def test_findings_are_the_gravest_first_and_shrink_as_they_are_decided(writable:
     assert (rows["scene_id"][0], rows["feature_id"][0]) == (LAST, "R04")
     last_night = findings(archive, Wanted(selection=Selection(since=datetime(2026, 11, 19, 12, tzinfo=UTC))))
     assert set(last_night["aircraft_serial"]) == {"MSN-0425"}
-    ReviewLog(writable).dispose("x", LAST, "run", [Feature("rivet", "R04")], "scrap", "", {})
     station = next(f for f in rows.itertuples() if f.feature_kind == "seam station")
-    ReviewLog(writable).dispose(
-        "x", station.scene_id, "run", [Feature("seam station", station.feature_id)], "repair", "", {}
-    )
-    assert len(findings(archive, Wanted())) == len(rows) - 2
-    decided = findings(archive, Wanted(state="decided"))
-    assert set(decided["disposition"]) == {"scrap", "repair"}
+    for scene, feature, disposition in (
+        (LAST, Feature("rivet", "R04"), "scrap"),
+        (station.scene_id, Feature("seam station", station.feature_id), "repair"),
+    ):
+        ReviewLog(writable).dispose("x", [ShownFinding(scene, "run", feature)], disposition)
+    archive = Archive(writable)
+    left = findings(archive, Wanted())
+    assert len(left) == len(rows) - 1  # repair is open work
+    assert list(left[left["state"] == "open work"]["feature_id"]) == [station.feature_id]
+    assert list(findings(archive, Wanted(state="open work"))["disposition"]) == ["repair"]
+    assert list(findings(archive, Wanted(state="decided"))["disposition"]) == ["scrap"]
+    assert len(findings(archive, Wanted(state="all"))) == len(rows)
+    assert len(findings(archive, Wanted(kinds=("rivet",)))) < len(left)
 
 
 @pytest.mark.parametrize("feature", [Feature("rivet", "R01"), Feature("seam station", "M1@24.0")])

@@ -17,7 +17,7 @@ from dashboard import sql_runner
 from dashboard.confinement import write_only_in
 from dashboard.sql_runner import AT_ONCE, run_query
 from metrology.errors import UsageError
-from storage.review import Feature, ReviewLog
+from storage.review import Feature, ReviewLog, ShownFinding
 
 
 def test_rows_and_the_row_limit(filled: Path) -> None:
@@ -29,7 +29,7 @@ def test_rows_and_the_row_limit(filled: Path) -> None:
 
 
 def test_dispositions_can_be_joined(writable: Path) -> None:
-    ReviewLog(writable).dispose("x", "scene", "run", [Feature("rivet", "R04")], "scrap", "why", {})
+    ReviewLog(writable).dispose("x", [ShownFinding("scene", "run", Feature("rivet", "R04"))], "scrap", "why")
     assert run_query(writable, "SELECT disposition, comment FROM dispositions").rows.iloc[0].tolist() == [
         "scrap",
         "why",

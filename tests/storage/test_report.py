@@ -19,7 +19,7 @@ from storage.archive.schema import RIVETS
 from storage.panel_spec import load_panel_spec
 from storage.report import panel_page, panel_record, rows_csv, scene_page, scene_record
 from storage.report.overlays import write_overlays
-from storage.review import Feature, ReviewLog
+from storage.review import Feature, ReviewLog, ShownFinding
 from tests.storage.results import small_key, small_result
 
 VOID = {"meta", "img", "br", "link", "image", "line", "ellipse", "rect", "circle", "polygon", "polyline", "path"}
@@ -94,13 +94,17 @@ def test_a_scene_page_is_whole_and_says_everything(store: Store) -> None:
 
 def test_what_people_decided_is_in_the_report(store: Store) -> None:
     scene = scene_record(store, small_key("S3").scene_id)
-    ReviewLog(store.root).dispose(
-        "B. Engineer", scene.scene["scene_id"], scene.scene["run_id"], [Feature("rivet", "R2")], "rework",
-        "shave the head", {Feature("rivet", "R2"): {"height_mean_mm": 0.3}},
-    )  # fmt: skip
+    shown = ShownFinding(scene.scene["scene_id"], scene.scene["run_id"], Feature("rivet", "R2"), {"decision": "fail"})
+    ReviewLog(store.root).dispose("B. Engineer", [shown], "rework", "shave the head")
     text = read(scene_page(scene_record(store, small_key("S3").scene_id)))
     assert "B. Engineer" in text
     assert "shave the head" in text
+    assert "Findings: 3 waiting, 1 open work. Open work: R2." in text
+    closed = ShownFinding(shown.scene_id, shown.run_id, shown.feature, {}, 1)
+    ReviewLog(store.root).close("K. Ito", [closed], "work order 4711")
+    text = read(scene_page(scene_record(store, small_key("S3").scene_id)))
+    assert "Findings: 3 waiting, 1 decided." in text
+    assert "work closed work order 4711" in " ".join(text.split())
 
 
 def test_a_panel_page_leads_from_station_to_station(store: Store) -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from metrology.errors import FlushlineError, StoreError, UsageError
-from storage.review import MAX_COMMENT, Feature, ReviewLog, station_id
+from metrology.errors import FlushlineError, OutdatedError, StoreError, UsageError
+from storage.review import MAX_COMMENT, Feature, ReviewLog, ShownFinding, ShownScene, station_id
 
+SCENE = "A~P~S1~T"
 RIVET = Feature("rivet", "R-07")
-SHOWN = {RIVET: {"height_mean_mm": 0.061, "decision": "fail", "panel_spec": "LH-F12 B", "software_version": "0.1.0"}}
+VALUES = {"height_mean_mm": 0.061, "decision": "fail", "panel_spec": "LH-F12 B", "software_version": "0.1.0"}
 
 
 @pytest.fixture
@@ -20,8 +22,18 @@ def log(tmp_path: Path) -> ReviewLog:
     return ReviewLog(tmp_path)
 
 
-def dispose(log: ReviewLog, disposition: str = "rework", scene: str = "A~P~S1~T", who: str = "m.weber") -> None:
-    log.dispose(who, scene, "run-1", [RIVET], disposition, "shave the head", SHOWN)
+def shown(log: ReviewLog, scene: str = SCENE, feature: Feature = RIVET, run: str = "run-1") -> ShownFinding:
+    """A finding as somebody sees it who looks now."""
+    last = log.read().last_about(scene, feature)
+    return ShownFinding(scene, run, feature, VALUES, last.number if last else 0)
+
+
+def shown_scene(log: ReviewLog, scene: str = SCENE) -> ShownScene:
+    return ShownScene(scene, "run-1", {"n_rivets": 24}, log.read().last_of_scene(scene))
+
+
+def dispose(log: ReviewLog, disposition: str = "rework", scene: str = SCENE, who: str = "m.weber") -> None:
+    log.dispose(who, [shown(log, scene)], disposition, "shave the head")
 
 
 def test_what_was_decided_comes_back_with_what_was_shown(log: ReviewLog) -> None:
@@ -33,7 +45,7 @@ def test_what_was_decided_comes_back_with_what_was_shown(log: ReviewLog) -> None
         "shave the head",
         "run-1",
     )
-    assert entry.shown == SHOWN[RIVET]
+    assert entry.shown == VALUES
     assert entry.at.tzinfo is not None
 
 
@@ -47,12 +59,12 @@ def test_the_last_disposition_counts_and_the_first_stays_on_record(log: ReviewLo
 
 def test_a_signed_off_scene_is_locked_and_others_are_not(log: ReviewLog) -> None:
     dispose(log)
-    log.sign_off("k.ito", "A~P~S1~T", "run-1", "", {"n_rivets": 24})
+    log.sign_off("k.ito", shown_scene(log))
     before = log.path.read_bytes()
     with pytest.raises(UsageError, match=r"signed off by k\.ito"):
         dispose(log)
     with pytest.raises(UsageError, match="signed off"):
-        log.sign_off("m.weber", "A~P~S1~T", "run-1", "", {})
+        log.sign_off("m.weber", shown_scene(log))
     assert log.path.read_bytes() == before
     dispose(log, scene="A~P~S2~T")
     assert set(log.read().sign_offs()) == {"A~P~S1~T"}
@@ -90,14 +102,14 @@ def test_a_write_that_a_crash_cut_short_is_no_entry(log: ReviewLog) -> None:
     assert [entry.disposition for entry in review.entries] == ["rework", "scrap"]
 
 
-def _many(root: Path) -> None:
+def _many(root: Path, station: str) -> None:
     for _ in range(10):
-        dispose(ReviewLog(root), who="someone")
+        dispose(ReviewLog(root), who="someone", scene=f"A~P~{station}~T")
 
 
 def test_two_people_at_once_lose_nothing(tmp_path: Path) -> None:
     with ProcessPoolExecutor(2) as people:
-        for done in [people.submit(_many, tmp_path) for _ in range(2)]:
+        for done in [people.submit(_many, tmp_path, station) for station in ("S1", "S2")]:
             done.result()
     review = ReviewLog(tmp_path).read()
     assert review.problem is None
@@ -109,28 +121,111 @@ def test_two_people_at_once_lose_nothing(tmp_path: Path) -> None:
     [
         {"who": "  "},
         {"disposition": "ignore"},
-        {"features": []},
+        {"shown": []},
         {"comment": "x" * (MAX_COMMENT + 1)},
     ],
 )
 def test_what_makes_no_sense_is_refused(log: ReviewLog, wrong: dict) -> None:
-    good = {
-        "who": "m.weber",
-        "scene_id": "s",
-        "run_id": "r",
-        "features": [RIVET],
-        "disposition": "rework",
-        "comment": "",
-        "shown": SHOWN,
-    }
+    good = {"who": "m.weber", "shown": [shown(log)], "disposition": "rework", "comment": ""}
     with pytest.raises(UsageError):
         log.dispose(**{**good, **wrong})
     assert log.read().entries == ()
 
 
+def test_what_was_decided_since_it_was_shown_is_not_decided_again(log: ReviewLog) -> None:
+    seen, other = shown(log), shown(log, feature=Feature("rivet", "R-08"))
+    log.dispose("k.ito", [shown(log)], "use as is")
+    before = log.path.read_bytes()
+    with pytest.raises(OutdatedError, match=r"R-07: found it decided since it was shown \(use as is by k\.ito at"):
+        log.dispose("m.weber", [other, seen], "scrap")
+    assert log.path.read_bytes() == before  # neither of the two
+    log.dispose("m.weber", [other], "scrap")
+    log.dispose("m.weber", [shown(log)], "scrap")  # who saw the decision may change it
+    assert log.read().current()[SCENE, RIVET].disposition == "scrap"
+
+
+def _scrap(root: Path, seen: ShownFinding) -> bool:
+    try:
+        ReviewLog(root).dispose("someone", [seen], "scrap")
+    except OutdatedError:
+        return False
+    return True
+
+
+def test_of_two_people_who_saw_the_same_one_is_first(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(2) as people:
+        seen = shown(ReviewLog(tmp_path))
+        outcomes = [done.result() for done in [people.submit(_scrap, tmp_path, seen) for _ in range(6)]]
+    assert sum(outcomes) == 1
+    assert len(ReviewLog(tmp_path).read().entries) == 1
+
+
+def test_a_sign_off_is_for_the_decisions_that_were_shown(log: ReviewLog) -> None:
+    dispose(log)
+    seen = shown_scene(log)
+    dispose(log, "scrap")
+    with pytest.raises(OutdatedError, match=r"R-07 was decided since it was shown \(scrap by m\.weber"):
+        log.sign_off("k.ito", seen)
+    assert not log.read().sign_offs()
+    dispose(log, scene="A~P~S2~T")  # another scene does not matter
+    log.sign_off("k.ito", shown_scene(log))
+    assert log.read().sign_offs()[SCENE].shown == {"n_rivets": 24}
+
+
+def test_work_is_open_until_it_is_closed_with_a_reason(log: ReviewLog) -> None:
+    dispose(log)
+    assert set(log.read().work()) == {(SCENE, RIVET)}
+    with pytest.raises(UsageError, match="reason"):
+        log.close("k.ito", [shown(log)], "  ")
+    (entry,) = log.close("k.ito", [shown(log)], "replaced, work order 4711")
+    review = log.read()
+    assert review.problem is None
+    assert review.work() == {}
+    assert review.closes() == {(SCENE, RIVET): entry}
+    assert review.current()[SCENE, RIVET].disposition == "rework"
+    with pytest.raises(UsageError, match="found no open work"):
+        log.close("k.ito", [shown(log)], "again")
+    dispose(log, "repair")
+    assert set(log.read().work()) == {(SCENE, RIVET)}  # asked for anew
+    dispose(log, "use as is")
+    assert log.read().work() == {}
+
+
+def test_closing_goes_by_what_was_shown(log: ReviewLog) -> None:
+    dispose(log)
+    seen = shown(log)
+    dispose(log, "re-scan")
+    with pytest.raises(OutdatedError):
+        log.close("k.ito", [seen], "done")
+
+
+def test_a_log_of_an_earlier_version_is_read_and_goes_on(log: ReviewLog) -> None:
+    lines, previous = [], "0" * 64
+    old = {"format": "flushline-review/1", "at": "2026-11-20T08:15:00Z", "who": "m.weber", "scene_id": SCENE,
+           "run_id": "run-1", "comment": "", "shown": {"value_mm": 0.061}}  # fmt: skip
+    for number, more in enumerate(
+        (
+            {"action": "disposition", "feature_kind": "rivet", "feature_id": "R-07", "disposition": "rework"},
+            {"action": "sign-off", "feature_kind": None, "feature_id": None, "disposition": None},
+        ),
+        start=1,
+    ):
+        lines.append(json.dumps({**old, **more, "number": number, "previous": previous}).encode())
+        previous = hashlib.sha256(lines[-1]).hexdigest()
+    log.path.parent.mkdir()
+    log.path.write_bytes(b"\n".join(lines) + b"\n")
+    assert log.read().problem is None
+    # What was signed off with open work is still to be done, and can be closed.
+    assert set(log.read().work()) == {(SCENE, RIVET)}
+    log.close("k.ito", [shown(log)], "done before the sign-off")
+    review = log.read()
+    assert review.problem is None
+    assert [entry.format[-1] for entry in review.entries] == ["1", "1", "2"]
+
+
 def test_lines_and_quotes_in_a_comment_stay_in_one_entry(log: ReviewLog) -> None:
     comment = 'first\nsecond \u2028 "third" \\ {'
-    log.dispose("ü", "s", "r", [RIVET], "repair", comment, SHOWN)
+    log.dispose("ü", [shown(log, "s")], "repair", comment)
     dispose(log)
     review = log.read()
     assert review.problem is None

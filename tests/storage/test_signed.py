@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
 
 from metrology.errors import StoreError, UsageError
 from storage.archive import Store, maintenance
-from storage.archive.sign_off import sign_off
-from storage.review import ReviewLog
+from storage.archive.decisions import dispose, shown_finding, sign_off
+from storage.archive.work import standings
+from storage.review import ReviewLog, ShownScene
 from tests.storage.results import small_key, small_result
 
 SCENE = small_key().scene_id
@@ -21,7 +23,18 @@ def store(tmp_path: Path) -> Store:
 
 
 def sign(store: Store, run: str) -> None:
-    sign_off(store.root, "k.ito", SCENE, run, "", {})
+    """Accept every finding of the run that is shown, and sign `run` off."""
+    log = ReviewLog(store.root)
+    with contextlib.closing(store.connect()) as connection:
+        review = log.read()
+        found = [
+            shown_finding(connection, review, SCENE, standing.feature)
+            for standing in standings(connection, review, SCENE)
+            if standing.state == "waiting"
+        ]
+    if found:
+        dispose(store.root, "k.ito", [finding for finding in found if finding], "use as is")
+    sign_off(store.root, "k.ito", ShownScene(SCENE, run, {}, log.read().last_of_scene(SCENE)))
 
 
 def shown(store: Store) -> list[str]:

@@ -1,0 +1,271 @@
+"""Forms by which people decide: about the findings or the scan that they were drawn with, and about nothing else.
+
+A form carries what was on the screen: its button is given the findings with run, values and last decision when it is
+drawn, and its name holds a checksum of them. A click is acted on before the page is drawn anew, with what the button
+was given; nothing is looked up by its place in a list. What changed meanwhile is told by `storage.archive.decisions`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import pandas as pd
+import streamlit as st
+
+from dashboard.frame import Desk, link, plain
+from metrology.errors import FlushlineError, OutdatedError
+from storage.archive.decisions import close_work, dispose, sign_off
+from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, said
+from storage.review import DISPOSITIONS, MAX_COMMENT, Entry, Review, ShownFinding, ShownScene
+
+_OUTCOME = "review_outcome"
+_MOST_NAMED = 12
+Done = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What became of the last click, shown until the next one or until another finding is looked at."""
+
+    kind: str
+    text: str
+    scene_id: str | None = None
+    at: tuple[object] | None = None
+
+
+def name_of(shown: ShownFinding) -> str:
+    """A finding in full: rivet or position, aircraft, panel, station."""
+    return f"{shown.feature.id} ({place_of(shown)})"
+
+
+def place_of(shown: ShownFinding) -> str:
+    """Aircraft, panel and station of a finding."""
+    return " ".join(str(shown.values[name]) for name in ("aircraft_serial", "panel", "station"))
+
+
+def names_of(shown: Sequence[ShownFinding]) -> str:
+    """Several findings in a line; with their places where these differ."""
+    places = {place_of(finding) for finding in shown}
+    names = [finding.feature.id if len(places) == 1 else name_of(finding) for finding in shown[:_MOST_NAMED]]
+    more = f" and {len(shown) - _MOST_NAMED} more" if len(shown) > _MOST_NAMED else ""
+    return ", ".join(names) + more + (f" ({places.pop()})" if len(places) == 1 else "")
+
+
+def _named(shown: Sequence[ShownFinding]) -> str:
+    count = f"{len(shown)} findings: " if len(shown) > 1 else ""
+    return plain(f"{count}{names_of(shown)}")
+
+
+def _checksum(shown: object) -> str:
+    return hashlib.sha256(repr(shown).encode()).hexdigest()[:16]
+
+
+def say_outcome(desk: Desk, at: object) -> None:
+    """What became of the last click, while the same finding is looked at as then.
+
+    Parameters
+    ----------
+    at : object
+        What is looked at.
+    """
+    outcome: _Outcome | None = st.session_state.get(_OUTCOME)
+    if outcome is None or outcome.at not in (None, (at,)):
+        st.session_state.pop(_OUTCOME, None)
+        return
+    st.session_state[_OUTCOME] = replace(outcome, at=(at,))
+    if outcome.kind == "done":
+        st.success(outcome.text, icon=":material/check:")
+        _offer_sign_off(desk, outcome.scene_id)
+    elif outcome.kind == "hint":
+        st.warning(outcome.text)
+    else:
+        st.error(outcome.text, icon=":material/block:")
+
+
+def _offer_sign_off(desk: Desk, scene_id: str | None) -> None:
+    """After the last decision of a scan: the way to its sign-off."""
+    if scene_id is None or scene_id in desk.archive.review().sign_offs() or scene_id == st.query_params.get("scene"):
+        return
+    if not any(standing.state in UNRESOLVED for standing in desk.archive.standings(scene_id)):
+        link("review", "All of that scan is decided: sign it off", ":material/lock:", scene=scene_id, state=DECIDED)
+
+
+def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
+    """The form that disposes of findings; signed-off scans are locked.
+
+    Parameters
+    ----------
+    done : callable
+        What follows when it is recorded.
+    """
+    review = desk.archive.review()
+    if review.problem:
+        st.error(plain(review.problem), icon=":material/error:")
+        return
+    _close(desk, review, shown, done)
+    signed = next((entry for s in shown if (entry := review.sign_offs().get(s.scene_id))), None)
+    if signed:
+        scan = "this scan" if len(shown) == 1 else plain(signed.scene_id)
+        st.info(
+            f"Signed off by {plain(signed.who)}, {desk.habits.time(signed.at)}: {scan} is locked.",
+            icon=":material/lock:",
+        )
+        return
+    if not desk.person.may_review:
+        st.caption("You may look; disposing and signing off needs the role reviewer.")
+        return
+    key = _checksum(shown)
+    # Kept where the same findings are shown anew; the disposition is not.
+    comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
+    left, right = st.columns([5, 2])
+    disposition = left.pills("Disposition", DISPOSITIONS, key=f"disposition-{key}")
+    with right:
+        ask_who(desk)
+    with st.form(f"decide-{key}", border=False):
+        st.text_input(
+            "Comment",
+            key=comment_key,
+            max_chars=MAX_COMMENT,
+            placeholder="comment: what and why",
+            label_visibility="collapsed",
+        )
+        chosen = f" *{disposition}*" if disposition else ""
+        st.form_submit_button(
+            f"Record{chosen} for {_named(shown)}",
+            type="primary",
+            icon=":material/edit_note:",
+            key=f"record-{key}",
+            on_click=_record,
+            args=(desk, tuple(shown), f"disposition-{key}", comment_key, done),
+        )
+
+
+def ask_who(desk: Desk) -> None:
+    """A field for the name, where nobody logs in."""
+    if not desk.person.verified:
+        st.text_input(
+            "Your name", key="who", max_chars=120, help="Nobody logs in here, so the log keeps the name you give."
+        )
+
+
+def _who(desk: Desk) -> str:
+    return desk.person.name if desk.person.verified else str(st.session_state.get("who") or "").strip()
+
+
+def _record(desk: Desk, shown: tuple[ShownFinding, ...], disposition_key: str, comment_key: str, done: Done) -> None:
+    disposition, who = st.session_state.get(disposition_key), _who(desk)
+    if not disposition or not who:
+        st.session_state[_OUTCOME] = _Outcome("hint", "Choose a disposition and give your name.")
+        return
+    comment = str(st.session_state.get(comment_key) or "")
+    text = f"Recorded *{disposition}* for {_named(shown)}."
+    _try(lambda: dispose(desk.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
+
+
+def _close(desk: Desk, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
+    """What to do about open work: wait for the next scan, or close it with a reason."""
+    work = [entry for s in shown if (entry := review.work().get((s.scene_id, s.feature)))]
+    if len(work) < len(shown) or not _is_open(desk, shown):
+        return
+    asked = " or ".join(sorted({str(entry.disposition) for entry in work}))
+    st.warning(
+        f"Open work: {asked} of {_named(shown)}. It is done when a later scan of the station passes.",
+        icon=":material/construction:",
+    )
+    if not desk.person.may_review:
+        return
+    key = _checksum(("close", shown))
+    with st.popover(f"Close *{asked}* of {_named(shown)} …", icon=":material/task_alt:"), st.form(f"close-{key}"):
+        st.text_input("Why is the work done, or not needed any more?", key=f"reason-{key}", max_chars=MAX_COMMENT)
+        who = _who(desk)
+        st.markdown(f"Closes: **{plain(who) or 'give your name first'}**")
+        st.form_submit_button(
+            f"Close *{asked}* of {_named(shown)}",
+            key=f"close-work-{key}",
+            on_click=_record_close,
+            args=(desk, tuple(shown), asked, f"reason-{key}", done),
+        )
+
+
+def _is_open(desk: Desk, shown: Sequence[ShownFinding]) -> bool:
+    states = {
+        (scene_id, standing.feature): standing.state
+        for scene_id in {s.scene_id for s in shown}
+        for standing in desk.archive.standings(scene_id)
+    }
+    return all(states.get((s.scene_id, s.feature)) == OPEN_WORK for s in shown)
+
+
+def _record_close(desk: Desk, shown: tuple[ShownFinding, ...], asked: str, reason_key: str, done: Done) -> None:
+    who, reason = _who(desk), str(st.session_state.get(reason_key) or "")
+    if not who or not reason.strip():
+        st.session_state[_OUTCOME] = _Outcome("hint", "Give your name, and the reason why the work is closed.")
+        return
+    text = f"Closed *{asked}* of {_named(shown)}."
+    _try(lambda: close_work(desk.archive.root, who, shown, reason), text, shown[0].scene_id, done)
+
+
+def offer_sign_off(desk: Desk, scene: Any) -> None:
+    """The sign-off of a scan, with the decisions that it would lock."""
+    review = desk.archive.review()
+    if review.problem or not desk.person.may_review or scene.scene_id in review.sign_offs():
+        return
+    standings = desk.archive.standings(scene.scene_id)
+    left = any(standing.state in UNRESOLVED for standing in standings)
+    place = plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}")
+    shown = ShownScene(
+        str(scene.scene_id),
+        str(scene.run_id),
+        {
+            "n_rivets": None if pd.isna(scene.n_rivets) else int(scene.n_rivets),
+            "n_stations": None if pd.isna(scene.n_stations) else int(scene.n_stations),
+            "panel_spec": str(scene.panel_spec),
+            "software_version": str(scene.software_version),
+            "n_decided": len(standings),
+        },
+        review.last_of_scene(str(scene.scene_id)),
+    )
+    key = _checksum(shown)
+    with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
+        decided = [e for (scene_id, _), e in review.current().items() if scene_id == scene.scene_id]
+        st.markdown(f"Scanned {desk.habits.time(scene.captured_at)}, {_counted(decided)}.")
+        st.caption("Its dispositions can not be changed afterwards.")
+        who = _who(desk)
+        st.markdown(f"Signs: **{plain(who) or 'give your name first'}**")
+        st.button(
+            f"Sign off {place}",
+            type="primary",
+            disabled=not who,
+            key=f"sign-off-{key}",
+            on_click=partial(_record_sign_off, desk, shown, place),
+        )
+    if left:
+        st.caption(f"It can be signed off when nothing waits and no work is open. Findings: {said(standings)}.")
+
+
+def _counted(decided: Sequence[Entry]) -> str:
+    counts = Counter(str(entry.disposition) for entry in decided)
+    text = ", ".join(f"{name}: {count}" for name, count in sorted(counts.items()))
+    return f"dispositions: {text}" if text else "nothing needed a disposition"
+
+
+def _record_sign_off(desk: Desk, shown: ShownScene, place: str) -> None:
+    _try(lambda: sign_off(desk.archive.root, _who(desk), shown), f"Signed off {place}.", None, lambda: None)
+
+
+def _try(act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:
+    try:
+        act()
+    except OutdatedError as problem:
+        refusal = f"**Not recorded**, nothing was changed. {plain(problem)}. What is there now is shown below."
+        st.session_state[_OUTCOME] = _Outcome("refused", refusal)
+    except FlushlineError as problem:
+        st.session_state[_OUTCOME] = _Outcome("refused", f"**Not recorded.** {plain(problem)}")
+    else:
+        st.session_state[_OUTCOME] = _Outcome("done", text, scene_id)
+        done()

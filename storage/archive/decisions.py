@@ -1,0 +1,140 @@
+"""Recording what people decide: about what the archive still shows, and about nothing else.
+
+Whoever decides says what was on the screen. While the store's lock is held no other run can take its place, so what
+is compared here is still true when the review log has the entry.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import duckdb
+
+from metrology.errors import OutdatedError, UsageError
+from storage.archive import snapshot
+from storage.archive.files import locked
+from storage.archive.layout import Layout
+from storage.archive.work import OPEN_WORK, UNRESOLVED, features_sql, standings
+from storage.documents import utc_text
+from storage.review import Disposition, Entry, Feature, Review, ReviewLog, ShownFinding, ShownScene
+
+_MOST_NAMED = 5
+
+
+def shown_finding(
+    connection: duckdb.DuckDBPyConnection, review: Review, scene_id: str, feature: Feature
+) -> ShownFinding | None:
+    """A finding as the archive has it, with what was decided about it; None where there is no such feature.
+
+    `values` also names the newest scan of the finding's station, so that a decision about a scan which another one
+    replaced meanwhile is told.
+    """
+    sql = f"""SELECT s.run_id, s.panel_spec, s.software_version, s.rig_id, s.config_hash, f.* EXCLUDE (feature_kind),
+        (SELECT max_by(n.scene_id, n.captured_at) FROM scenes n WHERE n.aircraft_serial = s.aircraft_serial
+            AND n.panel = s.panel AND n.station = s.station) AS newest_scan
+    FROM ({features_sql(feature.kind, "scene_id = ?")}) f JOIN scenes s USING (scene_id) WHERE f.feature_id = ?"""
+    found = connection.execute(sql, [scene_id, feature.id])
+    names = [column[0] for column in found.description or ()]
+    rows = found.fetchall()
+    if not rows:
+        return None
+    values = {name: _plain(value) for name, value in zip(names, rows[0], strict=True)}
+    last = review.last_about(scene_id, feature)
+    run_id = str(values.pop("run_id"))
+    return ShownFinding(values.pop("scene_id"), run_id, feature, values, last.number if last else 0)
+
+
+def dispose(
+    root: Path, who: str, shown: Sequence[ShownFinding], disposition: Disposition, comment: str = ""
+) -> list[Entry]:
+    """Record what shall happen with findings; refused as a whole where one of them is not as it was shown."""
+    with _as_shown(Layout(root), shown):
+        return ReviewLog(root).dispose(who, shown, disposition, comment)
+
+
+def close_work(root: Path, who: str, shown: Sequence[ShownFinding], reason: str) -> list[Entry]:
+    """Record why open work is done; refused as a whole where one of the findings is not as it was shown."""
+    with _as_shown(Layout(root), shown):
+        return ReviewLog(root).close(who, shown, reason)
+
+
+def sign_off(root: Path, who: str, shown: ShownScene, comment: str = "") -> Entry:
+    """Close a scene of a store.
+
+    Refused where another run has taken the place of the one that was shown, where something was decided since, or where
+    a finding of the scene waits or has open work.
+    """
+    layout, log = Layout(root), ReviewLog(root)
+    with _held(layout) as connection:
+        if connection:
+            _check_run(connection, shown)
+            _check_resolved(connection, log.read(), shown.scene_id)
+        return log.sign_off(who, shown, comment)
+
+
+@contextlib.contextmanager
+def _held(layout: Layout) -> Iterator[duckdb.DuckDBPyConnection | None]:
+    """Hold the archive as it is; None where nothing was ever published."""
+    if not layout.archive.exists():
+        yield None
+        return
+    with locked(layout.lock), contextlib.closing(snapshot.connect(layout)) as connection:
+        yield connection
+
+
+@contextlib.contextmanager
+def _as_shown(layout: Layout, shown: Sequence[ShownFinding]) -> Iterator[None]:
+    with _held(layout) as connection:
+        for finding in shown:
+            now = shown_finding(connection, Review(), finding.scene_id, finding.feature) if connection else None
+            if change := _change(finding, now):
+                raise OutdatedError(f"{finding.scene_id} {finding.feature.id}: {change}; look at it as it is now first")
+        yield
+
+
+def _change(shown: ShownFinding, now: ShownFinding | None) -> str | None:
+    """What became of a finding since it was shown; None where it is as it was."""
+    if now is None:
+        return "found it no more in the archive, expected it as it was shown"
+    if now.run_id != shown.run_id:
+        return f"found that its scan was inspected again (run {now.run_id}), expected run {shown.run_id}"
+    if now.values.get("newest_scan") != shown.values.get("newest_scan"):
+        return f"found a newer scan of its station ({now.values.get('newest_scan')}), expected none"
+    differing = [name for name, value in now.values.items() if shown.values.get(name) != value]
+    if differing:
+        name = differing[0]
+        return f"found {name} {now.values[name]}, expected {shown.values.get(name)} as it was shown"
+    return None
+
+
+def _check_run(connection: duckdb.DuckDBPyConnection, shown: ShownScene) -> None:
+    newest = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [shown.scene_id]).fetchall()
+    if not newest:
+        raise OutdatedError(f"{shown.scene_id}: found it no more in the archive, expected the scene that was shown")
+    if newest[0][0] != shown.run_id:
+        raise OutdatedError(
+            f"{shown.scene_id}: found that it was inspected again (run {newest[0][0]}), expected run {shown.run_id}; "
+            "look at the new result first"
+        )
+
+
+def _check_resolved(connection: duckdb.DuckDBPyConnection, review: Review, scene_id: str) -> None:
+    left = [standing for standing in standings(connection, review, scene_id) if standing.state in UNRESOLVED]
+    if left:
+        named = ", ".join(
+            f"{s.feature.id} ({'open work' if s.state == OPEN_WORK else 'no disposition'})" for s in left[:_MOST_NAMED]
+        )
+        more = f" and {len(left) - _MOST_NAMED} more" if len(left) > _MOST_NAMED else ""
+        raise UsageError(f"{scene_id}: found {named}{more}, expected every finding decided and all work done")
+
+
+def _plain(value: object) -> Any:
+    """A value as JSON has it."""
+    if isinstance(value, datetime):
+        return utc_text(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value

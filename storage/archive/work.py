@@ -1,0 +1,250 @@
+"""How findings stand: waiting for a decision, with open work, or decided. One answer for pages, reports and sign-off.
+
+A finding is a rivet or a seam station of the newest scan of its place that does not simply pass, or one of any scan
+whose disposition left work open. Work that a disposition asked for (rework, repair, re-scan) is open until the same
+feature passes on a later scan of its station, until it is disposed of anew on a later scan, or until a person closes
+it. A disposition holds for the values it was made about: where another run of the scan measured something else, the
+finding waits again.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import duckdb
+import pyarrow as pa
+
+from storage.review_entries import Entry, Feature, FeatureKind, Review
+
+State = Literal["waiting", "open work", "decided"]
+WAITING: State = "waiting"
+OPEN_WORK: State = "open work"
+DECIDED: State = "decided"
+UNRESOLVED: tuple[State, ...] = (WAITING, OPEN_WORK)
+"""What stands between a scan and its sign-off."""
+
+STATION_ID = "seam_id || '@' || printf('%.1f', s_mm)"
+_KEY = "aircraft_serial, panel, station, captured_at, scene_id"
+_MEASURED: dict[FeatureKind, tuple[str, str]] = {
+    "rivet": (
+        "rivets",
+        "rivet_id AS feature_id, height_mean_mm AS value_mm, height_u95_mm AS u95_mm, tilt_deg, "
+        "NULL::DOUBLE AS width_mm",
+    ),
+    "seam station": (
+        "seam_stations",
+        f"{STATION_ID} AS feature_id, step_mm AS value_mm, step_u95_mm AS u95_mm, NULL::DOUBLE AS tilt_deg, width_mm",
+    ),
+}
+KINDS: tuple[FeatureKind, ...] = tuple(_MEASURED)
+ATTENTION = "decision NOT IN ('pass', 'no limit')"
+"""What a person must look at, as a condition on rivets and seam stations."""
+
+NEWEST = "scene_id IN (SELECT scene_id FROM latest_scenes)"
+"""The newest scan of each station, as a condition on a scene's key."""
+
+_VALUES = ("value_mm", "tilt_deg", "width_mm")
+# Pages and reports write three decimals; a smaller difference nobody saw.
+_VISIBLE = 0.0005
+_REVIEWED = pa.schema(
+    [
+        *(pa.field(name, pa.string()) for name in ("scene_id", "feature_kind", "feature_id", "disposition", "who")),
+        pa.field("decided_at", pa.timestamp("us", "UTC")),
+        pa.field("comment", pa.string()),
+        pa.field("decided_run", pa.string()),
+        pa.field("decided_verdict", pa.string()),
+        *(pa.field(f"decided_{name}", pa.float64()) for name in _VALUES),
+        pa.field("open_work", pa.bool_()),
+        pa.field("closed_by", pa.string()),
+        pa.field("closed_because", pa.string()),
+    ]
+)
+_SIGNED = pa.schema([("scene_id", pa.string()), ("signed_by", pa.string()), ("signed_at", pa.timestamp("us", "UTC"))])
+
+
+def _differs(name: str) -> str:
+    then, now = f"d.decided_{name}", f"f.{name}"
+    return f"coalesce(abs({then} - {now}) > {_VISIBLE}, ({then} IS NULL) <> ({now} IS NULL))"
+
+
+# Of a finding f of scene s with its last disposition d and the scene's sign-off g.
+_STATE = f"""CASE WHEN d.open_work THEN '{OPEN_WORK}' WHEN g.signed_by IS NOT NULL THEN '{DECIDED}'
+    WHEN d.disposition IS NULL THEN '{WAITING}'
+    WHEN d.decided_verdict IS NOT NULL AND d.decided_run <> s.run_id
+        AND (d.decided_verdict <> f.decision OR {" OR ".join(map(_differs, _VALUES))}) THEN '{WAITING}'
+    ELSE '{DECIDED}' END"""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a finding stands.
+
+    Attributes
+    ----------
+    feature : Feature
+    state : "waiting", "open work" or "decided"
+    """
+
+    feature: Feature
+    state: State
+
+
+def features_sql(kind: FeatureKind, condition: str = "true", source: str | None = None) -> str:
+    """Rows of one kind of feature as findings list them: key, kind and id, values, verdict."""
+    table, columns = _MEASURED[kind]
+    return (
+        f"SELECT {_KEY}, '{kind}' AS feature_kind, {columns}, severity, decision, reason "
+        f"FROM {source or table} WHERE {condition}"
+    )
+
+
+def _of_scenes(kind: FeatureKind, scenes: str) -> str:
+    return f"{_MEASURED[kind][0]} SEMI JOIN {scenes} USING (scene_id)"
+
+
+def findings_sql(
+    kinds: Sequence[FeatureKind] = KINDS,
+    attention: str = ATTENTION,
+    worked: str = "true",
+    near: str = "true",
+    scenes: str = "true",
+    newest: str = NEWEST,
+) -> str:
+    """A query of findings with how they stand; the connection must know `reviewed` and `signed` (see `register`).
+
+    Columns: the key, feature_kind, feature_id, value_mm, u95_mm, tilt_deg, width_mm, severity, decision, reason,
+    run_id, panel_spec, software_version, the columns of `reviewed`, signed_by, signed_at, and state.
+
+    Parameters
+    ----------
+    attention, worked : str
+        Conditions on what is listed of the newest scans, and on what is listed for its open work.
+    near : str
+        A condition on a feature's key. Where conditions have parameters, they stand in this order: `scenes`, then for
+        each kind `attention`, `near`, `near`, `worked`, `attention`.
+    scenes : str
+        A condition on its scene, which stands first.
+    newest : str
+        Which scans' findings are listed, whether worked on or not.
+    """
+    parts = [
+        part
+        for kind in kinds
+        for part in (
+            features_sql(kind, f"{attention} AND {near} AND {newest}"),
+            f"SELECT * FROM ({features_sql(kind, near, _of_scenes(kind, 'open_scenes'))}) "
+            "SEMI JOIN worked USING (scene_id, feature_kind, feature_id) "
+            f"WHERE {worked} AND NOT ({attention} AND {newest})",
+        )
+    ] or [features_sql("rivet", "false")]
+    return f"""WITH worked AS (SELECT scene_id, feature_kind, feature_id FROM reviewed WHERE open_work),
+open_scenes AS (SELECT DISTINCT scene_id FROM worked),
+s AS (SELECT scene_id, run_id, panel_spec, software_version FROM scenes WHERE {scenes})
+SELECT f.*, s.* EXCLUDE (scene_id), d.* EXCLUDE (scene_id, feature_kind, feature_id), g.signed_by, g.signed_at,
+    {_STATE} AS state
+FROM ({" UNION ALL ".join(parts)}) f JOIN s USING (scene_id)
+LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id)"""
+
+
+def register(connection: duckdb.DuckDBPyConnection, review: Review) -> None:
+    """Make what people decided known to a connection.
+
+    `reviewed` has the last disposition of each feature, what it was about, whether its work is open, and by whom it was
+    closed; `signed` has the sign-off of each scene.
+    """
+    connection.register("reviewed", reviewed_features(connection, review))
+    connection.register("signed", signed_scenes(review))
+
+
+def reviewed_features(connection: duckdb.DuckDBPyConnection, review: Review) -> pa.Table:
+    """The last disposition of each feature that has one."""
+    work, closes = open_work(connection, review), review.closes()
+    rows = []
+    for key, entry in review.current().items():
+        scene_id, feature = key
+        close = closes.get(key)
+        rows.append(
+            (scene_id, feature.kind, feature.id, entry.disposition, entry.who, entry.at, entry.comment, entry.run_id,
+             _text(entry.shown.get("decision")), *(_number(entry.shown.get(name)) for name in _VALUES), key in work,
+             close.who if close else None, close.comment if close else None)
+        )  # fmt: skip
+    return _table(rows, _REVIEWED)
+
+
+def signed_scenes(review: Review) -> pa.Table:
+    """The sign-off of each scene that has one."""
+    return _table([(scene, entry.who, entry.at) for scene, entry in review.sign_offs().items()], _SIGNED)
+
+
+def open_work(connection: duckdb.DuckDBPyConnection, review: Review) -> dict[tuple[str, Feature], Entry]:
+    """Dispositions whose work is not done: nobody closed it, and no later scan shows that it is."""
+    asked = review.work()
+    if not asked:
+        return {}
+    rows = [(*_row(key), True) for key in asked]
+    rows += [(*_row(key), False) for key in review.current() if key not in asked]
+    names = [(name, pa.string()) for name in ("scene_id", "feature_kind", "feature_id")]
+    connection.register("disposed", _table(rows, pa.schema([*names, ("asks", pa.bool_())])))
+    done = {(scene, Feature(kind, name)) for scene, kind, name in connection.execute(_DONE_SQL).fetchall()}
+    connection.unregister("disposed")
+    return {key: entry for key, entry in asked.items() if key not in done}
+
+
+# A scan whose panel was not recognised has ids of its own; what is in no pattern (X…) is numbered anew on each scan.
+_SAME = """s.registration IS DISTINCT FROM 'not recognised'
+    AND NOT (coalesce(s.n_unlisted, 0) > 0 AND feature_id LIKE 'X%')"""
+_PASSES = "decision IN ('pass', 'conditional pass')"
+_DONE_SQL = f"""WITH named AS (
+    SELECT d.*, s.aircraft_serial, s.panel, s.station, s.captured_at
+    FROM disposed d JOIN scenes s USING (scene_id) WHERE {_SAME}
+), places AS (SELECT DISTINCT aircraft_serial, panel, station FROM named WHERE asks
+), later AS (SELECT s.* FROM scenes s SEMI JOIN places USING (aircraft_serial, panel, station)
+), passed AS (
+    SELECT f.*, s.registration, s.n_unlisted FROM (
+        {features_sql("rivet", _PASSES, _of_scenes("rivet", "later"))} UNION ALL
+        {features_sql("seam station", _PASSES, _of_scenes("seam station", "later"))}
+    ) f JOIN later s USING (scene_id) WHERE {_SAME}
+), answers AS (
+    SELECT aircraft_serial, panel, station, feature_kind, feature_id, captured_at FROM passed
+    UNION ALL SELECT aircraft_serial, panel, station, feature_kind, feature_id, captured_at FROM named
+)
+SELECT DISTINCT n.scene_id, n.feature_kind, n.feature_id FROM named n
+JOIN answers a USING (aircraft_serial, panel, station, feature_kind, feature_id)
+WHERE n.asks AND a.captured_at > n.captured_at"""
+
+
+def standings(connection: duckdb.DuckDBPyConnection, review: Review, scene_id: str) -> tuple[Standing, ...]:
+    """How each finding of a scene stands, in the order of their names."""
+    register(connection, review)
+    sql = findings_sql(near="scene_id = ?", scenes="scene_id = ?", newest="true")
+    rows = connection.execute(
+        f"SELECT feature_kind, feature_id, state FROM ({sql}) ORDER BY feature_kind, feature_id",
+        [scene_id] * (1 + 2 * len(KINDS)),
+    ).fetchall()
+    return tuple(Standing(Feature(kind, name), state) for kind, name, state in rows)
+
+
+def said(standings: Iterable[Standing]) -> str:
+    """How many findings stand how, in words: "18 waiting, 1 open work, 1 decided"."""
+    counts = Counter(standing.state for standing in standings)
+    return ", ".join(f"{counts[state]} {state}" for state in (*UNRESOLVED, DECIDED) if counts[state]) or "no findings"
+
+
+def _row(key: tuple[str, Feature]) -> tuple[str, str, str]:
+    return key[0], key[1].kind, key[1].id
+
+
+def _table(rows: Sequence[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
+    columns = list(zip(*rows, strict=True)) or [()] * len(schema)
+    return pa.table([pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)], schema)
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) else None

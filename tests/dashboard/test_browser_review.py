@@ -1,0 +1,173 @@
+"""A decision lands on what the person saw, in a real browser: two tabs, and scans stored meanwhile."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import choose, click_row, entries_of, new_page, record, settle
+from synthetic_scene import synthetic_result
+from week import recipe
+
+from storage.archive.store import Store
+from storage.archive.work import standings
+from storage.review import Feature, ReviewLog, ShownFinding
+
+pytestmark = pytest.mark.browser
+
+
+def open_review(chromium: Any, address: str, aircraft: str, **more: str) -> Any:
+    """A tab that shows the review of an aircraft."""
+    page = new_page(chromium)
+    query = "&".join(f"{name}={value}" for name, value in {"aircraft": aircraft, **more}.items())
+    page.goto(f"{address}/review?{query}")
+    page.get_by_text("Disposition", exact=True).first.wait_for()
+    settle(page)
+    return page
+
+
+def shown_name(page: Any) -> str:
+    """The finding that the record button names."""
+    label = page.get_by_role("button", name="Record").inner_text()
+    return str(label.split(" for ")[-1])
+
+
+@pytest.fixture
+def tabs(server: tuple[str, Path], chromium: Any) -> tuple[Any, Any, Path]:
+    """Two tabs on the same list, and the store."""
+    address, root = server
+    return open_review(chromium, address, "MSN-0421"), open_review(chromium, address, "MSN-0421"), root
+
+
+def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
+    first, second, root = tabs
+    name = shown_name(first)
+    assert name == shown_name(second)
+    feature = name.split(" ")[0]
+    choose(first, "scrap", "cracked", who="M. Weber")
+    choose(second, "use as is", "checked by hand", who="K. Ito")
+    record(second, f"Record use as is for {name}")
+    # The second tab goes on, and to another aircraft.
+    assert shown_name(second) != name
+    second.goto(second.url.split("?")[0] + "?aircraft=MSN-0420")
+    second.get_by_text("MSN-0420 LH-F12").first.wait_for()
+    settle(second)
+
+    record(first, f"Record scrap for {name}", "Not recorded")
+    (entry,) = entries_of(root, "MSN-0421")
+    assert (entry.who, entry.disposition, entry.feature_id) == ("K. Ito", "use as is", feature)
+    assert first.get_by_text("found it decided since it was shown (use as is by K. Ito").count()
+    # Shown anew: the same finding, with the other person's decision, and nothing chosen for it.
+    assert shown_name(first) == name
+    assert first.get_by_text("checked by hand").count()
+    assert first.get_by_role("button", name=f"Record for {name}").count() == 1
+    # Who has seen that decision may change it.
+    choose(first, "scrap")
+    record(first, f"Record scrap for {name}")
+    assert [e.feature_id for e in entries_of(root, "MSN-0421")] == [feature, feature]
+    # The second tab decides about what it shows.
+    other = shown_name(second)
+    choose(second, "scrap", who="K. Ito")
+    record(second, f"Record scrap for {other}")
+    (entry,) = entries_of(root, "MSN-0420")
+    assert entry.feature_id == other.split(" ")[0]
+
+
+def test_a_scan_stored_between_showing_and_recording(server: tuple[str, Path], chromium: Any) -> None:
+    address, root = server
+    page = open_review(chromium, address, "MSN-0422")
+    name = shown_name(page)
+    choose(page, "scrap", who="M. Weber")
+    # A graver scan of another station: other rows come first, and the finding is as it was.
+    store = Store(root)
+    store.publish(synthetic_result(replace(recipe(2, "S3"), heights_mm=(0.9,) * 12)))
+    record(page, f"Record scrap for {name}")
+    (entry,) = entries_of(root, "MSN-0422")
+    assert f"{entry.feature_id} (MSN-0422 LH-F12" in name
+
+    # The same scan inspected again, with other values: refused, and shown anew.
+    name = shown_name(page)
+    station = name.rstrip(")").split(" ")[-1]
+    choose(page, "use as is", who="M. Weber")
+    heights = (0.31, 0.32, 0.33, *recipe(2, station).heights_mm[3:])
+    store.publish(synthetic_result(replace(recipe(2, station), heights_mm=heights, step_mm=0.3)))
+    record(page, f"Record use as is for {name}", "Not recorded")
+    assert page.get_by_text("was inspected again").count()
+    assert shown_name(page) == name
+    assert len(entries_of(root, "MSN-0422")) == 1
+
+    # Several at once: all or none.
+    page = open_review(chromium, address, "MSN-0422", kind="rivet")
+    for row in (0, 2):
+        click_row(page, row, tick=True)
+    choose(page, "repair", who="M. Weber")
+    (button,) = page.get_by_role("button", name="Record repair for 2 findings:").all()
+    names = button.inner_text().split(": ")[-1]
+    store.publish(synthetic_result(replace(recipe(2, "S3"), heights_mm=(0.8,) * 12)))
+    record(page, f"Record repair for 2 findings: {names}", "Not recorded")
+    assert len(entries_of(root, "MSN-0422")) == 1
+    assert page.get_by_role("button", name="findings:").count() == 0  # nothing stays ticked
+    for row in (0, 2):
+        click_row(page, row, tick=True)
+    choose(page, "repair", who="M. Weber")
+    names = page.get_by_role("button", name="Record repair for 2 findings:").inner_text().split(": ")[-1]
+    record(page, f"Record repair for 2 findings: {names}")
+    recorded = [entry.feature_id for entry in entries_of(root, "MSN-0422")[1:]]
+    assert ", ".join(map(str, recorded)) in names
+
+
+def test_a_sign_off_is_for_what_was_shown(server: tuple[str, Path], chromium: Any) -> None:
+    address, root = server
+    store, log = Store(root), ReviewLog(root)
+    scene = recipe(3, "S1").key.scene_id
+    [run] = store.query("SELECT run_id FROM scenes WHERE scene_id = ?", [scene]).column(0).to_pylist()
+    with store.connect() as connection:
+        findings = [standing.feature for standing in standings(connection, log.read(), scene)]
+    log.dispose("K. Ito", [ShownFinding(scene, run, feature) for feature in findings], "use as is")
+
+    page = open_review(chromium, address, "MSN-0423", state="decided", scene=scene)
+    page.get_by_role("textbox", name="Your name").fill("M. Weber")
+    page.get_by_role("textbox", name="Your name").press("Tab")
+    settle(page)
+    page.get_by_role("button", name="Sign off MSN-0423 LH-F12 S1 …").click()
+    page.get_by_text("Signs: M. Weber").wait_for()
+    settle(page)
+    # Meanwhile somebody thinks better of one of them.
+    feature = findings[0]
+    last = log.read().last_about(scene, feature)
+    log.dispose("K. Ito", [ShownFinding(scene, run, feature, {}, last.number if last else 0)], "scrap")
+    page.get_by_role("button", name="Sign off MSN-0423 LH-F12 S1", exact=True).click()
+    page.get_by_text("Not recorded").wait_for()
+    settle(page)
+    assert scene not in log.read().sign_offs()
+    page.get_by_role("button", name="Sign off MSN-0423 LH-F12 S1 …").click()
+    page.get_by_text("scrap: 1").wait_for()
+    page.get_by_role("button", name="Sign off MSN-0423 LH-F12 S1", exact=True).click()
+    page.get_by_text("this scan is locked").wait_for()
+    assert log.read().sign_offs()[scene].who == "M. Weber"
+
+
+def test_open_work_stays_until_a_later_scan_passes(server: tuple[str, Path], chromium: Any) -> None:
+    address, root = server
+    rivet = Feature("rivet", "R09")
+    scene = recipe(4, "S2").key.scene_id
+    page = open_review(chromium, address, "MSN-0424", scene=scene, feature="rivet:R09")
+    choose(page, "rework", who="M. Weber")
+    record(page, "Record rework for R09 (MSN-0424 LH-F12 S2)")
+    page.goto(f"{address}/review?aircraft=MSN-0424&state=open+work")
+    page.get_by_text("Open work: rework of R09").wait_for()
+    settle(page)
+    assert page.get_by_text("1 findings").count()
+    page.goto(f"{address}/scene?scene={scene}")
+    page.get_by_text("1 open work").wait_for()
+    sound = recipe(4, "S2")
+    later = replace(sound.key, captured_at=sound.key.captured_at.replace(hour=23))
+    heights = tuple(0.0 if i == 8 else height for i, height in enumerate(sound.heights_mm))
+    Store(root).publish(synthetic_result(replace(sound, key=later, heights_mm=heights)))
+    page.goto(f"{address}/review?aircraft=MSN-0424&state=open+work")
+    page.get_by_text("Nothing matches these filters").wait_for()
+    last = ReviewLog(root).read().last_about(scene, rivet)
+    assert last
+    assert last.disposition == "rework"

@@ -1,0 +1,152 @@
+"""Every way between pages, walked by clicks: what is clicked is what the next page shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from browser import click_point, click_row, new_page, settle, wait
+
+pytestmark = pytest.mark.browser
+LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
+
+
+def at(page: Any, path: str, **named: str) -> None:
+    """Wait until the address is this page's and names these."""
+
+    def there() -> bool:
+        address = urlsplit(page.url)
+        query = parse_qs(address.query)
+        return address.path == f"/{path}" and all(query.get(name) == [value] for name, value in named.items())
+
+    wait(there)
+    settle(page)
+    assert page.get_by_text("something it did not expect").count() == 0
+
+
+def chosen(page: Any, field: str) -> str:
+    """What a field with one value shows."""
+    return str(page.get_by_role("combobox", name=field).first.input_value())
+
+
+@pytest.fixture
+def page(server: tuple[str, Path], chromium: Any) -> Any:
+    return new_page(chromium)
+
+
+def test_from_the_overview_to_the_review(server: tuple[str, Path], page: Any) -> None:
+    home = server[0]
+    page.goto(home)
+    page.get_by_text("Where work waits").wait_for()
+    settle(page)
+    click_row(page, 0)
+    at(page, "review", panel="LH-F12")
+    aircraft = parse_qs(urlsplit(page.url).query)["aircraft"][0]
+    page.get_by_text(f"{aircraft} · LH-F12").first.wait_for()
+    # Back, and by a cell of the matrix.
+    page.go_back()
+    page.get_by_text("Where work waits").wait_for()
+    at(page, "")
+    page.goto(home)
+    page.get_by_text("Where work waits").wait_for()
+    settle(page)
+    click_point(page, 2)
+    at(page, "review", panel="LH-F12")
+    # With a filter of its own, to another panel's review, the filter of the one page is not the other's.
+    page.goto(f"{home}/?aircraft=MSN-0424&period=last+30+days")
+    page.get_by_text("Where work waits").wait_for()
+    settle(page)
+    click_row(page, 0)
+    at(page, "review", aircraft="MSN-0424", panel="LH-F12")
+    assert chosen(page, "Scanned") == "any time"
+    page.goto(home)
+    page.get_by_role("link", name="Review what waits").click()
+    at(page, "review")
+
+
+def test_from_the_review_to_scene_trends_and_back(server: tuple[str, Path], page: Any) -> None:
+    page.goto(f"{server[0]}/review?aircraft=MSN-0425&panel=LH-F12&scene={LAST}&feature=rivet:R09&numbers=German")
+    page.get_by_text("Rivet R09").wait_for()
+    settle(page)
+    assert page.get_by_text("+0,139").count()
+    page.get_by_role("link", name="Close-up").click()
+    at(page, "scene", scene=LAST, feature="rivet:R09")
+    page.get_by_text("Rivet R09").wait_for()
+    assert page.get_by_text("+0,139").count()  # the way of writing numbers goes along
+    page.get_by_role("link", name="Review", exact=True).click()
+    at(page, "review", aircraft="MSN-0425", panel="LH-F12", scene=LAST)
+    page.get_by_text("MSN-0425 · LH-F12 · S2").first.wait_for()
+    page.get_by_role("link", name="Trend", exact=True).click()
+    at(page, "trends", panel="LH-F12", station="S2")
+    page.go_back()
+    at(page, "review", scene=LAST)
+    page.goto(f"{server[0]}/review?aircraft=MSN-0425&scene={LAST}&feature=rivet:R09&numbers=German")
+    page.get_by_text("Rivet R09").wait_for()
+    settle(page)
+    page.get_by_role("link", name="Trend", exact=True).click()
+    at(page, "trends", what="rivet", panel="LH-F12", station="S2", name="R09")
+    assert (chosen(page, "Station"), chosen(page, "Rivet")) == ("S2", "R09")
+    # A point of the control chart is a scan.
+    click_point(page, 1)
+    wait(lambda: "/scene?scene=" in page.url)
+    settle(page)
+    assert page.get_by_text("station S2").count()
+
+
+def test_from_the_scene_by_its_table(server: tuple[str, Path], page: Any) -> None:
+    page.goto(f"{server[0]}/scene?scene={LAST}&view=Table")
+    page.get_by_text("Rivet R04").wait_for()
+    settle(page)
+    click_row(page, 1)
+    at(page, "scene", scene=LAST, feature="rivet:R02", view="Table")
+    page.get_by_text("Rivet R02").wait_for()
+    click_row(page, 2, table=1)
+    at(page, "scene", scene=LAST, feature="station:M1@8.0", view="Table")
+    page.get_by_text("Seam station M1@8.0").wait_for()
+    page.get_by_role("link", name="Trend", exact=True).click()
+    at(page, "trends", what="seam", panel="LH-F12", station="S2", name="M1")
+    page.goto(f"{server[0]}/scene?scene=nowhere")
+    page.get_by_role("link", name="Find a scan in the archive").click()
+    at(page, "archive")
+
+
+def test_from_the_archive(server: tuple[str, Path], page: Any) -> None:
+    page.goto(f"{server[0]}/archive?aircraft=MSN-0425")
+    page.get_by_text("2 scans").wait_for()
+    settle(page)
+    click_row(page, 0, row_height=76, tick=True)
+    page.get_by_test_id("stBaseButton-primary").click()
+    at(page, "scene", scene=LAST)
+    page.go_back()
+    at(page, "archive", aircraft="MSN-0425")
+    page.get_by_text("2 scans").wait_for()
+    settle(page)
+    for row in (0, 1):
+        click_row(page, row, row_height=76, tick=True)
+    page.get_by_role("button", name="Compare two").click()
+    page.get_by_text("Rivets on both scans").wait_for()
+    at(page, "archive", compare=f"{LAST},MSN-0425~LH-F12~S1~20261119T212000Z")
+    page.get_by_role("button", name="Back to the list").click()
+    page.get_by_text("scans, page").wait_for()
+    at(page, "archive")
+
+
+def test_from_the_runs_and_through_the_menu(server: tuple[str, Path], page: Any) -> None:
+    page.goto(f"{server[0]}/runs?view=Warnings+and+failures")
+    page.get_by_text("Inspected with warnings").wait_for()
+    settle(page)
+    click_row(page, 0)
+    at(page, "scene", scene="MSN-0424~LH-F12~S2~20261118T212500Z")
+    for name, path, said in (
+        ("Tolerance review", "review", "Disposition"),
+        ("Archive", "archive", "scans, page"),
+        ("Trends", "trends", "Ppk"),
+        ("Runs and rigs", "runs", "Scenes inspected per day"),
+        ("SQL", "sql", "Tables and views"),
+        ("Overview", "", "Where work waits"),
+    ):
+        page.get_by_role("link", name=name).first.click()
+        page.get_by_text(said).first.wait_for()
+        at(page, path)

@@ -1,0 +1,190 @@
+"""How findings stand, and that a decision is recorded about what the archive still shows."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from metrology.errors import OutdatedError, UsageError
+from metrology.inspection import InspectionResult
+from metrology.results import Decision
+from storage.archive import Store
+from storage.archive.decisions import close_work, dispose, shown_finding, sign_off
+from storage.archive.work import open_work, said, standings
+from storage.review import Disposition, Feature, ReviewLog, ShownFinding, ShownScene
+from tests.storage.results import small_key, small_result
+
+R1, R2 = Feature("rivet", "R1"), Feature("rivet", "R2")
+SCENE = small_key().scene_id
+
+
+def scan(
+    days: float = 0,
+    decision: Decision = "fail",
+    height_mm: float = 0.3,
+    station: str = "S3",
+    registration: dict | None = None,
+) -> InspectionResult:
+    """One scan with R1 and R2, R1 with this verdict and height, and a seam that passes."""
+    key = small_key(station)
+    base = small_result(replace(key, captured_at=key.captured_at + timedelta(days=days)), rivets=2)
+    first = replace(base.rivets[0], height_mean_mm=height_mm, decision=decision)
+    stations = tuple(replace(station, decision="pass", reason=None) for station in base.stations)
+    return replace(base, rivets=(first, base.rivets[1]), stations=stations, registration=registration or {})
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "store")
+    store.publish(scan())
+    return store
+
+
+def seen(store: Store, scene_id: str = SCENE, feature: Feature = R1) -> ShownFinding:
+    """A finding as somebody sees it who looks now."""
+    with contextlib.closing(store.connect()) as connection:
+        found = shown_finding(connection, ReviewLog(store.root).read(), scene_id, feature)
+    assert found
+    return found
+
+
+def seen_scene(store: Store) -> ShownScene:
+    return ShownScene(SCENE, seen(store).run_id, {}, ReviewLog(store.root).read().last_of_scene(SCENE))
+
+
+def stand(store: Store, scene_id: str = SCENE) -> str:
+    with contextlib.closing(store.connect()) as connection:
+        return said(standings(connection, ReviewLog(store.root).read(), scene_id))
+
+
+def decide(store: Store, disposition: Disposition, scene_id: str = SCENE) -> None:
+    dispose(store.root, "m.weber", [seen(store, scene_id)], disposition)
+
+
+def later(store: Store, **how: object) -> str:
+    """Publish another scan; returns its name."""
+    result = scan(**how)  # type: ignore[arg-type]
+    store.publish(result)
+    return result.key.scene_id
+
+
+def test_a_finding_waits_until_it_is_decided(store: Store) -> None:
+    assert stand(store) == "1 waiting"
+    decide(store, "use as is")
+    assert stand(store) == "1 decided"
+    entry = ReviewLog(store.root).read().entries[-1]
+    assert entry.shown["value_mm"] == 0.3
+    assert entry.run_id == seen(store).run_id
+
+
+@pytest.mark.parametrize("disposition", ["rework", "repair", "re-scan"])
+@pytest.mark.parametrize("decision", ["pass", "conditional pass"])
+def test_work_is_open_until_the_feature_passes_on_a_later_scan(
+    store: Store, disposition: Disposition, decision: Decision
+) -> None:
+    decide(store, disposition)
+    assert stand(store) == "1 open work"
+    later(store, days=1)
+    assert stand(store) == "1 open work"
+    later(store, days=2, decision=decision, height_mm=0.05)
+    assert stand(store) == "1 decided"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"days": -1, "decision": "pass"},
+        {"days": 1, "decision": "pass", "station": "S4"},
+        {"days": 1, "decision": "not measured"},
+        {"days": 1, "decision": "pass", "registration": {"status": "not recognised"}},
+    ],
+    ids=["an earlier scan", "another station", "not measured", "ids of its own"],
+)
+def test_other_scans_leave_work_open(store: Store, other: dict) -> None:
+    decide(store, "rework")
+    later(store, **other)
+    assert stand(store) == "1 open work"
+
+
+def test_rivets_in_no_pattern_are_other_rivets_on_each_scan(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    extra = Feature("rivet", "X01")
+    for days, decision in ((0, "fail"), (1, "pass")):
+        base = scan(days, decision, registration={"status": "recognised", "unlisted": ["X01"]})  # type: ignore[arg-type]
+        store.publish(replace(base, rivets=(replace(base.rivets[0], rivet_id="X01"), base.rivets[1])))
+        if not days:
+            dispose(store.root, "m.weber", [seen(store, feature=extra)], "rework")
+    assert stand(store) == "1 open work"
+
+
+def test_the_disposition_of_a_later_scan_takes_the_place_of_an_earlier_one(store: Store) -> None:
+    decide(store, "rework")
+    second = later(store, days=1)
+    decide(store, "scrap", second)
+    assert stand(store) == "1 decided"
+    with contextlib.closing(store.connect()) as connection:
+        assert open_work(connection, ReviewLog(store.root).read()) == {}
+
+
+def test_a_person_closes_work_with_a_reason(store: Store) -> None:
+    decide(store, "rework")
+    close_work(store.root, "k.ito", [seen(store)], "replaced, work order 4711")
+    assert stand(store) == "1 decided"
+
+
+def test_a_scan_with_open_work_or_a_finding_that_waits_is_not_signed_off(store: Store) -> None:
+    with pytest.raises(UsageError, match=r"found R1 \(no disposition\), expected every finding decided"):
+        sign_off(store.root, "k.ito", seen_scene(store))
+    decide(store, "rework")
+    with pytest.raises(UsageError, match=r"found R1 \(open work\)"):
+        sign_off(store.root, "k.ito", seen_scene(store))
+    later(store, days=1, decision="pass", height_mm=0.05)
+    sign_off(store.root, "k.ito", seen_scene(store))
+    assert SCENE in ReviewLog(store.root).read().sign_offs()
+
+
+@pytest.fixture(params=["other values", "the same values", "a newer scan"])
+def change(request: pytest.FixtureRequest) -> tuple[Callable[[Store], object], str]:
+    """What is stored between showing and recording, and what the refusal says."""
+    return {
+        "other values": (lambda store: store.publish(scan(height_mm=0.9)), "inspected again"),
+        "the same values": (lambda store: store.publish(scan()), "inspected again"),
+        "a newer scan": (lambda store: store.publish(scan(days=1)), "found a newer scan of its station"),
+    }[request.param]
+
+
+def test_what_changed_since_it_was_shown_is_not_decided(
+    store: Store, change: tuple[Callable[[Store], object], str]
+) -> None:
+    before, (act, said_) = seen(store), change
+    untouched = seen(store, feature=R2)
+    act(store)
+    with pytest.raises(OutdatedError, match=f"R1: {said_}.*look at it as it is now first|{said_}"):
+        dispose(store.root, "m.weber", [before], "scrap")
+    with pytest.raises(OutdatedError, match=said_):
+        dispose(store.root, "m.weber", [untouched, before], "scrap")
+    assert ReviewLog(store.root).read().entries == ()
+    decide(store, "scrap")  # as it is now
+
+
+def test_what_is_gone_or_was_never_shown_is_not_decided(store: Store) -> None:
+    with pytest.raises(OutdatedError, match="no more in the archive"):
+        dispose(store.root, "m.weber", [ShownFinding(SCENE, "run", Feature("rivet", "R9"))], "scrap")
+    other = replace(seen(store), values={**seen(store).values, "value_mm": 0.31})
+    with pytest.raises(OutdatedError, match=r"found value_mm 0\.3, expected 0\.31 as it was shown"):
+        dispose(store.root, "m.weber", [other], "scrap")
+
+
+def test_a_disposition_does_not_hold_for_other_values(store: Store) -> None:
+    decide(store, "use as is")
+    store.publish(scan())  # inspected again, with the same outcome
+    assert stand(store) == "1 decided"
+    store.publish(scan(height_mm=0.9))
+    assert stand(store) == "1 waiting"
+    decide(store, "scrap")
+    assert stand(store) == "1 decided"
