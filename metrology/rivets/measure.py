@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.fits import FittedRivet, HeadFit
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
 from metrology.rivets.fits import Fits
@@ -16,7 +17,7 @@ from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.head import head_surface
 from metrology.rivets.inflation import Inflation, noise_inflation
-from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels
+from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels, set_radii
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -109,7 +110,7 @@ def _row(
     generator: np.random.Generator,
 ) -> Rivet:
     """The table's row of a rivet."""
-    empty = Rivet(
+    empty = FittedRivet(
         rivet_id=rivet_id,
         x_mm=None,
         y_mm=None,
@@ -156,6 +157,9 @@ def _row(
         rms_inner_mm=head.rms_mm,
         rms_outer_mm=outcome.skin.rms_mm,
         decision="no limit",
+        fit=HeadFit(
+            p.frame, outcome.skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)
+        ),
     )
 
 
