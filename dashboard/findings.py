@@ -9,7 +9,8 @@ from typing import Any
 import pandas as pd
 
 from dashboard.data import Archive
-from dashboard.palette import DECISIONS, OPEN_DECISIONS
+from dashboard.palette import OPEN_DECISIONS
+from storage.archive.views import RANK_SQL
 from storage.review import Feature, FeatureKind
 
 MOST_ROWS = 500
@@ -34,8 +35,7 @@ _PARTS = {
         f"{STATION_ID} AS feature_id, step_mm AS value_mm, step_u95_mm AS u95_mm, NULL::DOUBLE AS tilt_deg, width_mm",
     ),
 }
-_RANK = "CASE decision " + " ".join(f"WHEN '{name}' THEN {i}" for i, name in enumerate(DECISIONS)) + " ELSE 9 END"
-_ORDER = f"{_RANK}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, scene_id, feature_id"
+_ORDER = f"{RANK_SQL}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, scene_id, feature_id"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import STATION_ID, Selection
 from dashboard.frame import Desk, go, link, plain
 from dashboard.habits import Habits
-from dashboard.palette import DECISION_MARKS
+from dashboard.palette import DECISION_MARKS, DECISION_SIGNS
 from dashboard.tables import show_table
 
 TITLE = "Overview"
@@ -113,8 +113,8 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
             "aircraft_serial": "Aircraft",
             "panel": "Panel",
             "waiting": "Waiting",
-            "fail": "✖ Fail",
-            "conditional_fail": "◆ Cond. fail",
+            "fail": f"{DECISION_SIGNS['fail']} Fail",
+            "conditional_fail": f"{DECISION_SIGNS['conditional fail']} Cond. fail",
             "not_measured": "? Not measured",
             "worst_mm": "Worst, mm",
             "last_scan": "Last scan",

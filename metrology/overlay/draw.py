@@ -27,10 +27,10 @@ from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import map_skin
 from metrology.results import Decision, Rivet, SeamStation, Severity
 from metrology.skin_normal import skin_normal
+from metrology.verdicts import DECISIONS
 
 Array = NDArray[np.float64]
 
-_CONDITIONAL: tuple[Decision, ...] = ("conditional pass", "conditional fail")
 _MISSING = "MISSING"
 _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
@@ -220,7 +220,7 @@ def _signed(value: float) -> str:
 
 
 def _star(decision: Decision) -> str:
-    return "*" if decision in _CONDITIONAL else ""
+    return DECISIONS[decision].note
 
 
 def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Sequence[str]) -> list[str]:
@@ -228,8 +228,9 @@ def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Se
     meanings = (["RIVET height"] if rivets else []) + (["SEAM step | gap"] if stations else [])
     notes = [f"mm: {', '.join(meanings)}"] if meanings else []
     judged: list[Rivet | SeamStation] = [*rivets, *stations]
-    if any(item.decision in _CONDITIONAL for item in judged):
-        notes.append("* within U95 of a limit")
+    for note in dict.fromkeys(DECISIONS[item.decision].note for item in judged):
+        if note:
+            notes.append(f"{note} within U95 of a limit")
     if outside:
         more = len(outside) - _LEGEND_NAMES
         names = ", ".join(outside[:_LEGEND_NAMES]) + (f" + {more}" if more > 0 else "")

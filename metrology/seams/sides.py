@@ -19,7 +19,7 @@ def is_upright(course_px: Array) -> bool:
 
 
 def oriented(course_px: Array) -> Array:
-    """The course in its direction of growing arc length: downwards where it is nearer to vertical, else to the right."""
+    """The course in its direction of growing arc length: downwards where it is upright, else to the right."""
     chord = course_px[-1] - course_px[0]
     return course_px if chord[int(is_upright(course_px))] >= 0 else course_px[::-1]
 

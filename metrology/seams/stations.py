@@ -188,9 +188,7 @@ def _place(track: Track, s: float, ground: _Ground) -> _Station:
     return _Station(s, pixel, half, inner, section)
 
 
-def _row(
-    seam_id: str, station: _Station, section: Section | None, gap: Gap | str, ground: _Ground
-) -> SeamStation:
+def _row(seam_id: str, station: _Station, section: Section | None, gap: Gap | str, ground: _Ground) -> SeamStation:
     u, v = (float(x) for x in station.pixel)
     if section is None:
         return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=str(station.section))

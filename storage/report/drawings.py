@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from metrology.results import Severity
 from metrology.tolerance import Limit
+from metrology.verdicts import SEVERITIES, Symbol
 from storage.report.markup import data_uri
 from storage.report.verdicts import COLOURS
 
@@ -21,17 +22,18 @@ Row = Mapping[str, Any]
 _PICTURE_WIDTH = 1200  # px of the picture in the page; the camera's own resolution is in the bundle
 _JPEG_QUALITY = 82
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 1100, 230, 62, 34
-_DASHES: dict[Severity | None, str] = {"green": "", "blue": "7 3", "red": "", None: "2 4"}
+_BROKEN = "2 4"  # the rim of a head that was not judged
+_SIZE: dict[Symbol, float] = {"disc": 4.5, "diamond": 6.5, "cross": 5.5, "ring": 4.5}
 
 
 def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> str:
-    """What the left camera sees, with a ring around each rivet and its name, and seam stations as dots."""
+    """What the left camera sees, with each rivet's rim, name and symbol, and the symbols of seam stations."""
     height, width = preview.shape
     small = cv2.resize(preview, (_PICTURE_WIDTH, round(height * _PICTURE_WIDTH / width)), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     unit = width / _PICTURE_WIDTH
-    marks = [_station_dot(station, unit) for station in stations]
-    marks += [_rivet_ring(rivet, unit) for rivet in rivets]
+    marks = [_station_mark(station, unit) for station in stations]
+    marks += [_rivet_mark(rivet, unit) for rivet in rivets]
     return (
         f'<svg viewBox="-0.5 -0.5 {width} {height}" xmlns="http://www.w3.org/2000/svg" role="img">'
         f'<image href="{data_uri(jpeg.tobytes(), "jpeg")}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>'
@@ -39,12 +41,12 @@ def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: 
     )
 
 
-def _rivet_ring(rivet: Row, unit: float) -> str:
-    colour = COLOURS[rivet["severity"]]
-    width = (5.0 if rivet["severity"] == "red" else 3.0) * unit
+def _rivet_mark(rivet: Row, unit: float) -> str:
+    look = SEVERITIES[rivet["severity"]]
+    width = (5.0 if look.symbol == "cross" else 3.0) * unit
     u, v, angle = rivet["u_px"], rivet["v_px"], rivet["angle_deg"]
-    dash = _DASHES[rivet["severity"]]
-    dashes = f' stroke-dasharray="{" ".join(str(float(d) * unit) for d in dash.split())}"' if dash else ""
+    broken = _BROKEN if look.symbol == "ring" else ""
+    dashes = f' stroke-dasharray="{" ".join(str(float(d) * unit) for d in broken.split())}"' if broken else ""
     size = 15 * unit
     ellipse = (
         f'<ellipse cx="{u:.1f}" cy="{v:.1f}" rx="{rivet["major_px"] / 2 + 4 * unit:.1f}" '
@@ -52,20 +54,22 @@ def _rivet_ring(rivet: Row, unit: float) -> str:
     )
     return (
         f'{ellipse}stroke="#fff" stroke-width="{width + 2.4 * unit:.1f}"/>'
-        f'{ellipse}stroke="{colour}" stroke-width="{width:.1f}"{dashes}><title>{_title(rivet)}</title></ellipse>'
+        f'{ellipse}stroke="{look.paper}" stroke-width="{width:.1f}"{dashes}><title>{_title(rivet)}</title></ellipse>'
+        f"{_placed(u, v, unit, rivet['severity'], _title(rivet))}"
         f'<text x="{u + rivet["major_px"] / 2 + 7 * unit:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" '
         f'font-family="sans-serif" fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">'
         f"{escape(rivet['rivet_id'])}</text>"
     )
 
 
-def _station_dot(station: Row, unit: float) -> str:
-    colour = COLOURS[station["severity"]]
-    radius = {"red": 4.5, "blue": 3.5}.get(station["severity"], 2.2) * unit
-    return (
-        f'<circle cx="{station["u_px"]:.1f}" cy="{station["v_px"]:.1f}" r="{radius:.1f}" fill="{colour}">'
-        f"<title>{escape(station['seam_id'])} at {station['s_mm']:.0f} mm</title></circle>"
-    )
+def _station_mark(station: Row, unit: float) -> str:
+    title = escape(f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}")
+    return _placed(station["u_px"], station["v_px"], 0.6 * unit, station["severity"], title)
+
+
+def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> str:
+    """A symbol at a place of a drawing that has units of its own."""
+    return f'<g transform="translate({x:.2f} {y:.2f}) scale({scale:.4f})">{_symbol(0, 0, severity, title)}</g>'
 
 
 def _title(rivet: Row) -> str:
@@ -171,16 +175,19 @@ def heights_chart(rivets: Sequence[Row], limit: Limit | None) -> str:
 
 
 def _symbol(x: float, y: float, severity: Severity | None, title: str) -> str:
-    """Green a disc, blue a square, red a diamond, else an empty ring."""
-    colour = COLOURS[severity]
-    if severity == "blue":
-        shape = f'<rect x="{x - 5:.1f}" y="{y - 5:.1f}" width="10" height="10" fill="{colour}">'
-        return f"{shape}<title>{title}</title></rect>"
-    if severity == "red":
-        corners = f"{x:.1f},{y - 7:.1f} {x + 7:.1f},{y:.1f} {x:.1f},{y + 7:.1f} {x - 7:.1f},{y:.1f}"
-        return f'<polygon points="{corners}" fill="{colour}"><title>{title}</title></polygon>'
-    fill = colour if severity else "none"
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="{fill}" stroke="{colour}"><title>{title}</title></circle>'
+    """The severity's symbol, with a white edge on whatever lies under it."""
+    look = SEVERITIES[severity]
+    r, colour, said = _SIZE[look.symbol], look.paper, f"<title>{title}</title>"
+    if look.symbol == "diamond":
+        corners = f"{x:.1f},{y - r:.1f} {x + r:.1f},{y:.1f} {x:.1f},{y + r:.1f} {x - r:.1f},{y:.1f}"
+        return f'<polygon points="{corners}" fill="{colour}" stroke="#fff">{said}</polygon>'
+    if look.symbol == "cross":
+        arms = f"M{x - r:.1f} {y - r:.1f}L{x + r:.1f} {y + r:.1f}M{x - r:.1f} {y + r:.1f}L{x + r:.1f} {y - r:.1f}"
+        edge = f'<path d="{arms}" fill="none" stroke="#fff" stroke-width="5.5"/>'
+        return f'{edge}<path d="{arms}" fill="none" stroke="{colour}" stroke-width="3.5">{said}</path>'
+    if look.symbol == "disc":
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" fill="{colour}" stroke="#fff">{said}</circle>'
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" fill="#fff" stroke="{colour}" stroke-width="2">{said}</circle>'
 
 
 def seam_chart(stations: Sequence[Row], quantity: str, limit: Limit | None) -> str:
@@ -217,15 +224,12 @@ def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> str:
     marks = []
     for station in stations:
         if station["x_panel_mm"] is not None:
-            radius = {"red": 5, "blue": 4}.get(station["severity"], 2.5) * unit
-            marks.append(
-                f'<circle cx="{station["x_panel_mm"]:.2f}" cy="{-station["y_panel_mm"]:.2f}" r="{radius:.2f}" '
-                f'fill="{COLOURS[station["severity"]]}"/>'
-            )
+            title = escape(f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}")
+            marks.append(_placed(station["x_panel_mm"], -station["y_panel_mm"], 0.6 * unit, station["severity"], title))
     for rivet in rivets:
         if rivet["x_panel_mm"] is not None:
-            place = f"translate({rivet['x_panel_mm']:.2f} {-rivet['y_panel_mm']:.2f}) scale({unit:.4f})"
-            marks.append(f'<g transform="{place}">{_symbol(0, 0, rivet["severity"], _title(rivet))}</g>')
+            place = rivet["x_panel_mm"], -rivet["y_panel_mm"]
+            marks.append(_placed(*place, unit, rivet["severity"], _title(rivet)))
     return (
         f'<svg viewBox="{x0:.1f} {-y1:.1f} {x1 - x0:.1f} {y1 - y0:.1f}" xmlns="http://www.w3.org/2000/svg" role="img" '
         f'style="border:1px solid #d7dde3;max-height:520px;width:100%">{"".join(marks)}</svg>'

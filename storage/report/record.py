@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.errors import SpecError, StoreError
+from metrology.errors import StoreError
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
 from storage.documents import read_json
-from storage.panel_spec import panel_spec_from
+from storage.panel_spec import judged_by
 from storage.review import Entry, ReviewLog
 
 Row = Mapping[str, Any]
@@ -93,7 +93,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
     decisions = tuple(entry for entry in ReviewLog(store.root).read().entries if entry.scene_id == scene_id)
     return SceneRecord(
         scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
-        _limits(manifest, paths.bundle / MANIFEST), decisions,
+        judged_by(manifest, paths.bundle / MANIFEST), decisions,
     )  # fmt: skip
 
 
@@ -108,12 +108,6 @@ def panel_record(store: Store, aircraft_serial: str, panel: str) -> PanelRecord:
     if not found:
         raise StoreError(f"{store.root}: found no scene of {aircraft_serial} {panel}, expected at least one")
     return PanelRecord(aircraft_serial, panel, tuple(scene_record(store, row["scene_id"]) for row in found))
-
-
-def _limits(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:
-    with contextlib.suppress(SpecError):  # a run of an older version, whose specification had another form
-        return panel_spec_from(manifest.get("panel_spec", {}), path).limits
-    return None
 
 
 def _rows(store: Store, sql: str, *values: str) -> tuple[Row, ...]:

@@ -8,8 +8,9 @@ from storage.report.drawings import heights_chart, marked_picture
 from storage.report.markup import data_uri, figure, moment, page
 from storage.report.record import SceneRecord
 from storage.report.sections import decisions_table, limits_table, rivet_table, seams, traceability, verdict
+from storage.report.verdicts import KEY
 
-_MARKS = "Rings and dots by verdict: green thin: meets the limits; blue dashed: outside; red thick: seriously outside."
+_MARKS = f"Rims and symbols: {KEY}."
 
 
 def scene_page(record: SceneRecord) -> str:

@@ -57,7 +57,7 @@ def test_a_bent_seam_has_the_same_sides_all_along(scan, upright):
     rows = measured([replace(whole, centre_px=ends)], scan)
     assert is_upright(ends) is upright
     assert len(rows) > 60
-    # Side B is the right one, lower here, of an upright seam, and the lower one in the picture, higher here, of another.
+    # Side B is the right one, lower here, of an upright seam, else the one below, higher here.
     assert [row.step_mm for row in rows] == pytest.approx([-STEP if upright else STEP] * len(rows), abs=0.03)
     higher = np.array([row.fit.frame.axes[0] for row in rows]) * (-1 if upright else 1)
     beside = scan.rig.left.project(np.array([row.fit.frame.origin for row in rows]) + 4.0 * higher)
