@@ -67,6 +67,10 @@ class Standard:
         return bool(self.scales)
 
 
+PLAIN = Standard(None)
+"""Values as they are."""
+
+
 def standard_of(groups: Sequence[LimitGroup]) -> Standard:
     """What the values of these groups can be held against together."""
     shown = [group for group in groups if group.n]

@@ -11,7 +11,7 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.findings import Selection
-from dashboard.standard import SIGNS, LimitGroup, Standard
+from dashboard.standard import PLAIN, SIGNS, LimitGroup, Standard
 from metrology.errors import FlushlineError
 from metrology.requirements import limit_of
 from metrology.statistics import Capability, capability, capability_from_moments, pooled_sigma
@@ -105,7 +105,7 @@ class Subject:
 
 def limit_groups(archive: Archive, subject: Subject, quantity: Quantity, selection: Selection) -> list[LimitGroup]:
     """By which limits the values of a trend were judged: those that each run's own specification gives."""
-    values, parameters = _values(subject, quantity, selection, Standard(None))
+    values, parameters = _values(subject, quantity, selection, PLAIN)
     rows = archive.rows(
         "SELECT config_hash, panel_spec, zone, downstream, max(bundle_path) AS bundle_path, "
         # A step of nothing says nothing of the wind.
@@ -157,7 +157,7 @@ def _values(subject: Subject, quantity: Quantity, selection: Selection, standard
 
 
 def series(
-    archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard
+    archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard = PLAIN
 ) -> pd.DataFrame:
     """One row per scan (rivet, seam) or aircraft (panel, type), in the order of time.
 
@@ -198,7 +198,7 @@ class Spread:
 
 
 def spread(
-    archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard
+    archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard = PLAIN
 ) -> Spread | None:
     """Distribution of all single values; None where there are fewer than two."""
     everything, known = _values(subject, quantity, selection, standard)

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from metrology.fastener import size_said, size_verdict
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
 from metrology.requirements import Requirement, rivet_requirements, station_requirements
 from metrology.results import Decision, Rivet, SeamStation, Severity
@@ -54,6 +55,14 @@ def _judge(required: Requirement) -> _Verdict:
     return _Verdict(severity, decision, said)
 
 
+def _judge_size(rivet: Rivet) -> _Verdict:
+    """Another fastener than the pattern's is a finding whatever its height."""
+    verdict, said = size_verdict(rivet), size_said(rivet)
+    if verdict == "wrong":
+        return _Verdict("red", "fail", said)
+    return _Verdict("blue", "conditional fail", said) if verdict == "doubtful" else _Verdict(None, "no limit", None)
+
+
 def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
     decision = min((v.decision for v in verdicts), key=list(DECISIONS).index)
     colours: list[Severity] = [v.severity for v in verdicts if v.severity is not None]
@@ -69,7 +78,8 @@ def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
     """The rivets with severity, decision and the reason for anything short of a pass."""
     judged = []
     for rivet in rivets:
-        verdict = _gravest([_judge(required) for required in rivet_requirements(rivet, spec)], rivet.reason)
+        parts = [_judge_size(rivet), *(_judge(required) for required in rivet_requirements(rivet, spec))]
+        verdict = _gravest(parts, rivet.reason)
         judged.append(replace(rivet, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason))
     return judged
 

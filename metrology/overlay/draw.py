@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
+from metrology.fastener import size_verdict
 from metrology.overlay.layout import Layout
 from metrology.overlay.legend import draw_legend, entries
 from metrology.overlay.marks import (
@@ -203,7 +204,8 @@ def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
 def _rivet_text(rivet: Rivet) -> str:
     if rivet.height_mean_mm is None:
         return _MISSING if (rivet.reason or "").startswith(_MISSING.lower()) else "?"
-    return f"{_signed(rivet.height_mean_mm)}{_star(rivet.decision)}"
+    size = f" SIZE {rivet.diameter_mm:.1f}" if size_verdict(rivet) == "wrong" else ""
+    return f"{_signed(rivet.height_mean_mm)}{_star(rivet.decision)}{size}"
 
 
 def _seam_text(station: SeamStation) -> str:

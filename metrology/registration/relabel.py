@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 MISSING = "missing"
 UNLISTED = "not in the panel's pattern"
 
-_DIAMETER_TOLERANCE = 0.1  # of the nominal one; heads of neighbouring sizes differ by more
-
 _COURSE_SAMPLE_MM = 2.0
 
 
@@ -61,8 +59,9 @@ def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: R
         if nominal is None:
             unlisted.append(replace(placed(rivet, known.placement), reason=_joined(rivet.reason, UNLISTED)))
         else:
-            reason = _joined(rivet.reason, _wrong_size(rivet, nominal))
-            named = replace(rivet, rivet_id=nominal.rivet_id, zone=nominal.zone, reason=reason)
+            named = replace(
+                rivet, rivet_id=nominal.rivet_id, zone=nominal.zone, diameter_nominal_mm=nominal.diameter_mm
+            )
             listed.append(placed(named, known.placement))
     listed.sort(key=lambda rivet: rivet.rivet_id)
     unlisted.sort(key=lambda rivet: (rivet.v_px, rivet.u_px))
@@ -105,15 +104,6 @@ def relabel_stations(
 
 def _joined(reason: str | None, addition: str | None) -> str | None:
     return "; ".join(part for part in (reason, addition) if part) or None
-
-
-def _wrong_size(rivet: Rivet, nominal: NominalRivet) -> str | None:
-    """What is to be said of a head whose diameter is not the nominal one."""
-    if rivet.diameter_mm is None or nominal.diameter_mm is None:
-        return None
-    if abs(rivet.diameter_mm / nominal.diameter_mm - 1) <= _DIAMETER_TOLERANCE:
-        return None
-    return f"diameter {rivet.diameter_mm:.1f} mm, expected {nominal.diameter_mm:.1f} mm"
 
 
 def _missing_rivet(nominal: NominalRivet, placement: Placement, reconstruction: Reconstruction) -> Rivet:

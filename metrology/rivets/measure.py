@@ -145,6 +145,7 @@ def _row(
         y_mm=float(centre[1]),
         z_mm=float(centre[2]),
         diameter_mm=2 * circle.radius,
+        diameter_u95_mm=_diameter_u95(detection, p.guard / p.guard_px),
         height_mean_mm=f.mean,
         height_min_mm=f.low,
         height_max_mm=f.high,
@@ -161,6 +162,16 @@ def _row(
             p.frame, outcome.skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)
         ),
     )
+
+
+def _diameter_u95(detection: RivetDetection, pixel_mm: float) -> float:
+    """Expanded uncertainty of a head's diameter, mm: of the ring's fit, and that its edge lies somewhere in the ring.
+
+    Dirt, paint and wear widen the dark line or move its middle, at most to its border.
+    """
+    of_axes = 0.5 * float(np.sqrt(detection.covariance[2, 2] + detection.covariance[3, 3]))
+    line = detection.rim_sigma_px if detection.rim_sigma_px is not None else 0.0
+    return pixel_mm * float(np.hypot(COVERAGE_95 * of_axes, line))
 
 
 def _circle(detection: RivetDetection, fits: Fits, head: Polynomial, reconstruction: Reconstruction) -> Circle:
