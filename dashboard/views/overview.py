@@ -10,7 +10,7 @@ from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import STATION_ID, Selection
 from dashboard.frame import Desk, go, link, plain
 from dashboard.habits import Habits
-from dashboard.palette import DECISION_MARKS, DECISION_SIGNS
+from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
 from dashboard.tables import show_table
 
 TITLE = "Overview"
@@ -93,10 +93,7 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    counts = {
-        decision: int(panels[decision.replace(" ", "_")].sum())
-        for decision in ("fail", "conditional fail", "not measured", "conditional pass")
-    }
+    counts = {decision: int(panels[decision.replace(" ", "_")].sum()) for decision in OPEN_DECISIONS}
     return {**counts, "pass": max(0, int(panels["features"].sum()) - sum(counts.values()))}
 
 

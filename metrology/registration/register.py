@@ -137,7 +137,7 @@ def register(
         rms_mm=float(np.sqrt((distances**2).mean())) if len(distances) else None,
         shift_mm=shift,
         turn_deg=turn_deg,
-        warnings=tuple([*_warnings(ranked, shift, turn_deg, known.missing, settings), *_other_sizes(named)]),
+        warnings=(*_warnings(ranked, shift, turn_deg, known.missing, settings), *_other_sizes(named)),
     )
 
 

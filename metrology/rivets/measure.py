@@ -164,14 +164,14 @@ def _row(
     )
 
 
-def _diameter_u95(detection: RivetDetection, pixel_mm: float) -> float:
+def _diameter_u95(detection: RivetDetection, pixel_mm: float) -> float | None:
     """Expanded uncertainty of a head's diameter, mm: of the ring's fit, and that its edge lies somewhere in the ring.
 
     Dirt, paint and wear widen the dark line or move its middle, at most to its border.
     """
     of_axes = 0.5 * float(np.sqrt(detection.covariance[2, 2] + detection.covariance[3, 3]))
     line = detection.rim_sigma_px if detection.rim_sigma_px is not None else 0.0
-    return pixel_mm * float(np.hypot(COVERAGE_95 * of_axes, line))
+    return pixel_mm * float(np.hypot(COVERAGE_95 * of_axes, line)) if np.isfinite(of_axes) else None
 
 
 def _circle(detection: RivetDetection, fits: Fits, head: Polynomial, reconstruction: Reconstruction) -> Circle:

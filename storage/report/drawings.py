@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import Any
 
 import cv2
@@ -23,6 +23,15 @@ _PICTURE_WIDTH = 1200  # px of the picture in the page; the camera's own resolut
 _JPEG_QUALITY = 82
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 1100, 230, 62, 34
 _BROKEN = "2 4"  # the rim of a head that was not judged
+_ARM = 0.3  # half the width of a cross's arms
+_CORNERS: dict[Symbol, list[tuple[float, float]]] = {
+    "diamond": [(0, -1), (1, 0), (0, 1), (-1, 0)],
+    "cross": [
+        (_ARM, 0), (1, 1 - _ARM), (1 - _ARM, 1), (0, _ARM), (_ARM - 1, 1), (-1, 1 - _ARM),
+        (-_ARM, 0), (-1, _ARM - 1), (_ARM - 1, -1), (0, -_ARM), (1 - _ARM, -1), (1, _ARM - 1),
+    ],
+}  # fmt: skip
+"""Of symbols with corners, for a size of 1."""
 _SIZE: dict[Symbol, float] = {"disc": 4.5, "diamond": 6.5, "cross": 5.5, "ring": 4.5}
 
 
@@ -119,42 +128,41 @@ def _svg(content: str) -> str:
     )
 
 
-def _limit_lines(axes: _Axes, limit: Limit | None) -> str:
-    if limit is None:
-        return ""
+def _limit_lines(axes: _Axes, places: Sequence[tuple[float, float]], limits: Sequence[Limit | None]) -> str:
+    """The limits of features that stand one beside the other, each over its own stretch of x; equal ones run on."""
     lines = []
-    for value, serious in (
-        (limit.lower, False),
-        (limit.upper, False),
-        (limit.serious_lower, True),
-        (limit.serious_upper, True),
-    ):
-        if value is not None and axes.y0 < value < axes.y1:
-            colour, dash = (COLOURS["red"], "2 3") if serious else (COLOURS["blue"], "8 4")
+    for kind, (colour, dash) in enumerate((*[(COLOURS["blue"], "8 4")] * 2, *[(COLOURS["red"], "2 3")] * 2)):
+        values = [limit.bounds[kind] if limit else None for limit in limits]
+        for value, run in groupby(range(len(values)), key=values.__getitem__):
+            if value is None or not axes.y0 < value < axes.y1:
+                continue
+            members = list(run)
+            x1, x2, y = axes.x(places[members[0]][0]), axes.x(places[members[-1]][1]), axes.y(value)
             lines.append(
-                f'<line x1="{_LEFT}" x2="{_WIDTH - 12}" y1="{axes.y(value):.1f}" y2="{axes.y(value):.1f}" '
+                f'<line x1="{x1:.1f}" x2="{x2:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
                 f'stroke="{colour}" stroke-dasharray="{dash}"><title>limit {value:g}</title></line>'
             )
     return "".join(lines)
 
 
-def _span(values: Sequence[float], limit: Limit | None) -> tuple[float, float]:
+def _span(values: Sequence[float], limits: Sequence[Limit | None]) -> tuple[float, float]:
     """Range of values, with the limits that are near it."""
     low, high = min(values), max(values)
     reach = max(high - low, 1e-3)
-    near = [v for v in ((limit.lower, limit.upper) if limit else ()) if v is not None]
+    near = {v for limit in limits if limit for v in (limit.lower, limit.upper) if v is not None}
     inside = [v for v in near if low - 2 * reach <= v <= high + 2 * reach]
     return min([low, *inside]), max([high, *inside])
 
 
-def heights_chart(rivets: Sequence[Row], limit: Limit | None) -> str:
-    """Height of each rivet with its U95, and the limits; "" where nothing was measured."""
+def heights_chart(rivets: Sequence[Row], limits: Sequence[Limit | None]) -> str:
+    """Height of each rivet with its U95, and its own limits; "" where nothing was measured."""
     shown = [r for r in rivets if r["height_mean_mm"] is not None]
     if not shown:
         return ""
     values = [r["height_mean_mm"] for r in shown]
-    axes = _Axes((0, len(rivets) + 1), _span([*values, 0.0], limit))
-    marks = [axes.frame("height, mm"), _limit_lines(axes, limit)]
+    axes = _Axes((0, len(rivets) + 1), _span([*values, 0.0], limits))
+    places = [(k - 0.5, k + 0.5) for k in range(1, len(rivets) + 1)]
+    marks = [axes.frame("height, mm"), _limit_lines(axes, places, limits)]
     every = max(1, len(rivets) // 40)
     for k, rivet in enumerate(rivets, 1):
         x = axes.x(k)
@@ -177,27 +185,22 @@ def heights_chart(rivets: Sequence[Row], limit: Limit | None) -> str:
 def _symbol(x: float, y: float, severity: Severity | None, title: str) -> str:
     """The severity's symbol, with a white edge on whatever lies under it."""
     look = SEVERITIES[severity]
-    r, colour, said = _SIZE[look.symbol], look.paper, f"<title>{title}</title>"
-    if look.symbol == "diamond":
-        corners = f"{x:.1f},{y - r:.1f} {x + r:.1f},{y:.1f} {x:.1f},{y + r:.1f} {x - r:.1f},{y:.1f}"
-        return f'<polygon points="{corners}" fill="{colour}" stroke="#fff">{said}</polygon>'
-    if look.symbol == "cross":
-        arms = f"M{x - r:.1f} {y - r:.1f}L{x + r:.1f} {y + r:.1f}M{x - r:.1f} {y + r:.1f}L{x + r:.1f} {y - r:.1f}"
-        edge = f'<path d="{arms}" fill="none" stroke="#fff" stroke-width="5.5"/>'
-        return f'{edge}<path d="{arms}" fill="none" stroke="{colour}" stroke-width="3.5">{said}</path>'
-    if look.symbol == "disc":
-        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" fill="{colour}" stroke="#fff">{said}</circle>'
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" fill="#fff" stroke="{colour}" stroke-width="2">{said}</circle>'
+    r, said = _SIZE[look.symbol], f"<title>{title}</title>"
+    if look.symbol in _CORNERS:
+        corners = " ".join(f"{x + r * a:.1f},{y + r * b:.1f}" for a, b in _CORNERS[look.symbol])
+        return f'<polygon points="{corners}" fill="{look.paper}" stroke="#fff">{said}</polygon>'
+    fill, edge, width = (look.paper, "#fff", 1) if look.symbol == "disc" else ("#fff", look.paper, 2)
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" fill="{fill}" stroke="{edge}" stroke-width="{width}">{said}</circle>'
 
 
-def seam_chart(stations: Sequence[Row], quantity: str, limit: Limit | None) -> str:
-    """Step or width along a seam with its U95 band and the limits; "" where nothing was measured."""
+def seam_chart(stations: Sequence[Row], quantity: str, limits: Sequence[Limit | None]) -> str:
+    """Step or width along a seam with its U95 band and each place's limits; "" where nothing was measured."""
     name = f"{quantity}_mm"
     shown = [s for s in stations if s[name] is not None]
     if not shown:
         return ""
-    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span([s[name] for s in shown], limit))
-    marks = [axes.frame(f"{quantity}, mm"), _limit_lines(axes, limit)]
+    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span([s[name] for s in shown], limits))
+    marks = [axes.frame(f"{quantity}, mm"), _limit_lines(axes, _stretches(stations), limits)]
     for measured, run in groupby(stations, key=lambda s: s[name] is not None):
         if not measured:
             continue
@@ -212,6 +215,13 @@ def seam_chart(stations: Sequence[Row], quantity: str, limit: Limit | None) -> s
         marks.append(f'<text x="{axes.x(tick):.1f}" y="{_HEIGHT - 14}" text-anchor="middle">{tick:g}</text>')
     marks.append(f'<text x="{_WIDTH - 12}" y="{_HEIGHT - 1}" text-anchor="end">mm along the seam</text>')
     return _svg("".join(marks))
+
+
+def _stretches(stations: Sequence[Row]) -> list[tuple[float, float]]:
+    """Half-way to the neighbours on both sides, mm along the seam."""
+    s = [float(station["s_mm"]) for station in stations]
+    middles = [s[0], *(0.5 * (a + b) for a, b in pairwise(s)), s[-1]]
+    return list(pairwise(middles))
 
 
 def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> str:

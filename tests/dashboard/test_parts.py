@@ -308,11 +308,11 @@ def test_html_report_is_one_safe_page(archive: Archive) -> None:
 
 def test_trend_of_a_drifting_rivet(archive: Archive) -> None:
     subject = Subject("rivet", "LH-F12", "S1", "R09")
-    rows = series(archive, subject, QUANTITIES["height"], Selection(), Standard(None))
+    rows = series(archive, subject, QUANTITIES["height"], Selection())
     assert len(rows) == 6
     assert (np.diff(rows["value"]) > 0).all()
     assert [event.text for event in events(rows)] == ["rig-2026-11-17", "version 0.2.0"]
-    values = spread(archive, subject, QUANTITIES["height"], Selection(), Standard(None))
+    values = spread(archive, subject, QUANTITIES["height"], Selection())
     assert values is not None
     assert values.counts.sum() == values.n == 6
     assert values.mean == pytest.approx(rows["value"].mean())
@@ -324,12 +324,12 @@ def test_trend_of_a_drifting_rivet(archive: Archive) -> None:
 
 def test_trend_of_a_panel_counts_every_value(archive: Archive) -> None:
     subject = Subject("panel", "LH-F12")
-    values = spread(archive, subject, QUANTITIES["step"], Selection(), Standard(None))
+    values = spread(archive, subject, QUANTITIES["step"], Selection())
     total = archive.rows("SELECT count(step_mm) AS n FROM seam_stations WHERE panel = 'LH-F12'")["n"][0]
     assert values is not None
     assert values.n == values.counts.sum() == total
-    assert spread(archive, Subject("panel", "nowhere"), QUANTITIES["step"], Selection(), Standard(None)) is None
-    rows = series(archive, subject, QUANTITIES["step"], Selection(), Standard(None))
+    assert spread(archive, Subject("panel", "nowhere"), QUANTITIES["step"], Selection()) is None
+    rows = series(archive, subject, QUANTITIES["step"], Selection())
     found = capability_of(subject, rows, values, Limit(-0.2, 0.2))
     assert found is not None
     assert found.cp is not None
