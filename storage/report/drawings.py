@@ -190,7 +190,8 @@ def _symbol(x: float, y: float, severity: Severity | None, title: str) -> str:
         corners = " ".join(f"{x + r * a:.1f},{y + r * b:.1f}" for a, b in _CORNERS[look.symbol])
         return f'<polygon points="{corners}" fill="{look.paper}" stroke="#fff">{said}</polygon>'
     fill, edge, width = (look.paper, "#fff", 1) if look.symbol == "disc" else ("#fff", look.paper, 2)
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" fill="{fill}" stroke="{edge}" stroke-width="{width}">{said}</circle>'
+    style = f'fill="{fill}" stroke="{edge}" stroke-width="{width}"'
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" {style}>{said}</circle>'
 
 
 def seam_chart(stations: Sequence[Row], quantity: str, limits: Sequence[Limit | None]) -> str:

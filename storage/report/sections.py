@@ -97,7 +97,7 @@ def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
         for quantity in ("step", "width"):
             if chart := seam_chart(course, quantity, feature_limits(course, f"{quantity}_mm", limits)):
                 said = f"{quantity} along seam {seam_id}; grey: U95; dashed: the limits judged by"
-                parts.append(figure(chart, said + (", by wind too" if quantity == "step" else "")))
+                parts.append(figure(chart, said + (" (zone and wind)" if quantity == "step" else "")))
         attention = [s for s in course if needs_attention(s)]
         if attention:
             parts.append(f"<details open><summary>{len(attention)} positions need attention</summary>")
