@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, PixelFlag, Reconstruction
+from metrology.fits import FittedRivet, FittedStation, HeadFit, SectionFit, SkinLine
 from metrology.inspection import InspectionResult
 from metrology.overlay import draw_overlay
 from metrology.results import Rivet, SceneKey, SeamStation
 from metrology.rig import Device, Rig
+from metrology.rivets.flushness import mean_height
+from metrology.seams.gap import GapEdge, gap_width, step_height
+from metrology.surfaces import Frame, monomials
 from metrology.tolerance import judge_rivets, judge_stations
 from storage.panel_spec import load_panel_spec
 from storage.rig import rig_document
@@ -210,7 +214,7 @@ def _rivets(rig: Rig, recipe: Recipe, heads: list[_Head], rng: np.random.Generat
         pixels = rig.left.project(rim)
         (u, v), (major, minor) = rig.left.project(centre), np.ptp(pixels, axis=0)
         right = rig.right.project(centre)
-        rivet = Rivet(
+        rivet = FittedRivet(
             f"R{i + 1:02d}",
             *centre.tolist(),
             u_px=float(u),
@@ -226,7 +230,8 @@ def _rivets(rig: Rig, recipe: Recipe, heads: list[_Head], rng: np.random.Generat
         if i in recipe.unmeasured:
             rivets.append(replace(rivet, reason="skin: points in 5 of 12 directions, at least 7 needed"))
             continue
-        height = head.height + float(rng.normal(0, 0.001))
+        fit = _head_fit(head, head.height + float(rng.normal(0, 0.001)), recipe)
+        height = mean_height(fit.head, fit.skin, fit.x, fit.y, fit.radius)
         rise = head.radius * np.tan(np.radians(recipe.tilt_deg))
         rivets.append(
             replace(
@@ -243,9 +248,39 @@ def _rivets(rig: Rig, recipe: Recipe, heads: list[_Head], rng: np.random.Generat
                 rms_inner_mm=0.0041,
                 rms_outer_mm=0.0042,
                 zone="default",
+                fit=fit,
             )
         )
     return rivets
+
+
+def _skin_at(x: float, y: float, reach: float) -> tuple[Frame, Array]:
+    """A frame on the skin with h along its normal, and the skin's coefficients in it."""
+    slope = np.array([x / SKIN_RADIUS_MM, 0.05, -1.0])
+    frame = Frame.on_plane([x, y, float(_skin(np.array(x), np.array(y)))], slope)
+    near = np.mgrid[-1:1:9j, -1:1:9j].reshape(2, -1) * reach + np.array([[x], [y]])
+    local = frame.local(np.stack([*near, _skin(*near)], axis=-1))
+    return frame, np.linalg.lstsq(monomials(local[:, 0], local[:, 1], 2), local[:, 2], rcond=None)[0]
+
+
+def _head_fit(head: _Head, height: float, recipe: Recipe) -> HeadFit:
+    """The made-up head's plane over the skin."""
+    frame, skin = _skin_at(head.x, head.y, 3 * head.radius)
+    above = height * float(np.hypot(1, np.hypot(*skin[1:3])))
+    plane = skin[:3] + np.array([above, np.tan(np.radians(recipe.tilt_deg)), 0.0])
+    r = head.radius
+    return HeadFit(frame, skin, plane, 0.0, 0.0, r, 0.8 * r, (1.2 * r, max(3 * r, r + 4)))
+
+
+def _section_fit(y: float, step: float, width: float) -> SectionFit:
+    """The made-up seam's skin lines and edges."""
+    surface, skin = _skin_at(SEAM_X_MM, y, 14.0)
+    across, h = surface.axes[0], surface.axes[2]
+    frame = Frame(surface.origin, np.stack([across, np.cross(h, across), h]))
+    a = skin[[0, 1, 3]]
+    lines = SkinLine(a, 640), SkinLine(a + np.array([step, 0.0, 0.0]), 655)
+    half, depths = width / 2, (CHAMFER_MM, CHAMFER_MM)
+    return SectionFit(frame, *lines, (-half, half), depths, half + 0.8, half + 14.8, 2.0)
 
 
 def _stations(rig: Rig, recipe: Recipe, rng: np.random.Generator) -> list[SeamStation]:
@@ -253,22 +288,25 @@ def _stations(rig: Rig, recipe: Recipe, rng: np.random.Generator) -> list[SeamSt
     reach = FIELD_MM * recipe.size[1] / recipe.size[0] / 2 - 8
     for y in np.arange(-reach, reach, STATION_STEP_MM):
         step, width = float(_step(recipe, y)), float(_width(recipe, y))
+        fit = _section_fit(y, step + float(rng.normal(0, 0.002)), width + float(rng.normal(0, 0.006)))
+        edges = (GapEdge(x, CHAMFER_MM) for x in fit.edges_mm)
         middle = np.array([SEAM_X_MM, y, float(_skin(np.array(SEAM_X_MM), np.array(y))) - step / 2])
         u, v = rig.left.project(middle)
         stations.append(
-            SeamStation(
+            FittedStation(
                 "M1",
                 float(y + reach),
                 *middle.tolist(),
                 u_px=float(u),
                 v_px=float(v),
-                step_mm=step + float(rng.normal(0, 0.002)),
+                step_mm=step_height(fit, *fit.edges_mm),
                 step_u95_mm=0.005,
-                width_mm=width + float(rng.normal(0, 0.006)),
+                width_mm=gap_width(fit, *edges),
                 width_u95_mm=0.02,
                 n_left=640,
                 n_right=655,
                 zone="default",
+                fit=fit,
             )
         )
     return stations

@@ -1,7 +1,8 @@
-"""Close-ups: what the stored cloud shows at one rivet, or across a seam at one station.
+"""Close-ups: what a rivet's height, or a seam station's step and width, was measured on.
 
-Drawn from the stored cloud (rounded to 1 µm) with the same fits as the inspection; the values that count are the stored
-ones, and the pages show those.
+The surfaces and lines are those that the inspection kept with its run, and its points are those of the stored cloud
+(rounded to 1 µm). Nothing is fitted here: with the kept fit and the inspection's own functions the value must come out
+as the table has it; where it does not, nothing is drawn.
 """
 
 from __future__ import annotations
@@ -13,19 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import MISSING, PixelFlag
-from metrology.surfaces import Frame, Polynomial, fit_surface
+from metrology.fits import HeadFit, SectionFit
+from metrology.surfaces import monomials, tangent_rows
 from storage.cloud import StoredCloud
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Place = tuple[float, float]
 
-_INNER, _OUTER = 0.85, (1.1, 2.0)
-_LEAST_OUTER_MM = 4.0
-_GUARD_PX = 2.0
+_AIR = 1.15  # of what is drawn beyond the points that were used
 _FEWEST = 40
-_STRIP_MM = 1.5
-_SECTION_REACH_MM = 10.0
-_SKIN_BAND_MM = 1.0
+# Tables are rounded to 0.01 µm; what differs by more was not computed like this.
+_SAME_MM = 2e-5
+_SKIN_BAND_MM = 3.0
+NOT_KEPT = (
+    "this run kept no fit of it (it is of an older version, or was not measured); inspect the scan again to see one"
+)
 
 
 @dataclass(frozen=True)
@@ -39,13 +43,12 @@ class RivetCloseUp:
     x, y : (n,) ndarray
         Along the skin from the head's centre, mm.
     deviation : (n,) ndarray
-        Above the skin's quadric, mm.
+        Above the skin's surface as fitted, mm.
     inner, outer : (n,) ndarray of bool
-        Points that head and skin were fitted to.
-    radius : float
-        Of the head, mm.
-    head : Polynomial
-        The head's plane, over the skin's quadric.
+        Points where those of head and skin were taken from.
+    fit : HeadFit
+    height : float
+        Of the head as the fit gives it, mm.
     along : float
         Direction in which the head rises most, radians from x towards y.
     """
@@ -57,8 +60,8 @@ class RivetCloseUp:
     deviation: Array
     inner: Mask
     outer: Mask
-    radius: float
-    head: Polynomial
+    fit: HeadFit
+    height: float
     along: float
 
     def section(self, half_width: float) -> tuple[Array, Array, Mask, Mask]:
@@ -75,48 +78,52 @@ class RivetCloseUp:
         near = np.abs(across) < half_width
         return (c * self.x + s * self.y)[near], self.deviation[near], self.inner[near], self.outer[near]
 
+    def head(self, position: Array) -> Array:
+        """(n,) the head's surface above the skin's at places along that line, mm."""
+        x = self.fit.x + position * np.cos(self.along)
+        y = self.fit.y + position * np.sin(self.along)
+        return _height(self.fit.head, x, y) - _height(self.fit.skin, x, y)
 
-def rivet_close_up(cloud: StoredCloud, rivet: Any) -> RivetCloseUp | str:
-    """The close-up of a row of `rivets`, or why there is none."""
-    numbers = [rivet.x_mm, rivet.y_mm, rivet.z_mm, rivet.diameter_mm, rivet.u_px, rivet.v_px, rivet.major_px]
+
+def rivet_close_up(cloud: StoredCloud, rivet: Any, fit: HeadFit | None) -> RivetCloseUp | str:
+    """The close-up of a row of `rivets` from the fit that its run kept, or why there is none."""
+    from metrology.rivets.flushness import mean_height
+
+    numbers = [rivet.u_px, rivet.v_px, rivet.major_px, rivet.height_mean_mm]
+    if fit is None:
+        return NOT_KEPT
     if not all(_is_number(value) for value in numbers):
-        return "the head has no position in space"
-    x, y, z, diameter, u, v, major = (float(value) for value in numbers)
-    if diameter <= 0 or major <= 0:
-        return "the head has no size"
-    radius = diameter / 2
-    scale = major / diameter
-    reach = max(_OUTER[1] * radius, radius + _LEAST_OUTER_MM)
-    window = _window(cloud, u, v, reach * scale + 3)
+        return "the head was not measured"
+    u, v, major, stored = (float(value) for value in numbers)
+    height = mean_height(fit.head, fit.skin, fit.x, fit.y, fit.radius)
+    if abs(height - stored) > _SAME_MM:
+        return _differs("height", height, stored)
+    reach = _AIR * fit.outer_mm[1]
+    window = _window(cloud, u, v, reach * major / (2 * fit.radius) + 3)
     if window is None:
         return "the head lies outside the picture"
     rows, columns = window
-    points = cloud.points[rows, columns].astype(float)
-    centre = np.array([x, y, z])
-    distance = np.linalg.norm(points - centre, axis=1)
-    near = distance < reach * 1.3
-    rows, columns, points, distance = rows[near], columns[near], points[near], distance[near]
-    skin_ring = (distance > _OUTER[0] * radius) & (distance < reach)
-    if skin_ring.sum() < _FEWEST:
-        return f"{int(skin_ring.sum())} points on the skin around the head"
-    usable = (cloud.flags[rows, columns] & np.uint16(MISSING | PixelFlag.EDGE)) == 0
-    frame = _frame_on(points[skin_ring], centre)
-    local = frame.local(points)
-    r = np.hypot(local[:, 0], local[:, 1])
-    guard = _GUARD_PX / scale
-    inner = usable & (r < max(min(_INNER * radius, radius - guard), 0.5 * radius))
-    outer = usable & (r > max(_OUTER[0] * radius, radius + guard)) & (r < reach)
-    sigma = np.maximum(np.nan_to_num(cloud.sigma_z[rows, columns].astype(float), nan=1e-3), 1e-5)
-    generator = np.random.default_rng(0)
-    skin = _fit(local, sigma, outer, 2, generator)
-    if skin is None:
-        return f"{int(outer.sum())} usable points on the skin around the head"
-    deviation = local[:, 2] - skin.height(local[:, 0], local[:, 1])
-    head = _fit(np.column_stack([local[:, :2], deviation]), sigma, inner, 1, generator)
-    if head is None:
-        return f"{int(inner.sum())} usable points on the head"
-    along = float(np.arctan2(head.coefficients[2], head.coefficients[1]))
-    return RivetCloseUp(columns, rows, local[:, 0], local[:, 1], deviation, inner, outer, radius, head, along)
+    local = fit.frame.local(cloud.points[rows, columns])
+    near = (np.hypot(local[:, 0], local[:, 1]) < reach) & (np.abs(local[:, 2]) < _SKIN_BAND_MM)
+    rows, columns, (x, y, h) = rows[near], columns[near], local[near].T
+    if len(x) < _FEWEST:
+        return f"the stored cloud has {len(x)} points there"
+    usable = _usable(cloud, rows, columns)
+    r = np.hypot(x, y)
+    slopes = [tangent_rows(fit.x, fit.y, _order(c))[1:] @ c for c in (fit.head, fit.skin)]
+    rise = slopes[0] - slopes[1]
+    return RivetCloseUp(
+        u=columns,
+        v=rows,
+        x=x - fit.x,
+        y=y - fit.y,
+        deviation=h - _height(fit.skin, x, y),
+        inner=usable & (r < fit.inner_mm),
+        outer=usable & (r > fit.outer_mm[0]) & (r < fit.outer_mm[1]),
+        fit=fit,
+        height=height,
+        along=float(np.arctan2(rise[1], rise[0])),
+    )
 
 
 @dataclass(frozen=True)
@@ -126,15 +133,18 @@ class SeamSection:
     Attributes
     ----------
     x, h : (n,) ndarray
-        Points near the section plane, mm; the origin is the middle between the ideal edges.
+        Points near the section plane, mm.
     used : (n,) ndarray of bool
-        Points that the skin lines were fitted to.
+        Points where those of the skin lines were taken from.
     line_a, line_b : (3,) ndarray
         L1 and L2: h = c0 + c1 x + c2 x², mm.
-    edge_a, edge_b : (x, h) or None
-        Ideal edges D′ and G′, on the lines.
-    lip_a, lip_b : (x, h) or None
-        D and G: the last measured point at each edge.
+    edge_a, edge_b : (x, h)
+        Where the step was taken, on the lines: the ideal edges D′ and G′ where those are known.
+    inflection_a, inflection_b : (x, h) or None
+        D and G; None where the width was not measured.
+    step : float
+        As the fit gives it, mm.
+    width : float or None
     """
 
     x: Array
@@ -142,76 +152,69 @@ class SeamSection:
     used: Mask
     line_a: Array
     line_b: Array
-    edge_a: tuple[float, float] | None
-    edge_b: tuple[float, float] | None
-    lip_a: tuple[float, float] | None
-    lip_b: tuple[float, float] | None
+    edge_a: Place
+    edge_b: Place
+    inflection_a: Place | None
+    inflection_b: Place | None
+    step: float
+    width: float | None
 
 
-def seam_section(cloud: StoredCloud, station: Any, neighbours: Array) -> SeamSection | str:
-    """The section at a row of `seam_stations`, or why there is none.
+def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> SeamSection | str:
+    """The section at a row of `seam_stations` from the fit that its run kept, or why there is none."""
+    from metrology.seams.gap import GapEdge, gap_width, inflection, step_height
 
-    Parameters
-    ----------
-    neighbours : (n, 3) ndarray
-        Midpoints of the seam's stations near this one, itself among them, in the order of s; they give its direction.
-    """
-    from metrology.seams.sections import fit_skin_lines
-
-    numbers = [station.x_mm, station.y_mm, station.z_mm, station.u_px, station.v_px]
+    numbers = [station.u_px, station.v_px, station.step_mm]
+    if fit is None:
+        return NOT_KEPT
     if not all(_is_number(value) for value in numbers):
-        return "the station has no position in space"
-    centre, (u, v) = np.array([float(value) for value in numbers[:3]]), (float(value) for value in numbers[3:])
-    neighbours = neighbours[np.isfinite(neighbours).all(axis=1)]
-    if len(neighbours) < 2:
-        return "the seam has too few stations to tell its direction"
-    direction = neighbours[-1] - neighbours[0]
+        return "the station was not measured"
+    u, v, stored = (float(value) for value in numbers)
+    step, width, points = step_height(fit, *fit.edges_mm), None, (None, None)
+    if abs(step - stored) > _SAME_MM:
+        return _differs("step", step, stored)
+    if fit.depths_mm is not None and _is_number(station.width_mm):
+        a, b = (GapEdge(*edge) for edge in zip(fit.edges_mm, fit.depths_mm, strict=True))
+        width = gap_width(fit, a, b)
+        if abs(width - float(station.width_mm)) > _SAME_MM:
+            return _differs("width", width, float(station.width_mm))
+        points = tuple((float(p[0]), float(p[1])) for p in (inflection(fit.a, a)[0], inflection(fit.b, b)[0]))
     scale = _pixels_per_mm(cloud, u, v)
-    window = _window(cloud, u, v, 1.2 * _SECTION_REACH_MM * scale) if scale else None
+    window = _window(cloud, u, v, 1.2 * fit.outer_mm * scale) if scale else None
     if window is None:
         return "there are no points around the station"
     rows, columns = window
-    points = cloud.points[rows, columns].astype(float)
-    if len(points) < _FEWEST:
-        return f"{len(points)} points around the station"
-    frame = _across(_frame_on(points, centre), direction)
-    local = frame.local(points)
-    near = (np.abs(local[:, 1]) < _STRIP_MM) & (np.abs(local[:, 0]) < _SECTION_REACH_MM)
-    local, rows, columns = local[near], rows[near], columns[near]
-    usable = (cloud.flags[rows, columns] & np.uint16(MISSING | PixelFlag.EDGE)) == 0
-    half = float(station.width_mm) / 2 if _is_number(station.width_mm) else 0.5
-    inner = half + 0.8
-    sigma = np.maximum(np.nan_to_num(cloud.sigma_z[rows, columns].astype(float), nan=1e-3), 1e-5)
-    fitted = fit_skin_lines(np.column_stack([local, sigma])[usable], -inner, inner, _SKIN_BAND_MM)
-    if fitted is None:
-        across = local[usable, 0]
-        left, right = (int(((side > inner) & (side < inner + _SKIN_BAND_MM)).sum()) for side in (-across, across))
-        return f"{left} usable points on side A and {right} on side B"
-    c = np.asarray(fitted[0], float)
-    line_a, line_b = np.array([c[0], c[1], c[4]]), np.array([c[2], c[3], c[4]])
-    x, h = local[:, 0], local[:, 1] * 0 + local[:, 2]
-    known = _is_number(station.width_mm)
+    local = fit.frame.local(cloud.points[rows, columns])
+    near = (np.abs(local[:, 1]) < fit.half_length_mm) & (np.abs(local[:, 0]) < _AIR * fit.outer_mm)
+    rows, columns, (x, _, h) = rows[near], columns[near], local[near].T
+    if len(x) < _FEWEST:
+        return f"the stored cloud has {len(x)} points there"
+    away = np.abs(x)
+    skin = (away > fit.inner_mm) & (away < fit.outer_mm) & (np.abs(h) < _SKIN_BAND_MM)
+    edges = [(x0, line.height(x0)) for x0, line in zip(fit.edges_mm, (fit.a, fit.b), strict=True)]
     return SeamSection(
-        x=x,
-        h=h,
-        used=usable & (np.abs(x) > inner),
-        line_a=line_a,
-        line_b=line_b,
-        edge_a=(-half, float(np.polyval(line_a[::-1], -half))) if known else None,
-        edge_b=(half, float(np.polyval(line_b[::-1], half))) if known else None,
-        lip_a=_lip(x, h, -half, line_a) if known else None,
-        lip_b=_lip(x, h, half, line_b) if known else None,
+        x, h, _usable(cloud, rows, columns) & skin, fit.a.coefficients, fit.b.coefficients, *edges, *points, step, width
     )
 
 
-def _lip(x: Array, h: Array, edge: float, line: Array) -> tuple[float, float] | None:
-    """The measured point next to an ideal edge, outside the gap and near its skin line."""
-    outside = np.abs(x) >= abs(edge) - 0.05
-    close = outside & (np.sign(x) == np.sign(edge)) & (np.abs(h - np.polyval(line[::-1], x)) < _SKIN_BAND_MM)
-    if not close.any():
-        return None
-    nearest = int(np.flatnonzero(close)[np.abs(x[close] - edge).argmin()])
-    return (float(x[nearest]), float(h[nearest])) if abs(x[nearest] - edge) < 1.0 else None
+def _differs(name: str, here: float, stored: float) -> str:
+    return (
+        f"this version gets a {name} of {here:+.4f} mm from the run's own fit, the table says {stored:+.4f} mm; "
+        "inspect the scan again to see how it is measured now"
+    )
+
+
+def _order(coefficients: Array) -> int:
+    return 1 if len(coefficients) == 3 else 2
+
+
+def _height(coefficients: Array, x: Array, y: Array) -> Array:
+    return np.asarray(monomials(x, y, _order(coefficients)) @ coefficients)
+
+
+def _usable(cloud: StoredCloud, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Mask:
+    """(n,) points that are not beside an edge."""
+    return np.asarray((cloud.flags[rows, columns] & np.uint16(MISSING | PixelFlag.EDGE)) == 0)
 
 
 def _window(cloud: StoredCloud, u: float, v: float, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
@@ -236,35 +239,6 @@ def _pixels_per_mm(cloud: StoredCloud, u: float, v: float) -> float | None:
     spread_mm = np.hypot(points[:, 0].std(), points[:, 1].std())
     spread_px = np.hypot(rows.std(), columns.std())
     return float(spread_px / spread_mm) if spread_mm > 0 else None
-
-
-def _frame_on(points: Array, origin: Array) -> Frame:
-    """Frame on the plane that most points share, with the given origin."""
-    keep = np.ones(len(points), bool)
-    normal = np.array([0.0, 0.0, -1.0])
-    for _ in range(4):
-        middle = points[keep].mean(axis=0)
-        normal = np.linalg.svd(points[keep] - middle, full_matrices=False)[2][2]
-        off = np.abs((points - middle) @ normal)
-        keep = off < 3 * 1.4826 * np.median(off) + 1e-9
-    return Frame.on_plane(origin, normal)
-
-
-def _across(frame: Frame, direction: Array) -> Frame:
-    """The frame turned so that y runs along the seam and x from side A to side B (smaller u or v to larger)."""
-    along = direction - (direction @ frame.axes[2]) * frame.axes[2]
-    along = along / np.linalg.norm(along)
-    across = np.cross(along, frame.axes[2])
-    if (across[0] if abs(across[0]) > abs(across[1]) else across[1]) < 0:
-        along, across = -along, -across
-    return Frame(frame.origin, np.stack([across, along, frame.axes[2]]))
-
-
-def _fit(local: Array, sigma: Array, members: Mask, order: Any, generator: np.random.Generator) -> Polynomial | None:
-    if members.sum() < _FEWEST:
-        return None
-    x, y, h = local[members].T
-    return fit_surface(x, y, h, sigma[members], order, generator)
 
 
 def _is_number(value: object) -> bool:

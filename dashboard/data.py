@@ -19,13 +19,18 @@ import streamlit as st
 
 from metrology.errors import StoreError
 from metrology.rig import Rig
+from metrology.tolerance import PanelSpec
+from storage.archive.bundle import FITS, MANIFEST
 from storage.archive.decisions import shown_finding
 from storage.archive.store import Store
 from storage.archive.work import Standing, reviewed_features, signed_scenes, standings
 from storage.cloud import StoredCloud
+from storage.documents import read_json
+from storage.fits import StoredFits, read_fits
+from storage.panel_spec import judged_by
 from storage.review import Feature, Review, ReviewLog, ShownFinding
 
-_CACHED_QUERIES, _CACHED_GENERATIONS, _CACHED_CLOUDS = 200, 2, 2
+_CACHED_QUERIES, _CACHED_GENERATIONS, _CACHED_CLOUDS, _CACHED_SPECIFICATIONS = 200, 2, 2, 500
 
 
 class Archive:
@@ -94,9 +99,19 @@ class Archive:
         """An organised cloud."""
         return _cloud(str(self.file(relative)))
 
+    def specification(self, bundle: object) -> PanelSpec | None:
+        """The limits that a run was judged by, from its own manifest; None where they cannot be read."""
+        return _specification(str(self.file(f"{bundle}/{MANIFEST}")))
+
+    def fits(self, bundle: object) -> StoredFits:
+        """The fits that a run kept; none where it is of a version that kept none."""
+        manifest = self.file(f"{bundle}/{MANIFEST}")
+        if FITS not in (read_json(manifest, StoreError).get("files") or {}):
+            return StoredFits(())
+        return _fits(str(self.file(f"{bundle}/{FITS}")))
+
     def rig(self, bundle: object) -> Rig:
         """The rig as it was used in a run."""
-        from storage.documents import read_json
         from storage.rig import rig_from_document
 
         path = self.file(f"{bundle}/rig.json")
@@ -151,6 +166,16 @@ def _cloud(path: str) -> StoredCloud:
     from storage.cloud import read_cloud
 
     return read_cloud(Path(path))
+
+
+@st.cache_resource(max_entries=_CACHED_SPECIFICATIONS, show_spinner=False)
+def _specification(path: str) -> PanelSpec | None:
+    return judged_by(read_json(Path(path), StoreError), Path(path))
+
+
+@st.cache_resource(max_entries=_CACHED_CLOUDS, show_spinner=False)
+def _fits(path: str) -> StoredFits:
+    return read_fits(Path(path))
 
 
 def _fetch(cursor: duckdb.DuckDBPyConnection, sql: str, parameters: Sequence[Any]) -> pd.DataFrame:

@@ -9,7 +9,8 @@ from typing import Any
 import pandas as pd
 
 from dashboard.data import Archive
-from dashboard.palette import DECISIONS, OPEN_DECISIONS
+from dashboard.palette import OPEN_DECISIONS
+from storage.archive.views import RANK_SQL
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, findings_sql
 from storage.review import Feature, FeatureKind
 
@@ -25,8 +26,7 @@ OPEN, ALL = "open", "all"
 STATES = (OPEN, OPEN_WORK, DECIDED, ALL)
 """What the list may be narrowed to; open is what waits and what has open work."""
 
-_RANK = "CASE decision " + " ".join(f"WHEN '{name}' THEN {i}" for i, name in enumerate(DECISIONS)) + " ELSE 9 END"
-_ORDER = f"{_RANK}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, scene_id, feature_id"
+_ORDER = f"{RANK_SQL}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULLS LAST, scene_id, feature_id"
 
 
 @dataclass(frozen=True)

@@ -1,48 +1,31 @@
-"""Colours and shapes of verdicts: apart for colour-blind eyes on light and dark ground, and never colour alone."""
+"""The screen's colours; how verdicts look is said in `metrology.verdicts`, for screen, paper and projector at once."""
 
 from __future__ import annotations
 
+from metrology.results import Decision
+from metrology.verdicts import DECISIONS as LOOKS
+from metrology.verdicts import OPEN, SEVERITIES, Symbol
+
+GREEN, BLUE, RED, GREY = (SEVERITIES[name].screen for name in ("green", "blue", "red", None))
 # Okabe and Ito, "Color Universal Design" (2008), the lighter of each pair so that dark ground carries them too.
-GREEN, BLUE, RED, ORANGE, YELLOW, PURPLE, GREY = (
-    "#009E73",
-    "#56B4E9",
-    "#D55E00",
-    "#E69F00",
-    "#F0E442",
-    "#CC79A7",
-    "#8C8C8C",
-)
+ORANGE, YELLOW, PURPLE = "#E69F00", "#F0E442", "#CC79A7"
 INK = "#8A8F98"  # lines and text that must show on both grounds
 
-SEVERITY_COLOURS: dict[str | None, str] = {"green": GREEN, "blue": BLUE, "red": RED, None: GREY}
-SEVERITY_SYMBOLS: dict[str | None, str] = {"green": "circle", "blue": "diamond", "red": "x", None: "cross-thin"}
-SEVERITY_WORDS: dict[str | None, str] = {
-    "green": "meets the limits",
-    "blue": "slightly outside",
-    "red": "seriously outside",
-    None: "not judged",
-}
+_PLOTLY: dict[Symbol, str] = {"disc": "circle", "diamond": "diamond", "cross": "x", "ring": "circle-open"}
+SEVERITY_COLOURS: dict[str | None, str] = {name: look.screen for name, look in SEVERITIES.items()}
+SEVERITY_SYMBOLS: dict[str | None, str] = {name: _PLOTLY[look.symbol] for name, look in SEVERITIES.items()}
+SEVERITY_WORDS: dict[str | None, str] = {name: look.words for name, look in SEVERITIES.items()}
 
-DECISIONS = ("fail", "conditional fail", "not measured", "conditional pass", "pass", "no limit")
+DECISIONS: tuple[Decision, ...] = tuple(LOOKS)
 """From grave to harmless."""
-OPEN_DECISIONS = ("fail", "conditional fail", "not measured", "conditional pass")
+OPEN_DECISIONS: tuple[Decision, ...] = OPEN
 """What a person must look at."""
-DECISION_MARKS = {
-    "fail": "✖ fail",
-    "conditional fail": "◆ conditional fail",
-    "not measured": "? not measured",
-    "conditional pass": "◇ conditional pass",
-    "pass": "● pass",
-    "no limit": "– no limit",
-}
-DECISION_BADGES = {
-    "fail": "red",
-    "conditional fail": "orange",
-    "not measured": "gray",
-    "conditional pass": "blue",
-    "pass": "green",
-    "no limit": "gray",
-}
+DECISION_SIGNS: dict[str, str] = {name: look.sign for name, look in LOOKS.items()}
+DECISION_MARKS: dict[str, str] = {name: f"{sign} {name}" for name, sign in DECISION_SIGNS.items()}
+_BADGES = {"bad": "red", "doubtful": "orange", "fair": "blue", "good": "green", "none": "gray"}
+DECISION_BADGES: dict[str, str] = {name: _BADGES[look.tone] for name, look in LOOKS.items()}
+_TONES = {"bad": RED, "doubtful": ORANGE, "fair": BLUE, "good": GREEN, "none": GREY}
+DECISION_COLOURS: dict[str, str] = {name: _TONES[look.tone] for name, look in LOOKS.items()}
 
 DIVERGING = [[0.0, "#0072B2"], [0.25, "#56B4E9"], [0.5, "#F2F2F2"], [0.75, "#E69F00"], [1.0, "#D55E00"]]
 """Below, on and above the skin."""

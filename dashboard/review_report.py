@@ -11,10 +11,11 @@ import pandas as pd
 from dashboard.data import Archive
 from dashboard.findings import feature_of
 from dashboard.habits import Habits, with_minus
-from dashboard.palette import BLUE, GREEN, RED
+from dashboard.palette import DECISION_MARKS
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from metrology.errors import FlushlineError
+from metrology.verdicts import SEVERITIES
 from storage.archive.work import Standing, said
 from storage.review import Feature
 from storage.spreadsheet import ENCODING, harmless
@@ -26,7 +27,7 @@ body {{font: 14px/1.45 system-ui, sans-serif; margin: 2rem; color: #222}}
 table {{border-collapse: collapse}} td, th {{border-bottom: 1px solid #ccc; padding: 4px 10px; text-align: left}}
 td.n {{text-align: right; font-variant-numeric: tabular-nums}}
 img {{height: 64px; display: block}}
-.red {{border-left: 6px solid {RED}}} .blue {{border-left: 6px solid {BLUE}}} .green {{border-left: 6px solid {GREEN}}}
+{" ".join(f".{name} {{border-left: 6px solid {look.paper}}}" for name, look in SEVERITIES.items() if name)}
 @media print {{body {{margin: 0}} tr {{break-inside: avoid}}}}
 """
 
@@ -97,10 +98,10 @@ def _row(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -
         *(f"<td>{_text(row[name])}</td>" for name in ("aircraft_serial", "panel", "station", "feature_id")),
         f'<td class="n">{_text(habits.number(row["value_mm"], sign=True))}</td>',
         f'<td class="n">{_text(habits.number(row["u95_mm"]))}</td>',
-        f"<td>{_text(row['decision'])}</td><td>{_text(reason)}</td>",
+        f"<td>{_text(DECISION_MARKS.get(row['decision'], row['decision']))}</td><td>{_text(reason)}</td>",
         f"<td>{_text(row['state'])}</td><td>{_text(decided)}</td>",
     ]
-    severity = row["severity"] if row["severity"] in ("red", "blue", "green") else ""
+    severity = row["severity"] if row["severity"] in SEVERITIES and row["severity"] else ""
     return f'<tr class="{severity}">{"".join(cells)}</tr>'
 
 

@@ -8,8 +8,10 @@ import numpy as np
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
-from metrology.errors import FlushlineError
-from metrology.tolerance import Limit
+from metrology.requirements import Requirement, rivet_requirements, station_requirements
+from metrology.results import Rivet, SeamStation
+from metrology.verdicts import OPEN, gravity
+from storage.archive.rows import result_of
 from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, Table
 from storage.archive.work import STATION_ID
 from storage.review import Feature
@@ -37,12 +39,11 @@ def load_features(archive: Archive, scene: Any) -> SceneFeatures:
 
 def worst_feature(features: SceneFeatures) -> Feature | None:
     """What to look at first: the gravest finding, else the first rivet or station."""
-    grave = {"fail": 0, "conditional fail": 1, "not measured": 2, "conditional pass": 3}
     candidates = [
-        (grave.get(row.decision, 4), -_size(row.height_mean_mm), Feature("rivet", str(row.rivet_id)))
+        (_grave(row.decision), -_size(row.height_mean_mm), Feature("rivet", str(row.rivet_id)))
         for row in features.rivets.itertuples()
     ] + [
-        (grave.get(row.decision, 4), -_size(row.step_mm), Feature("seam station", str(row.feature_id)))
+        (_grave(row.decision), -_size(row.step_mm), Feature("seam station", str(row.feature_id)))
         for row in features.stations.itertuples()
     ]
     return min(candidates, key=lambda entry: entry[:2])[2] if candidates else None
@@ -54,30 +55,24 @@ def find_feature(features: SceneFeatures, feature: Feature) -> Any | None:
     return next(rows[rows[name] == feature.id].itertuples(), None)
 
 
-def seam_neighbours(features: SceneFeatures, station: Any, reach_mm: float = 12.0) -> np.ndarray:
-    """(n, 3) midpoints of the seam's stations within `reach_mm` of one, in the order of s."""
-    rows = features.stations
-    near = (rows["seam_id"] == station.seam_id) & ((rows["s_mm"] - station.s_mm).abs() <= reach_mm)
-    return rows[near].sort_values("s_mm")[["x_mm", "y_mm", "z_mm"]].to_numpy(float)
-
-
-def limits_used(archive: Archive, bundle: object, zone: object) -> dict[str, Limit]:
-    """The limits that a scene was judged by, by quantity, from its bundle's manifest; empty where it has none."""
-    from metrology.errors import StoreError
-    from storage.documents import read_json
-
-    try:
-        spec = read_json(archive.file(f"{bundle}/manifest.json"), StoreError).get("panel_spec") or {}
-        zones = spec.get("zones") or {}
-        chosen = zones.get(str(zone)) or zones.get("default") or {}
-        return {name: Limit(**values) for name, values in chosen.items() if isinstance(values, dict)}
-    except (FlushlineError, TypeError, AttributeError, ValueError):
-        return {}
+def requirements(archive: Archive, bundle: object, chosen: Feature, row: Any) -> list[Requirement] | None:
+    """What a feature's row must meet, by the specification that judged it; None where that cannot be read."""
+    spec = archive.specification(bundle)
+    if spec is None:
+        return None
+    if chosen.kind == "rivet":
+        return rivet_requirements(result_of(Rivet, row._asdict()), spec)
+    return station_requirements(result_of(SeamStation, row._asdict()), spec)
 
 
 def _names(table: Table) -> str:
     """The table's columns, so that an index of another version is told at once."""
     return ", ".join(column.name for column in table.columns)
+
+
+def _grave(decision: object) -> int:
+    """Rank of what a person must look at; all the rest is alike."""
+    return min(gravity(str(decision)), len(OPEN))
 
 
 def _size(value: object) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,12 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.findings import Selection
+from dashboard.standard import PLAIN, SIGNS, LimitGroup, Standard
+from metrology.errors import FlushlineError
+from metrology.requirements import limit_of
 from metrology.statistics import Capability, capability, capability_from_moments, pooled_sigma
-from metrology.tolerance import Limit
-from storage.archive.views import TAKEN_AT
+from metrology.tolerance import Limit, PanelSpec
+from storage.archive.views import OUTSIDE_SQL, TAKEN_AT
 
 _BINS = 60
 
@@ -31,7 +34,20 @@ class Quantity:
     @property
     def measured(self) -> str:
         """SQL for the value; what is not finite is not a measurement."""
-        return f"CASE WHEN isfinite({self.column}) THEN {self.column} END"
+        return f"CASE WHEN isfinite(q.{self.column}) THEN q.{self.column} END"
+
+    @property
+    def downstream(self) -> str:
+        """SQL for whether side B lies downstream, which tells the limits of a step; 0 where that is nothing to it."""
+        if self.column != "step_mm":
+            return "0"
+        return (
+            "CASE WHEN q.step_into_wind_mm IS NULL THEN 0 WHEN q.step_mm * q.step_into_wind_mm < 0 THEN -1 ELSE 1 END"
+        )
+
+    def against(self, standard: Standard) -> Quantity:
+        """The quantity as a chart names it that holds it against a standard."""
+        return replace(self, title=f"{self.title} over its limits", unit="×") if standard.relative else self
 
 
 QUANTITIES = {
@@ -87,24 +103,76 @@ class Subject:
         return self.kind != "rivet"
 
 
-def series(archive: Archive, subject: Subject, quantity: Quantity, selection: Selection) -> pd.DataFrame:
+def limit_groups(archive: Archive, subject: Subject, quantity: Quantity, selection: Selection) -> list[LimitGroup]:
+    """By which limits the values of a trend were judged: those that each run's own specification gives."""
+    values, parameters = _values(subject, quantity, selection, PLAIN)
+    rows = archive.rows(
+        "SELECT config_hash, panel_spec, zone, downstream, max(bundle_path) AS bundle_path, "
+        # A step of nothing says nothing of the wind.
+        f"count(*) FILTER ({'v <> 0 OR downstream = 0' if quantity.column == 'step_mm' else 'true'}) AS n "
+        f"FROM ({values}) WHERE v IS NOT NULL GROUP BY 1, 2, 3, 4 ORDER BY ALL",
+        parameters,
+    )
+    groups = []
+    for (config, named, zone), part in rows.groupby(["config_hash", "panel_spec", "zone"], sort=False):
+        spec = _specification(archive, part["bundle_path"].iloc[0])
+        counts = dict(zip(part["downstream"].astype(int), part["n"].astype(int), strict=True))
+        for sign in SIGNS if quantity.column == "step_mm" else (0,):
+            limit = limit_of(spec.zone(str(zone) or None), quantity.limit, sign) if spec else None
+            groups.append(
+                LimitGroup(str(config), str(named), str(zone), counts.get(sign, 0), sign, limit, spec is not None)
+            )
+    return groups
+
+
+def _specification(archive: Archive, bundle: object) -> PanelSpec | None:
+    try:
+        return archive.specification(bundle)
+    except FlushlineError:  # a bundle that is not here any more
+        return None
+
+
+def _values(subject: Subject, quantity: Quantity, selection: Selection, standard: Standard) -> tuple[str, list[Any]]:
+    """SQL for a trend's values v, in the unit of the standard, with their scan's columns, and its parameters."""
+    condition, parameters = subject.where()
+    limited, more = selection.where()
+    scaled, scales = "", list[Any]()
+    if standard.scales:
+        rows = ", ".join("(?, ?, ?, ?::INT, ?::DOUBLE, ?::DOUBLE)" for _ in standard.scales)
+        scaled = (
+            f"JOIN (VALUES {rows}) l(config_hash, panel_spec, zone, downstream, middle, reach) "
+            f"ON l.config_hash = s.config_hash AND l.panel_spec = s.panel_spec AND l.zone = coalesce(q.zone, '') "
+            f"AND l.downstream = {quantity.downstream} "
+        )
+        scales = [value for scale in standard.scales for value in scale]
+    value = f"({quantity.measured} - l.middle) / l.reach" if scaled else quantity.measured
+    sql = (
+        f"SELECT q.*, s.taken_at, s.rig_id, s.software_version, s.config_hash, s.panel_spec, s.bundle_path, "
+        f"{quantity.downstream} AS downstream, {value} AS v "
+        f"FROM (SELECT * REPLACE (coalesce(zone, '') AS zone) FROM {quantity.table} WHERE {condition}) q "
+        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, rig_id, software_version, bundle_path, "
+        "coalesce(config_hash, '') AS config_hash, "
+        f"coalesce(panel_spec, '') AS panel_spec FROM scenes WHERE {limited}) s USING (scene_id) {scaled}"
+    )
+    return sql, [*parameters, *more, *scales]
+
+
+def series(
+    archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard = PLAIN
+) -> pd.DataFrame:
     """One row per scan (rivet, seam) or aircraft (panel, type), in the order of time.
 
     Columns: captured_at, value (mean), n (values in it), variance (of them), aircraft_serial, scene_id (the newest),
     rig_id, software_version.
     """
-    condition, parameters = subject.where()
-    limited, more = selection.where()
+    values, parameters = _values(subject, quantity, selection, standard)
     by = "scene_id" if subject.kind in ("rivet", "seam") else "aircraft_serial"
     return archive.rows(
-        "SELECT max(s.taken_at) AS captured_at, avg(q.v) AS value, count(q.v) AS n, "
-        "var_samp(q.v) AS variance, any_value(q.aircraft_serial) AS aircraft_serial, max(q.scene_id) AS scene_id, "
-        "arg_max(s.rig_id, s.taken_at) AS rig_id, arg_max(s.software_version, s.taken_at) AS software_version "
-        f"FROM (SELECT *, {quantity.measured} AS v FROM {quantity.table} WHERE {condition}) q "
-        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, rig_id, software_version FROM scenes WHERE {limited}) s "
-        "USING (scene_id) "
-        f"GROUP BY q.{by} ORDER BY 1, 5",
-        [*parameters, *more],
+        "SELECT max(taken_at) AS captured_at, avg(v) AS value, count(v) AS n, "
+        "var_samp(v) AS variance, any_value(t.aircraft_serial) AS aircraft_serial, max(t.scene_id) AS scene_id, "
+        "arg_max(rig_id, t.taken_at) AS rig_id, arg_max(software_version, t.taken_at) AS software_version "
+        f"FROM ({values}) t GROUP BY t.{by} ORDER BY 1, 5",
+        parameters,
     )
 
 
@@ -130,16 +198,12 @@ class Spread:
     width: float
 
 
-def spread(archive: Archive, subject: Subject, quantity: Quantity, selection: Selection) -> Spread | None:
+def spread(
+    archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard = PLAIN
+) -> Spread | None:
     """Distribution of all single values; None where there are fewer than two."""
-    condition, parameters = subject.where()
-    limited, more = selection.where()
-    values = (
-        f"SELECT {quantity.measured} AS v FROM {quantity.table} q "
-        f"SEMI JOIN (SELECT scene_id FROM scenes WHERE {limited}) s USING (scene_id) "
-        f"WHERE {condition} AND v IS NOT NULL"
-    )
-    known = [*more, *parameters]
+    everything, known = _values(subject, quantity, selection, standard)
+    values = f"SELECT v FROM ({everything}) WHERE v IS NOT NULL"
     row = archive.rows(
         f"SELECT count(*) AS n, avg(v) AS mean, stddev_samp(v) AS sd, min(v) AS low, max(v) AS high FROM ({values})",
         known,
@@ -218,30 +282,28 @@ def failing_panels(archive: Archive, selection: Selection) -> dict[str, int]:
     condition, parameters = selection.where()
     rows = archive.rows(
         "SELECT panel, count(*) AS n FROM ("
-        "SELECT scene_id, panel FROM rivets WHERE decision IN ('fail', 'conditional fail') UNION ALL "
-        "SELECT scene_id, panel FROM seam_stations WHERE decision IN ('fail', 'conditional fail')) "
+        f"SELECT scene_id, panel FROM rivets WHERE {OUTSIDE_SQL} UNION ALL "
+        f"SELECT scene_id, panel FROM seam_stations WHERE {OUTSIDE_SQL}) "
         f"SEMI JOIN (SELECT scene_id FROM latest_scenes WHERE {condition}) USING (scene_id) GROUP BY 1",
         parameters,
     )
     return dict(zip(rows["panel"].astype(str), rows["n"].astype(int), strict=True))
 
 
-def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selection) -> pd.DataFrame:
+def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selection, standard: Standard) -> pd.DataFrame:
     """Each feature of a panel with its place, mean, standard deviation and share outside its limits.
 
     Places are in the panel's frame where its pattern was recognised, else pixels of each station's picture, the
     stations side by side.
     """
-    limited, more = selection.where()
+    values, parameters = _values(Subject("panel", panel), quantity, selection, standard)
     name = "rivet_id" if quantity.table == "rivets" else "seam_id || ' @ ' || round(s_mm)::INT"
     rows = archive.rows(
-        f"SELECT station, {name} AS name, avg({quantity.measured}) AS mean, "
-        f"stddev_samp({quantity.measured}) AS sd, count({quantity.measured}) AS n, "
-        "avg((decision IN ('fail', 'conditional fail'))::INT) AS outside, "
+        f"SELECT station, {name} AS name, avg(v) AS mean, stddev_samp(v) AS sd, count(v) AS n, "
+        f"avg(({OUTSIDE_SQL})::INT) AS outside, "
         "median(x_panel_mm) AS x_panel, median(y_panel_mm) AS y_panel, median(u_px) AS u, median(v_px) AS v "
-        f"FROM {quantity.table} q SEMI JOIN (SELECT scene_id FROM scenes WHERE {limited}) s USING (scene_id) "
-        "WHERE panel = ? GROUP BY ALL ORDER BY 1, 2",
-        [*more, panel],
+        f"FROM ({values}) GROUP BY ALL ORDER BY 1, 2",
+        parameters,
     )
     registered = bool(len(rows)) and bool(rows["x_panel"].notna().all())
     if registered:

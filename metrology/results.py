@@ -89,6 +89,8 @@ class Rivet:
     y_panel_mm: float | None = None
     z_panel_mm: float | None = None
     zone: str | None = None
+    diameter_u95_mm: float | None = None
+    diameter_nominal_mm: float | None = None
 
 
 @dataclass(frozen=True)

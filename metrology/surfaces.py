@@ -108,11 +108,11 @@ class Polynomial:
 
     def tangent(self, x: float, y: float) -> tuple[Array, Array]:
         """(h, ∂h/∂x, ∂h/∂y) at a point and its covariance (3, 3)."""
-        rows = _tangent_rows(x, y, self.order)
+        rows = tangent_rows(x, y, self.order)
         return rows @ self.coefficients, rows @ self.covariance @ rows.T
 
 
-def _tangent_rows(x: float, y: float, order: int) -> Array:
+def tangent_rows(x: float, y: float, order: int) -> Array:
     """(3, k) monomials and their derivatives by x and y at a point."""
     value, by_x, by_y = [], [], []
     for d in range(order + 1):

@@ -5,6 +5,7 @@ A pattern enrolled from a scan is a file of the same format with a pattern of on
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -146,6 +147,13 @@ def panel_spec_from(document: Mapping[str, Any], path: Path) -> PanelSpecificati
         return PanelSpecification(limits, _layout(model), document, model.example)
     except SpecError as problem:
         raise SpecError(f"{path}: {problem}") from None
+
+
+def judged_by(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:
+    """The limits that a run was judged by, as its manifest keeps them; None where this version cannot read them."""
+    with contextlib.suppress(SpecError, AttributeError):  # a run of an older version had another form
+        return panel_spec_from(manifest.get("panel_spec") or {}, path).limits
+    return None
 
 
 def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: str) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 
 from dashboard.habits import Habits
 from dashboard.palette import INK
+from metrology.tolerance import Limit
 
 
 def figure(habits: Habits, height: int, **layout: Any) -> go.Figure:
@@ -27,12 +29,14 @@ def figure(habits: Habits, height: int, **layout: Any) -> go.Figure:
     return fig
 
 
-def limit_lines(fig: go.Figure, limits: dict[str, float | None], axis: str = "y", **where: Any) -> None:
-    """Tolerance limits (dashed) and serious limits (dotted) as lines across a figure."""
+def limit_lines(
+    fig: go.Figure, limit: Limit | None, axis: str = "y", within: tuple[float, float] | None = None, **where: Any
+) -> None:
+    """Tolerance limits (dashed) and serious limits (dotted) as lines across a figure, where they lie within a range."""
     add = fig.add_hline if axis == "y" else fig.add_vline
-    for name, dash in (("lower", "dash"), ("upper", "dash"), ("serious_lower", "dot"), ("serious_upper", "dot")):
-        value = limits.get(name)
-        if value is not None:
+    low, high = within or (-np.inf, np.inf)
+    for value, dash in zip(limit.bounds if limit else (), ("dash", "dash", "dot", "dot"), strict=False):
+        if value is not None and low < value < high:
             add(value, line={"color": INK, "width": 1.3, "dash": dash}, **where)
 
 

@@ -15,24 +15,17 @@ _MOST_POINTS = 3000
 _LIMIT_BAR_REACH = 2.0  # a scale's half-width, in outermost limits
 
 
-def limits_of(limit: Limit | None) -> dict[str, float | None]:
-    """A limit's four numbers."""
-    names = ("lower", "upper", "serious_lower", "serious_upper")
-    return {name: getattr(limit, name) if limit else None for name in names}
-
-
 def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Figure:
     """The head and the skin around it from above, coloured by deviation, with both point sets' borders."""
     fig = figure(habits, height)
     u0, v0 = closeup.u.min(), closeup.v.min()
     image = np.full((closeup.v.max() - v0 + 1, closeup.u.max() - u0 + 1), np.nan, np.float32)
     image[closeup.v - v0, closeup.u - u0] = closeup.deviation
-    scale = closeup.radius / max(1.0, float(np.ptp(closeup.u[closeup.inner])) / 2) if closeup.inner.any() else 1.0
-    middle_u = float(np.mean(closeup.u[closeup.inner])) - u0
-    middle_v = float(np.mean(closeup.v[closeup.inner])) - v0
-    inner_radius = float(np.hypot(closeup.x, closeup.y)[closeup.inner].max())
-    scale *= inner_radius / closeup.radius
-    limit = max(0.02, float(np.percentile(np.abs(closeup.deviation[closeup.inner | closeup.outer]), 99)))
+    scale = float(np.ptp(closeup.x) / max(1.0, np.ptp(closeup.u)))
+    centre = np.hypot(closeup.x, closeup.y).argmin()
+    middle_u, middle_v = float(closeup.u[centre] - u0), float(closeup.v[centre] - v0)
+    used = closeup.inner | closeup.outer
+    limit = max(0.02, float(np.percentile(np.abs(closeup.deviation[used]), 99))) if used.any() else 0.02
     fig.add_heatmap(
         z=np.round(image, 4),
         x=(np.arange(image.shape[1]) - middle_u) * scale,
@@ -44,9 +37,9 @@ def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Fi
         hovertemplate="%{z:+.3f} mm<extra>%{x:.1f}, %{y:.1f} mm from the centre</extra>",
         hoverongaps=False,
     )
-    distance = np.hypot(closeup.x, closeup.y)
-    rings = [(inner_radius, GREEN, "solid"), (closeup.radius, INK, "dot")]
-    rings += [(float(f(distance[closeup.outer])), PURPLE, "solid") for f in (np.min, np.max)]
+    fit = closeup.fit
+    rings = [(fit.inner_mm, GREEN, "solid"), (fit.radius, INK, "dot")]
+    rings += [(radius, PURPLE, "solid") for radius in fit.outer_mm]
     turn = np.linspace(0, 2 * np.pi, 90)
     names = {0: "head points", 1: "rim", 2: "skin points"}
     for i, (radius, colour, dash) in enumerate(rings):
@@ -65,17 +58,15 @@ def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Fi
     return fig
 
 
-def rivet_section(
-    closeup: RivetCloseUp, height_mm: float | None, limit: Limit | None, habits: Habits, height: int = 280
-) -> go.Figure:
-    """A cut through the head along its steepest rise: points, fitted planes, limits."""
+def rivet_section(closeup: RivetCloseUp, limit: Limit | None, habits: Habits, height: int = 280) -> go.Figure:
+    """A cut through the head along its steepest rise: points, fitted surfaces, limits."""
     fig = figure(habits, height)
-    position, deviation, inner, outer = closeup.section(half_width=max(0.6, 0.25 * closeup.radius))
+    position, deviation, inner, outer = closeup.section(half_width=max(0.6, 0.25 * closeup.fit.radius))
     other = ~(inner | outer)
     for members, colour, name, symbol in (
         (other, INK, "not used", "circle-open"),
         (outer, PURPLE, "skin", "circle"),
-        (inner, GREEN, "head", "diamond"),
+        (inner, GREEN, "head", "square"),
     ):
         fig.add_scattergl(
             x=np.round(position[members][:_MOST_POINTS], 3),
@@ -85,33 +76,32 @@ def rivet_section(
             name=name,
             hovertemplate="%{y:+.3f} mm<extra></extra>",
         )
-    r = closeup.radius
-    ends = np.array([-r, r])
-    head = closeup.head.height(ends * np.cos(closeup.along), ends * np.sin(closeup.along))
+    r = closeup.fit.radius
+    ends = np.linspace(-r, r, 41)
+    head = closeup.head(ends)
     reach = float(np.abs(position).max()) if position.size else 2 * r
     fig.add_scatter(
-        x=ends, y=head, mode="lines", line={"color": ORANGE, "width": 3}, name="inner plane", hoverinfo="skip"
+        x=ends, y=head, mode="lines", line={"color": ORANGE, "width": 3}, name="head as fitted", hoverinfo="skip"
     )
     fig.add_scatter(
         x=[-reach, reach],
         y=[0, 0],
         mode="lines",
         line={"color": BLUE, "width": 3},
-        name="outer plane (skin)",
+        name="skin as fitted",
         hoverinfo="skip",
     )
-    limit_lines(fig, limits_of(limit))
-    if height_mm is not None and np.isfinite(height_mm):
-        _arrow(fig, 0.0, 0.0, height_mm, f"{habits.number(height_mm, sign=True)} mm")
+    limit_lines(fig, limit)
+    _arrow(fig, 0.0, 0.0, closeup.height, f"{habits.number(closeup.height, sign=True)} mm")
     used = deviation[inner | outer]
-    marks = [value for value in limits_of(limit).values() if value is not None and abs(value) < 0.5]
+    marks = [value for value in (limit.bounds if limit else ()) if value is not None and abs(value) < 0.5]
     low, high = _range([*(used if used.size else [0.0]), *head, *marks])
     fig.update_yaxes(range=[low, high], title="above the skin, mm", tickformat="+.2f")
     fig.update_xaxes(title="along the steepest rise of the head, mm")
     return fig
 
 
-def seam_figure(section: SeamSection, station: object, habits: Habits, height: int = 330) -> go.Figure:
+def seam_figure(section: SeamSection, habits: Habits, height: int = 330) -> go.Figure:
     """The section across a seam as the paper's Fig. 8: points, L1, L2, D, G, D′, G′, step and width."""
     fig = figure(habits, height)
     for members, colour, name, symbol in (
@@ -129,12 +119,12 @@ def seam_figure(section: SeamSection, station: object, habits: Habits, height: i
             hovertemplate="%{y:+.3f} mm<extra></extra>",
         )
     reach = float(np.abs(section.x).max())
-    edge = section.edge_b[0] if section.edge_b else 0.0
+    (start, _), (end, _) = section.edge_a, section.edge_b
     for line, span, colour, name in (
-        (section.line_a, np.linspace(-reach, edge, 40), BLUE, "L1"),
-        (section.line_b, np.linspace(-edge, reach, 40), ORANGE, "L2"),
+        (section.line_a, np.linspace(-reach, end, 40), BLUE, "L1"),
+        (section.line_b, np.linspace(start, reach, 40), ORANGE, "L2"),
     ):
-        inside = np.abs(span) <= edge if edge else np.zeros(span.shape, bool)
+        inside = (span >= start) & (span <= end)
         # On the same canvas as the points, which would hide them otherwise.
         skin = np.polyval(line[::-1], span)
         fig.add_scattergl(
@@ -155,8 +145,7 @@ def seam_figure(section: SeamSection, station: object, habits: Habits, height: i
         )
     _letters(fig, section)
     low, high = _section_range(section)
-    if section.edge_a and section.edge_b:
-        _dimensions(fig, section, station, habits, low)
+    _dimensions(fig, section, habits, low)
     fig.update_xaxes(title="across the seam from side A to side B, mm")
     fig.update_yaxes(title="along the skin's normal, mm", range=[low, high], tickformat="+.2f")
     return fig
@@ -165,12 +154,12 @@ def seam_figure(section: SeamSection, station: object, habits: Habits, height: i
 def _letters(fig: go.Figure, section: SeamSection) -> None:
     """D, G, D′, G′ as in Fig. 8."""
     for place, letter, symbol, colour, position in (
-        (section.lip_a, "D", "circle", RED, "bottom left"),
-        (section.lip_b, "G", "circle", RED, "bottom right"),
+        (section.inflection_a, "D", "circle", RED, "bottom left"),
+        (section.inflection_b, "G", "circle", RED, "bottom right"),
         (section.edge_a, "D′", "x", GREEN, "top left"),
         (section.edge_b, "G′", "x", GREEN, "top right"),
     ):
-        if place is not None:
+        if place is not None and section.inflection_a is not None:
             fig.add_scatter(
                 x=[place[0]],
                 y=[place[1]],
@@ -184,18 +173,16 @@ def _letters(fig: go.Figure, section: SeamSection) -> None:
             )
 
 
-def _dimensions(fig: go.Figure, section: SeamSection, station: object, habits: Habits, low: float) -> None:
+def _dimensions(fig: go.Figure, section: SeamSection, habits: Habits, low: float) -> None:
     """Arrows for step (eq 6) and width (eq 9)."""
-    (xa, ha), (xb, hb) = section.edge_a or (0.0, 0.0), section.edge_b or (0.0, 0.0)
-    step, width = getattr(station, "step_mm", None), getattr(station, "width_mm", None)
-    if step is not None and np.isfinite(step):
-        base = float(np.polyval(section.line_a[::-1], xb))
-        _arrow(fig, xb, base, hb, "")
-        fig.add_annotation(
-            x=xb, y=(base + hb) / 2, text=f"<b>H {habits.number(step, sign=True)} mm</b>", showarrow=False,
-            xanchor="left", xshift=8, font={"size": 12},
-        )  # fmt: skip
-    if width is not None and np.isfinite(width):
+    (xa, ha), (xb, hb) = section.edge_a, section.edge_b
+    base = float(np.polyval(section.line_a[::-1], xb))
+    _arrow(fig, xb, base, hb, "")
+    fig.add_annotation(
+        x=xb, y=(base + hb) / 2, text=f"<b>H {habits.number(section.step, sign=True)} mm</b>", showarrow=False,
+        xanchor="left", xshift=8, font={"size": 12},
+    )  # fmt: skip
+    if section.width is not None:
         level = low + 0.12 * (max(ha, hb) - low)
         for x, h in ((xa, ha), (xb, hb)):
             fig.add_scatter(
@@ -222,7 +209,7 @@ def _dimensions(fig: go.Figure, section: SeamSection, station: object, habits: H
         fig.add_annotation(
             x=(xa + xb) / 2,
             y=level,
-            text=f"W {habits.number(width)} mm",
+            text=f"W {habits.number(section.width)} mm",
             showarrow=False,
             yshift=-12,
             font={"size": 12},
@@ -242,7 +229,7 @@ def _arrow(fig: go.Figure, x: float, start: float, end: float, text: str) -> Non
 def _section_range(section: SeamSection) -> tuple[float, float]:
     """Heights that show both skins and the beginning of the gap, not its ground."""
     used = section.h[section.used]
-    lips = [lip[1] for lip in (section.lip_a, section.lip_b) if lip]
+    lips = [place[1] for place in (section.inflection_a, section.inflection_b, section.edge_a, section.edge_b) if place]
     low, high = _range([*(used if used.size else [0.0]), *lips])
     return low - 0.3 * (high - low), high + 0.25 * (high - low)
 
@@ -259,7 +246,8 @@ def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit:
     A value far outside is an arrow at the scale's end, so that the limits stay legible.
     """
     fig = figure(habits, 62, showlegend=False)
-    marks = {name: mark for name, mark in limits_of(limit).items() if mark is not None}
+    names = ("lower", "upper", "serious_lower", "serious_upper")
+    marks = {n: mark for n, mark in zip(names, limit.bounds if limit else (), strict=False) if mark is not None}
     spread = u95 if u95 is not None and np.isfinite(u95) else 0.0
     places = [0.0, *marks.values()]
     reach = _LIMIT_BAR_REACH * max((abs(place) for place in places), default=0.0) or np.inf

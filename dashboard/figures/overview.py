@@ -10,16 +10,9 @@ import plotly.graph_objects as go
 
 from dashboard.figures.base import escape, figure
 from dashboard.habits import Habits
-from dashboard.palette import BLUE, COUNTS, GREEN, GREY, MISSING, ORANGE, RED
+from dashboard.palette import COUNTS, DECISION_COLOURS, MISSING
 
 _MOST_AIRCRAFT = 25
-_DECISION_COLOURS = {
-    "fail": RED,
-    "conditional fail": ORANGE,
-    "not measured": GREY,
-    "conditional pass": BLUE,
-    "pass": GREEN,
-}
 
 
 def panel_matrix(
@@ -77,7 +70,7 @@ def decision_bar(counts: Mapping[str, int], habits: Habits) -> str:
     """All findings in one bar of HTML, from grave to harmless; a chart of its own would cost the page a redraw."""
     total = max(1, sum(counts.values()))
     parts = "".join(
-        f'<div style="flex:{count};background:{_DECISION_COLOURS[decision]}" '
+        f'<div style="flex:{count};background:{DECISION_COLOURS[decision]}" '
         f'title="{decision}: {habits.whole(count)} ({habits.percent(count / total)})"></div>'
         for decision, count in counts.items()
         if count

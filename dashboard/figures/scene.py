@@ -15,12 +15,12 @@ from dashboard.findings import feature_parameter
 from dashboard.habits import Habits
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
 from dashboard.pictures import data_uri, shrunk
+from metrology.verdicts import IN_ORDER, SEVERITIES
 from storage.review import Feature
 
 _PICTURE_PX = 1100
 _RIM_POINTS = 40
 _MOST_SCALES = 6.0
-_SEVERITIES = ("green", "blue", "red", None)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def scene_figure(
         sizing="stretch",
         layer="below",
     )
-    for severity in _SEVERITIES:
+    for severity in reversed(SEVERITIES):
         _add_seams(fig, features.stations, severity, habits)
         _add_rivets(fig, features.rivets, severity, habits)
     if values:
@@ -151,7 +151,7 @@ def _add_seams(fig: go.Figure, stations: pd.DataFrame, severity: str | None, hab
 
 
 def _add_values(fig: go.Figure, rivets: pd.DataFrame, habits: Habits) -> None:
-    part = rivets[~rivets["decision"].isin(["pass", "no limit"]) & rivets["u_px"].notna()]
+    part = rivets[~rivets["decision"].isin(IN_ORDER) & rivets["u_px"].notna()]
     for rivet in part.head(60).itertuples():
         value = "?" if pd.isna(rivet.height_mean_mm) else habits.number(rivet.height_mean_mm, 3, sign=True)
         fig.add_annotation(

@@ -11,7 +11,6 @@ from plotly.subplots import make_subplots
 from scipy import stats
 
 from dashboard.figures.base import escape, figure, limit_lines
-from dashboard.figures.closeup import limits_of
 from dashboard.habits import Habits
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
 from dashboard.trends import Event, Quantity, Spread
@@ -52,7 +51,7 @@ def control_figure(
         marker={
             "size": [9 if i in broken else 6 for i in range(len(rows))],
             "color": [RED if i in broken else BLUE for i in range(len(rows))],
-            "symbol": ["x" if i in broken else "circle" for i in range(len(rows))],
+            "symbol": ["triangle-up" if i in broken else "circle" for i in range(len(rows))],
         },
         text=text,
         customdata=rows["scene_id"].astype(str),
@@ -66,7 +65,7 @@ def control_figure(
         y=chart.moving_range,
         mode="lines+markers",
         line={"color": PURPLE, "width": 1.2},
-        marker={"size": 4, "symbol": "diamond"},
+        marker={"size": 4, "symbol": "square"},
         hovertemplate="moving range %{y:.3f}<extra></extra>",
         showlegend=False,
         row=2,
@@ -128,10 +127,7 @@ def _add_limits(fig: go.Figure, chart: ControlChart, limit: Limit | None) -> Non
         return
     span = max(float(np.ptp(present)), 6 * chart.sigma if np.isfinite(chart.sigma) else 0.0, 1e-6)
     middle = float(present.mean())
-    near: dict[str, float | None] = {
-        name: v for name, v in limits_of(limit).items() if v is not None and abs(v - middle) < 3 * span
-    }
-    limit_lines(fig, near, row=1, col=1)
+    limit_lines(fig, limit, within=(middle - 3 * span, middle + 3 * span), row=1, col=1)
 
 
 def histogram(values: Spread, quantity: Quantity, limit: Limit | None, habits: Habits, height: int = 260) -> go.Figure:
@@ -155,7 +151,7 @@ def histogram(values: Spread, quantity: Quantity, limit: Limit | None, habits: H
             name="normal distribution",
             hoverinfo="skip",
         )
-    limit_lines(fig, limits_of(limit), axis="x")
+    limit_lines(fig, limit, axis="x")
     fig.update_xaxes(title=f"{quantity.title}, {quantity.unit} (dashed: limits)")
     fig.update_yaxes(title="how many")
     return fig

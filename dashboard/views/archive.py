@@ -13,6 +13,7 @@ from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
 from dashboard.findings import Selection
 from dashboard.frame import Desk, go, plain
+from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.tables import show_table
@@ -133,7 +134,9 @@ def _list(desk: Desk, scenes: pd.DataFrame) -> list[str]:
             "panel": "Panel",
             "station": "Station",
             "captured_at": "Scanned",
-            "fail": st.column_config.Column("✖ Fail", help="Rivets and seam stations outside their limits"),
+            "fail": st.column_config.Column(
+                f"{DECISION_SIGNS['fail']} Fail", help="Rivets and seam stations outside their limits"
+            ),
             "not_measured": "? Not measured",
             "n_rivets": "Rivets",
             "n_stations": "Seam stations",

@@ -12,7 +12,7 @@ from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import Selection
 from dashboard.frame import Desk, go, link, plain
 from dashboard.habits import Habits
-from dashboard.palette import DECISION_MARKS
+from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
 from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
 from storage.archive.views import NEWEST_TIME
@@ -105,10 +105,7 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    counts = {
-        decision: int(panels[decision.replace(" ", "_")].sum())
-        for decision in ("fail", "conditional fail", "not measured", "conditional pass")
-    }
+    counts = {decision: int(panels[decision.replace(" ", "_")].sum()) for decision in OPEN_DECISIONS}
     return {**counts, "pass": max(0, int(panels["features"].sum()) - sum(counts.values()))}
 
 
@@ -126,8 +123,8 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
             "panel": "Panel",
             "waiting": "Waiting",
             "open_work": "Open work",
-            "fail": "✖ Fail",
-            "conditional_fail": "◆ Cond. fail",
+            "fail": f"{DECISION_SIGNS['fail']} Fail",
+            "conditional_fail": f"{DECISION_SIGNS['conditional fail']} Cond. fail",
             "not_measured": "? Not measured",
             "worst_mm": "Worst, mm",
             "last_scan": "Last scan",

@@ -10,7 +10,7 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of
-from dashboard.closeup import rivet_close_up, seam_section
+from dashboard.closeup import RivetCloseUp, SeamSection, rivet_close_up, seam_section
 from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
 from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
@@ -22,14 +22,16 @@ from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
 from dashboard.scenes import (
     find_feature,
-    limits_used,
     load_features,
     load_scene_row,
-    seam_neighbours,
+    requirements,
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.tolerance import Limit
+from metrology.requirements import Requirement, limit_of, rivet_requirements, station_requirements
+from metrology.results import Rivet, SeamStation
+from metrology.tolerance import PanelSpec
+from storage.archive.rows import result_of
 from storage.archive.views import NEWEST_FIRST
 from storage.archive.work import said
 from storage.cloud import StoredCloud
@@ -40,6 +42,7 @@ _MAP_POINTS = 120_000
 _CLOUD_POINTS = (30_000, 100_000, 300_000)
 _EXAGGERATIONS = (1, 10, 50, 100)
 _HEIGHT = 500
+_SIGNED = ("height", "step", "step into the wind")
 
 
 def render(desk: Desk) -> None:
@@ -293,78 +296,78 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
                 station=row.station,
                 name=str(measured.seam_id),
             )
-    limits = limits_used(desk.archive, row.bundle_path, getattr(measured, "zone", None))
-    _values(desk, measured, chosen, limits)
+    _values(desk, row, measured, chosen)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
         st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
     if compact:
         return
     try:
-        cloud = desk.archive.cloud(row.cloud_path)
+        cloud, fits = desk.archive.cloud(row.cloud_path), desk.archive.fits(row.bundle_path)
     except FlushlineError as problem:
         st.info(f"No close-up: {plain(problem)}")
         return
     if chosen.kind == "rivet":
-        _rivet(desk, measured, cloud, limits)
+        _rivet(desk, row, measured, rivet_close_up(cloud, measured, fits.head(chosen.id)))
     else:
-        _seam(desk, measured, cloud, seam_neighbours(features, measured))
+        fit = fits.section(str(measured.seam_id), float(measured.s_mm))
+        _seam(desk, seam_section(cloud, measured, fit))
 
 
-def _values(desk: Desk, measured: Any, chosen: Feature, limits: dict[str, Limit]) -> None:
+def _values(desk: Desk, row: Any, measured: Any, chosen: Feature) -> None:
+    """Every value that was judged, with the limit it was judged by."""
     habits = desk.habits
-    if chosen.kind == "rivet":
-        quantities = [
-            ("Height", measured.height_mean_mm, measured.height_u95_mm, "mm", "height_mm", True),
-            ("Tilt", measured.tilt_deg, measured.tilt_u95_deg, "°", "tilt_deg", False),
-        ]
-    else:
-        quantities = [
-            ("Step", measured.step_mm, measured.step_u95_mm, "mm", "step_mm", True),
-            ("Width", measured.width_mm, measured.width_u95_mm, "mm", "width_mm", False),
-        ]
-    for column, (name, value, u95, unit, limit_name, sign) in zip(st.columns(2), quantities, strict=True):
-        limit = limits.get(limit_name)
-        with column:
-            st.markdown(f":small[{name}] **{plain(habits.measured(value, u95, unit, sign))}**")
-            if limit is None:
-                st.caption("no limit is known")
-            else:
+    try:
+        required = requirements(desk.archive, row.bundle_path, chosen, measured)
+    except FlushlineError:
+        required = None
+    if required is None:
+        st.caption("The limits of this run cannot be read by this version; the verdict is the run's own.")
+        required = _as_measured(measured, chosen)
+    for start in range(0, len(required), 2):
+        for column, wanted in zip(st.columns(2), required[start : start + 2], strict=False):
+            with column:
+                value = habits.measured(wanted.value, wanted.u95, wanted.unit, wanted.name in _SIGNED)
+                st.markdown(f":small[{wanted.name.capitalize()}] **{plain(value)}**")
+                if wanted.limit is None:
+                    st.caption("no limit")
+                    continue
                 st.plotly_chart(
-                    limit_bar(_float(value), _float(u95), limit, unit, habits),
-                    key=f"bar-{name}",
+                    limit_bar(wanted.value, wanted.u95, wanted.limit, wanted.unit, habits),
+                    key=f"bar-{wanted.name}-{wanted.limit}",
                     config={"displayModeBar": False, "staticPlot": True},
                 )
 
 
-def _rivet(desk: Desk, measured: Any, cloud: StoredCloud, limits: dict[str, Limit]) -> None:
-    found = rivet_close_up(cloud, measured)
+def _as_measured(measured: Any, chosen: Feature) -> list[Requirement]:
+    """The values alone."""
+    nothing = PanelSpec("", "")
+    if chosen.kind == "rivet":
+        return rivet_requirements(result_of(Rivet, measured._asdict()), nothing)
+    return station_requirements(result_of(SeamStation, measured._asdict()), nothing)
+
+
+def _rivet(desk: Desk, row: Any, measured: Any, found: RivetCloseUp | str) -> None:
     if isinstance(found, str):
         st.info(f"No close-up: {plain(found)}.")
         return
+    spec = desk.archive.specification(row.bundle_path)
+    zone = None if _absent(measured.zone) else str(measured.zone)
+    limit = limit_of(spec.zone(zone), "height_mm") if spec else None
     options = {"displaylogo": False}
-    st.plotly_chart(
-        rivet_section(found, _float(measured.height_mean_mm), limits.get("height_mm"), desk.habits, 240),
-        key="section",
-        config=options,
-    )
+    st.plotly_chart(rivet_section(found, limit, desk.habits, 240), key="section", config=options)
     st.plotly_chart(rivet_map(found, desk.habits, 250), key="rivet-map", config=options)
 
 
-def _seam(desk: Desk, measured: Any, cloud: StoredCloud, neighbours: Any) -> None:
-    found = seam_section(cloud, measured, neighbours)
+def _seam(desk: Desk, found: SeamSection | str) -> None:
     if isinstance(found, str):
         st.info(f"No section: {plain(found)}.")
         return
-    st.plotly_chart(seam_figure(found, measured, desk.habits, 360), key="section", config={"displaylogo": False})
+    st.plotly_chart(seam_figure(found, desk.habits, 360), key="section", config={"displaylogo": False})
     st.caption(
-        "L1, L2: skin lines of sides A and B. D, G: last points before the gap. D′, G′: ideal edges on the lines. "
-        "H: step, B above A. W: width."
+        "L1, L2: skin lines of sides A and B. D, G: inflection points in the gap. D′, G′: ideal edges on the lines. "
+        "H: step, B above A. W: width. As the inspection fitted them."
     )
-
-
-def _float(value: object) -> float | None:
-    return None if _absent(value) else float(value)  # type: ignore[arg-type]
 
 
 def _absent(value: object) -> bool:

@@ -7,14 +7,13 @@ from typing import Any
 import streamlit as st
 
 from dashboard.address import one_of
-from dashboard.data import Archive
 from dashboard.figures.trends import control_figure, histogram, layout_figure, pareto_figure
 from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
 from dashboard.frame import Desk, go, plain
 from dashboard.habits import Habits
 from dashboard.picking import clickable_chart
-from dashboard.scenes import limits_used
+from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
     FASTENER_TYPE,
     QUANTITIES,
@@ -25,6 +24,7 @@ from dashboard.trends import (
     events,
     failing_panels,
     layout,
+    limit_groups,
     options,
     series,
     spread,
@@ -40,7 +40,6 @@ from metrology.statistics import (
     rule_violations,
 )
 from metrology.tolerance import Limit
-from storage.archive.views import NEWEST_FIRST
 
 TITLE = "Trends"
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
@@ -88,13 +87,6 @@ def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
     return subject, QUANTITIES[quantity], Selection(since=start_of(period, newest_scan(archive))), rules
 
 
-def _limit(archive: Archive, subject: Subject, quantity: Quantity) -> Limit | None:
-    """The limit by which the newest scan was judged."""
-    condition, parameters = ("panel = ?", [subject.panel]) if subject.panel else ("true", [])
-    rows = archive.rows(f"SELECT bundle_path FROM scenes WHERE {condition} ORDER BY {NEWEST_FIRST} LIMIT 1", parameters)
-    return limits_used(archive, rows["bundle_path"].iloc[0], None).get(quantity.limit) if len(rows) else None
-
-
 def _control(
     desk: Desk,
     subject: Subject,
@@ -102,16 +94,21 @@ def _control(
     selection: Selection,
     rules: str,
 ) -> None:
-    rows = series(desk.archive, subject, quantity, selection)
+    groups = limit_groups(desk.archive, subject, quantity, selection)
+    standard = standard_of(groups)
+    limit = standard.limit
+    rows = series(desk.archive, subject, quantity, selection, standard)
     rows = rows[rows["n"] > 0].reset_index(drop=True)
     if rows.empty:
         st.info("Nothing was measured here in that time. Choose a longer one, or another feature.")
         return
-    limit = _limit(desk.archive, subject, quantity)
     chart = individuals_chart(rows["value"].to_numpy(float))
     tests = _RULES[rules]
     violations = rule_violations(chart, tests)
-    values = spread(desk.archive, subject, quantity, selection)
+    values = spread(desk.archive, subject, quantity, selection, standard)
+    shown = quantity.against(standard)
+    if standard.note:
+        st.caption(standard.note)
     left, right = st.columns([7, 4])
     # The numbers come first: they are there while the figures are still being drawn.
     with right:
@@ -119,16 +116,17 @@ def _control(
         if values is None:
             st.info("A distribution needs at least two values.")
         else:
-            _capability(capability_of(subject, rows, values, limit), subject, limit, desk.habits)
+            judged = limit if has_capability(groups) else None
+            _capability(capability_of(subject, rows, values, judged), subject, judged, desk.habits)
     with left:
-        fig = control_figure(rows, chart, violations, quantity, limit, events(rows), desk.habits)
+        fig = control_figure(rows, chart, violations, shown, limit, events(rows), desk.habits)
         clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False})
         each = "the mean over each aircraft" if subject.kind in ("panel", FASTENER_TYPE) else "one scan"
         st.caption(f"Each point is {each}; click one to open the scan. Dashed: tolerance limits.")
         _rules(rules, tests, violations, len(rows))
     if values is not None:
         distribution.plotly_chart(
-            histogram(values, quantity, limit, desk.habits), key="histogram", config={"displaylogo": False}
+            histogram(values, shown, limit, desk.habits), key="histogram", config={"displaylogo": False}
         )
 
 
@@ -145,12 +143,12 @@ def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n
     said = "; ".join(
         f"**{t.name}** {t.meaning} (points: {len(violations[t.name])})" for t in tests if t.name in violations
     )
-    st.markdown(f":red[✖] Not steady by {title} rules: {said}.")
+    st.markdown(f":red[▲] Not steady by {title} rules: {said}.")
 
 
 def _capability(found: Capability | None, subject: Subject, limit: Limit | None, habits: Habits) -> None:
     if found is None:
-        st.caption("No limit is known for this quantity, so there is no capability.")
+        st.caption("Without a limit that holds for all of these values there is no capability.")
         return
     boxes = st.columns(4)
     for box, (name, index) in zip(
@@ -198,12 +196,13 @@ def _map(desk: Desk, subject: Subject, quantity: Quantity, selection: Selection)
         st.info("Choose a rivet, a seam or a panel to see its map.")
         return
     measure = st.segmented_control("Colour", list(_MEASURES), **one_of("measure", list(_MEASURES)))
-    rows = layout(desk.archive, subject.panel, quantity, selection)
+    standard = standard_of(limit_groups(desk.archive, Subject("panel", subject.panel), quantity, selection))
+    rows = layout(desk.archive, subject.panel, quantity, selection, standard)
     if rows.empty:
         st.info("Nothing was measured on this panel in that time.")
         return
     st.plotly_chart(
-        layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity, desk.habits),
+        layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), desk.habits),
         key="layout",
         config={"displaylogo": False},
     )
@@ -211,3 +210,5 @@ def _map(desk: Desk, subject: Subject, quantity: Quantity, selection: Selection)
         "in the panel's frame" if rows.attrs.get("registered") else "as each station's picture shows them, side by side"
     )
     st.caption(f"{quantity.title} of panel {plain(subject.panel)}, over all aircraft; places {frame}.")
+    if standard.relative:
+        st.caption(standard.note)

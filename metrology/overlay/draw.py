@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
+from metrology.fastener import size_verdict
 from metrology.overlay.layout import Layout
 from metrology.overlay.legend import draw_legend, entries
 from metrology.overlay.marks import (
@@ -27,10 +28,10 @@ from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import map_skin
 from metrology.results import Decision, Rivet, SeamStation, Severity
 from metrology.skin_normal import skin_normal
+from metrology.verdicts import DECISIONS
 
 Array = NDArray[np.float64]
 
-_CONDITIONAL: tuple[Decision, ...] = ("conditional pass", "conditional fail")
 _MISSING = "MISSING"
 _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
@@ -203,7 +204,8 @@ def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
 def _rivet_text(rivet: Rivet) -> str:
     if rivet.height_mean_mm is None:
         return _MISSING if (rivet.reason or "").startswith(_MISSING.lower()) else "?"
-    return f"{_signed(rivet.height_mean_mm)}{_star(rivet.decision)}"
+    size = f" SIZE {rivet.diameter_mm:.1f}" if size_verdict(rivet) == "wrong" else ""
+    return f"{_signed(rivet.height_mean_mm)}{_star(rivet.decision)}{size}"
 
 
 def _seam_text(station: SeamStation) -> str:
@@ -220,7 +222,7 @@ def _signed(value: float) -> str:
 
 
 def _star(decision: Decision) -> str:
-    return "*" if decision in _CONDITIONAL else ""
+    return DECISIONS[decision].note
 
 
 def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Sequence[str]) -> list[str]:
@@ -228,8 +230,9 @@ def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Se
     meanings = (["RIVET height"] if rivets else []) + (["SEAM step | gap"] if stations else [])
     notes = [f"mm: {', '.join(meanings)}"] if meanings else []
     judged: list[Rivet | SeamStation] = [*rivets, *stations]
-    if any(item.decision in _CONDITIONAL for item in judged):
-        notes.append("* within U95 of a limit")
+    for note in dict.fromkeys(DECISIONS[item.decision].note for item in judged):
+        if note:
+            notes.append(f"{note} within U95 of a limit")
     if outside:
         more = len(outside) - _LEGEND_NAMES
         names = ", ".join(outside[:_LEGEND_NAMES]) + (f" + {more}" if more > 0 else "")

@@ -2,10 +2,10 @@
 
 Every severity has a shape beside its colour, so that nobody depends on colours:
 
-    OK          one thin ring; thin lines along both sides of a seam
-    OUT         a thick ring with four ticks; bars across a seam
-    SERIOUS     two thick rings with a diagonal cross; thick bars with a crossbar at their ends
-    NOT JUDGED  a dashed ring; two dots on each side of a seam
+    OK          disc      one thin ring; thin lines along both sides of a seam
+    OUT         diamond   a thick ring with ticks where a diamond has its corners; bars across a seam
+    SERIOUS     cross     two thick rings with a diagonal cross; thick bars with a crossbar at their ends
+    NOT JUDGED  ring      a dashed ring; two dots on each side of a seam
 """
 
 from __future__ import annotations
@@ -17,25 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.results import Severity
+from metrology.verdicts import SEVERITIES, Symbol
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
-# The paper's green, blue and red, in shades that stay apart for colour-blind eyes; white for what was not judged.
-COLOURS: dict[Severity | None, Colour] = {
-    "green": (0, 214, 110),
-    "blue": (70, 150, 255),
-    "red": (255, 64, 48),
-    None: (255, 255, 255),
-}
-WORDS: dict[Severity | None, str] = {"green": "OK", "blue": "OUT", "red": "SERIOUS", None: "NOT JUDGED"}
-GRAVEST_FIRST: tuple[Severity | None, ...] = ("red", "blue", None, "green")
+COLOURS: dict[Severity | None, Colour] = {name: look.projector for name, look in SEVERITIES.items()}
+WORDS: dict[Severity | None, str] = {name: look.short for name, look in SEVERITIES.items()}
+GRAVEST_FIRST: tuple[Severity | None, ...] = tuple(SEVERITIES)
 
 # How far from a seam's middle its marks begin, and end by severity: the graver, the longer.
 BAR_START_MM = 2.5
 _CROSSBAR_MM = 2.4
 BAR_SPACING_MM = 4.0  # bars closer than this run together
-BAR_END_MM: dict[Severity | None, float] = {"red": 8.0, "blue": 5.5, None: 4.5, "green": 3.5}
+_REACH_MM: dict[Symbol, float] = {"cross": 8.0, "diamond": 5.5, "ring": 4.5, "disc": 3.5}
+BAR_END_MM: dict[Severity | None, float] = {name: _REACH_MM[look.symbol] for name, look in SEVERITIES.items()}
 
 
 @dataclass(frozen=True)
@@ -75,11 +71,11 @@ def rivet_marks(outline: Array, severity: Severity | None, width: int) -> list[S
     width : int
         Base line width in pixels.
     """
-    colour = COLOURS[severity]
-    if severity is None:
+    colour, symbol = COLOURS[severity], SEVERITIES[severity].symbol
+    if symbol == "ring":
         pieces = np.array_split(np.vstack([outline, outline[:1]]), 12)
         return [Stroke(piece, colour, width) for piece in pieces[::2]]
-    if severity == "green":
+    if symbol == "disc":
         return [Stroke(outline, colour, width, closed=True)]
     centre = outline.mean(0)
     outward = (outline - centre) / np.linalg.norm(outline - centre, axis=1, keepdims=True)
@@ -89,7 +85,7 @@ def rivet_marks(outline: Array, severity: Severity | None, width: int) -> list[S
 
     marks = [Stroke(outline, colour, 2 * width, closed=True)]
     n = len(outline)
-    if severity == "blue":
+    if symbol == "diamond":
         ticks = [0, n // 4, n // 2, 3 * n // 4]
     else:
         ticks = [n // 8, 3 * n // 8, 5 * n // 8, 7 * n // 8]
@@ -110,23 +106,23 @@ def seam_marks(course: Array, severity: Severity | None, px_per_mm: float, width
     width : int
         Base line width in pixels.
     """
-    colour = COLOURS[severity]
+    colour, symbol = COLOURS[severity], SEVERITIES[severity].symbol
     along = np.gradient(course, axis=0) if len(course) > 1 else np.array([[0.0, 1.0]])
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     across = np.column_stack([-along[:, 1], along[:, 0]])
     start, end = BAR_START_MM * px_per_mm, BAR_END_MM[severity] * px_per_mm
-    if severity == "green" and len(course) > 1:
+    if symbol == "disc" and len(course) > 1:
         return [Stroke(course + side * start * across, colour, width) for side in (-1, 1)]
     marks = []
     apart = _apart(course, BAR_SPACING_MM * px_per_mm)
     for place, normal, direction in zip(course[apart], across[apart], along[apart], strict=True):
         for side in (-1, 1):
             near, far = place + side * start * normal, place + side * end * normal
-            if severity is None:
+            if symbol == "ring":
                 marks += [Stroke(np.stack([dot, dot + 0.1 * normal]), colour, 2 * width) for dot in (near, far)]
                 continue
-            marks.append(Stroke(np.stack([near, far]), colour, width if severity != "red" else 2 * width))
-            if severity == "red":
+            marks.append(Stroke(np.stack([near, far]), colour, width if symbol != "cross" else 2 * width))
+            if symbol == "cross":
                 half = _CROSSBAR_MM / 2 * px_per_mm * direction
                 marks.append(Stroke(np.stack([far - half, far + half]), colour, width))
     return marks

@@ -114,6 +114,22 @@ class Matcher:
         radius = np.nan_to_num(self.nominal.diameters) / 2
         return in_view(self.rig, placement.to_rig(self.nominal.positions), radius)
 
+    def in_place(self, hypothesis: Hypothesis) -> Ints:
+        """(n,) the nominal rivet of each found one, also of a head of quite another size that stands at its place.
+
+        Sizes help to find the placement; once it is known, a head at a nominal place is the one of that place.
+        """
+        partner = hypothesis.partner.copy()
+        free = np.setdiff1d(np.arange(len(self.nominal)), partner)
+        for row in np.flatnonzero(partner < 0):
+            if len(free):
+                at = hypothesis.placement.to_panel(self.scan.rivets.positions[row])
+                away = np.linalg.norm(self.nominal.positions[free] - at, axis=1)
+                if away.min() <= self.settings.tolerance_mm:
+                    partner[row] = free[away.argmin()]
+                    free = np.delete(free, away.argmin())
+        return partner
+
     def distances(self, hypothesis: Hypothesis) -> Array:
         """(m,) distances of the recognised rivets from their nominal places, mm."""
         matched = hypothesis.partner >= 0

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.fastener import size_verdict
 from metrology.panel import NominalRivet, PanelLayout, Placement
 from metrology.registration.hypothesis import Hypothesis, Matcher, Scan
-from metrology.registration.relabel import Recognised, relabel_rivets, relabel_stations
+from metrology.registration.relabel import MISSING, Recognised, relabel_rivets, relabel_stations
 from metrology.registration.rows import has_position, positions
 from metrology.registration.search import PointPattern, estimated_normals, motion
 from metrology.registration.settings import RegistrationSettings
@@ -31,6 +32,7 @@ Status = Literal["recognised", "enrolled", "not enrolled", "not recognised"]
 
 _NORMAL_REACH = 1.5  # in diameters of the head
 _COURSE_POINTS = 24
+_FEWEST_WRONG = 3  # heads of another size that make one doubt the station
 # Placements whose probabilities differ by less than a factor of twenty cannot be told apart with 95 % confidence.
 _AMBIGUOUS = float(np.log(20.0))
 
@@ -110,8 +112,8 @@ def register(
         found = f"found at best {int((ranked[0].partner >= 0).sum()) if ranked else 0} of {len(rows)} rivets in it"
         return _unrecognised(rivets, stations, found)
     best = ranked[0]
-    partner = {row: int(k) for row, k in zip(rows, best.partner, strict=True) if k >= 0}
     absent = matcher.expected(best.placement)
+    partner = {row: int(k) for row, k in zip(rows, matcher.in_place(best), strict=True) if k >= 0}
     absent[list(partner.values())] = False
     known = Recognised(
         best.placement,
@@ -136,7 +138,7 @@ def register(
         rms_mm=float(np.sqrt((distances**2).mean())) if len(distances) else None,
         shift_mm=shift,
         turn_deg=turn_deg,
-        warnings=tuple(_warnings(ranked, shift, turn_deg, known.missing, settings)),
+        warnings=(*_warnings(ranked, shift, turn_deg, known.missing, settings), *_other_sizes(named)),
     )
 
 
@@ -176,7 +178,9 @@ def _pattern(layout: PanelLayout, prior: Placement | None) -> PointPattern:
 
 
 def _unrecognised(rivets: Sequence[Rivet], stations: Sequence[SeamStation], found: str) -> Registration:
-    warning = f"panel's pattern not recognised: {found}, expected most; ids are this scan's own"
+    warning = (
+        f"panel's pattern not recognised: {found}, expected most; ids are this scan's own; is this the right station?"
+    )
     return Registration("not recognised", None, tuple(rivets), tuple(stations), warnings=(warning,))
 
 
@@ -199,3 +203,12 @@ def _warnings(
         names = ", ".join(rivet.rivet_id for rivet in missing)
         warnings.append(f"rivets of the panel's pattern in view but not found: {names}")
     return warnings
+
+
+def _other_sizes(rivets: Sequence[Rivet]) -> list[str]:
+    """A warning where most heads are of another size than the pattern's: each of them is a finding, too."""
+    verdicts = [size_verdict(rivet) for rivet in rivets if not (rivet.reason or "").startswith(MISSING)]
+    known, wrong = sum(v is not None for v in verdicts), verdicts.count("wrong")
+    if wrong < _FEWEST_WRONG or 2 * wrong <= known:
+        return []
+    return [f"heads of another size than the pattern's: {wrong} of {known}; is this the right station?"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.surfaces import Polynomial, monomials
+from metrology.surfaces import Polynomial, monomials, tangent_rows
 
 Array = NDArray[np.float64]
 
@@ -71,11 +71,7 @@ def flushness(
     direction = slope / length if length > 0 else np.array([1.0, 0.0])
     slope_sd = float(np.sqrt(direction @ slope_covariance @ direction))
     true_length = float(np.sqrt(max(length**2 - 0.5 * np.trace(slope_covariance), 0.0)))
-    crown = 0.0
-    if head.order == 2:
-        crown = -0.5 * float(head.coefficients[3] + head.coefficients[5]) * radius**2
-    # Over the disc a plane's mean is its centre's height; a dome's lies half the crown below the centre.
-    mean = float(h1 - h0) - 0.5 * crown
+    crown = _crown(head.coefficients, radius)
     over_disc = monomials(x, y, head.order)
     over_disc[3:6:2] += 0.25 * radius**2
     mean_variance = float(over_disc @ head.covariance @ over_disc) + skin_covariance[0, 0]
@@ -83,7 +79,7 @@ def flushness(
     along = true_length * radius * r * np.cos(t)
     surface = float(h1 - h0) + along - crown * r**2
     return Flushness(
-        mean=mean * stretch,
+        mean=mean_height(head.coefficients, skin.coefficients, x, y, radius),
         low=float(surface.min()) * stretch,
         high=float(surface.max()) * stretch,
         mean_sd=float(np.sqrt(mean_variance * height_inflation)),
@@ -91,3 +87,23 @@ def flushness(
         tilt_sd=slope_sd,
         crown=crown * stretch,
     )
+
+
+def mean_height(head: Array, skin: Array, x: float, y: float, radius: float) -> float:
+    """Mean height of a head's disc over the skin's tangent plane at its centre, mm.
+
+    Parameters
+    ----------
+    head, skin : (k,) array
+        Coefficients of `monomials`.
+    x, y, radius : float
+        The head's disc, mm.
+    """
+    (h1, _, _), (h0, a0, b0) = (tangent_rows(x, y, 1 if len(c) == 3 else 2) @ c for c in (head, skin))
+    # Over the disc a plane's mean is its centre's height; a dome's lies half the crown below the centre.
+    return (float(h1 - h0) - 0.5 * _crown(head, radius)) * float(1 / np.sqrt(1 + a0**2 + b0**2))
+
+
+def _crown(head: Array, radius: float) -> float:
+    """Height of a head's centre over its rim, along the frame's normal; 0 for a plane."""
+    return 0.0 if len(head) == 3 else -0.5 * float(head[3] + head[5]) * radius**2

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.fits import FittedRivet, HeadFit
 from metrology.plausibility import plausible_rivet
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
@@ -17,7 +18,7 @@ from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.head import head_surface
 from metrology.rivets.inflation import Inflation, noise_inflation
-from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels
+from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels, set_radii
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -110,7 +111,7 @@ def _row(
     generator: np.random.Generator,
 ) -> Rivet:
     """The table's row of a rivet."""
-    empty = Rivet(
+    empty = FittedRivet(
         rivet_id=rivet_id,
         x_mm=None,
         y_mm=None,
@@ -145,6 +146,7 @@ def _row(
         y_mm=float(centre[1]),
         z_mm=float(centre[2]),
         diameter_mm=2 * circle.radius,
+        diameter_u95_mm=_diameter_u95(detection, p.guard / p.guard_px),
         height_mean_mm=f.mean,
         height_min_mm=f.low,
         height_max_mm=f.high,
@@ -157,7 +159,20 @@ def _row(
         rms_inner_mm=head.rms_mm,
         rms_outer_mm=outcome.skin.rms_mm,
         decision="no limit",
+        fit=HeadFit(
+            p.frame, outcome.skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)
+        ),
     )
+
+
+def _diameter_u95(detection: RivetDetection, pixel_mm: float) -> float | None:
+    """Expanded uncertainty of a head's diameter, mm: of the ring's fit, and that its edge lies somewhere in the ring.
+
+    Dirt, paint and wear widen the dark line or move its middle, at most to its border.
+    """
+    of_axes = 0.5 * float(np.sqrt(detection.covariance[2, 2] + detection.covariance[3, 3]))
+    line = detection.rim_sigma_px if detection.rim_sigma_px is not None else 0.0
+    return pixel_mm * float(np.hypot(COVERAGE_95 * of_axes, line)) if np.isfinite(of_axes) else None
 
 
 def _circle(detection: RivetDetection, fits: Fits, head: Polynomial, reconstruction: Reconstruction) -> Circle:

@@ -159,6 +159,13 @@ def outer_radius(radius_mm: float, settings: RivetSettings) -> float:
     return max(settings.outer_radii[1] * radius_mm, radius_mm + settings.min_outer_width_mm)
 
 
+def set_radii(patch: Patch, settings: RivetSettings) -> tuple[float, tuple[float, float]]:
+    """Within which distance of the centre the head's points lie, and between which the skin's, mm."""
+    inner = max(min(settings.inner_radius * patch.radius, patch.radius - patch.guard), 0.5 * patch.radius)
+    start = max(settings.outer_radii[0] * patch.radius, patch.radius + patch.guard)
+    return inner, (start, outer_radius(patch.radius, settings))
+
+
 def point_sets(patch: Patch, settings: RivetSettings) -> tuple[Mask, Mask]:
     """Points of head and skin, (n,) bool each.
 
@@ -167,10 +174,9 @@ def point_sets(patch: Patch, settings: RivetSettings) -> tuple[Mask, Mask]:
     they stay, and the guard alone keeps the rim away.
     """
     r = np.hypot(patch.x, patch.y)
-    inner = max(min(settings.inner_radius * patch.radius, patch.radius - patch.guard), 0.5 * patch.radius)
-    start = max(settings.outer_radii[0] * patch.radius, patch.radius + patch.guard)
+    inner, (start, end) = set_radii(patch, settings)
     sets = []
-    for members in (r < inner, (r > start) & (r < outer_radius(patch.radius, settings))):
+    for members in (r < inner, (r > start) & (r < end)):
         points = patch.usable & members
         clear = points & ~patch.edge
         sets.append(clear if clear.sum() > settings.min_clear_share * points.sum() else points)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.seams.sections import Section, SkinLine
+from metrology.fits import SectionFit, SkinLine
+from metrology.seams.sections import Section
 
 Array = NDArray[np.float64]
 
@@ -37,26 +38,26 @@ class Gap:
     sigma_width_mm: float
 
 
-def signed_distance(section: Section, x: float, h: float, line: SkinLine) -> float:
+def signed_distance(x: float, h: float, line: SkinLine) -> float:
     """Distance of a point from a skin line, positive outside the skin: eqs 7 and 8 with a sign, curved lines too."""
     return (h - line.height(x)) / float(np.hypot(1.0, line.slope(x)))
 
 
-def step_height(section: Section, a: float, b: float) -> float:
+def step_height(section: Section | SectionFit, a: float, b: float) -> float:
     """H_gap, eq 6 with a sign: how much higher side B lies than side A, as the mean of what both edges say."""
-    d_prime = -signed_distance(section, a, section.a.height(a), section.b)
-    g_prime = signed_distance(section, b, section.b.height(b), section.a)
+    d_prime = -signed_distance(a, section.a.height(a), section.b)
+    g_prime = signed_distance(b, section.b.height(b), section.a)
     return 0.5 * (d_prime + g_prime)
 
 
-def gap_width(section: Section, a: GapEdge, b: GapEdge) -> float:
+def gap_width(section: Section | SectionFit, a: GapEdge, b: GapEdge) -> float:
     """W_gap, eqs 9–11: mean distance of D from line GG′ and of G from line DD′, which are normal to the skin lines."""
-    d, d_tangent = _inflection(section.a, a)
-    g, g_tangent = _inflection(section.b, b)
+    d, d_tangent = inflection(section.a, a)
+    g, g_tangent = inflection(section.b, b)
     return 0.5 * (float((g - d) @ g_tangent) + float((g - d) @ d_tangent))
 
 
-def _inflection(line: SkinLine, edge: GapEdge) -> tuple[Array, Array]:
+def inflection(line: SkinLine, edge: GapEdge) -> tuple[Array, Array]:
     """The inflection point below the ideal edge, and the skin line's unit tangent there."""
     slope = line.slope(edge.ideal_mm)
     tangent = np.array([1.0, slope]) / np.hypot(1.0, slope)

@@ -23,7 +23,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.seams.sections import Section, SkinLine
+from metrology.fits import SkinLine
+from metrology.seams.sections import Section
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.fits import SkinLine
 from metrology.jit import kernel
 from metrology.seams.plates import beyond
 from metrology.seams.skin_lines import SkinFit, fit_skin_lines
@@ -26,30 +27,6 @@ _SPARSE = 4
 # Skin lies this near to the frame's plane, and while the frame is being turned into it.
 _SKIN_BAND_MM = 3.0
 _TURNING_BANDS_MM = (6.0, 3.0)
-
-
-@dataclass(frozen=True)
-class SkinLine:
-    """One side's skin in a section: ``h(x) = c_0 + c_1 x + c_2 x²``.
-
-    Attributes
-    ----------
-    coefficients : (3,) ndarray
-        c_0 (mm), c_1, c_2 (1/mm).
-    n : int
-        Points it rests on.
-    """
-
-    coefficients: Array
-    n: int
-
-    def height(self, x: float) -> float:
-        """h at x, mm."""
-        return float(self.coefficients @ (1.0, x, x * x))
-
-    def slope(self, x: float) -> float:
-        """dh/dx at x."""
-        return float(self.coefficients[1] + 2 * self.coefficients[2] * x)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.fits import FittedStation, SectionFit
 from metrology.plausibility import plausible_station
 from metrology.results import COVERAGE_95, RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
@@ -19,8 +20,9 @@ from metrology.seams.plates import coarse_course, gap_mask
 from metrology.seams.point_edges import point_edges
 from metrology.seams.sections import Section, section_at, usable_points
 from metrology.seams.settings import SeamSettings
+from metrology.seams.sides import is_upright, oriented, towards_b
 from metrology.seams.skin_lines import CLUMPING_MEDIAN
-from metrology.seams.tracks import Track, lay_on_skin, oriented
+from metrology.seams.tracks import Track, lay_on_skin
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,11 +35,12 @@ _RIVET_GUARD_PX = 6.0
 
 @dataclass(frozen=True)
 class _Station:
-    """Where a station stands, and its section or the reason why there is none."""
+    """Where a station stands, where its skin begins, and its section or the reason why there is none."""
 
     s_mm: float
     pixel: Array
     half_width_mm: float
+    inner_mm: float
     section: Section | str
 
 
@@ -54,6 +57,8 @@ class _Ground:
         Rivet heads and what is close around them.
     other_courses : list of (m, 2) ndarray
         Of the other seams, left image.
+    upright : bool
+        Whether the seam is nearer to vertical in the left image, see `sides`.
     settings : SeamSettings
     """
 
@@ -61,6 +66,7 @@ class _Ground:
     clear: Mask
     heads: Mask
     other_courses: list[Array]
+    upright: bool
     settings: SeamSettings
 
 
@@ -98,7 +104,8 @@ def measure_seams(
             clear &= ~gap_mask(other, settings.guard_px, usable.shape)
         track = lay_on_skin(oriented(seam.centre_px), seam.width_px, reconstruction, clear, settings.guard_px)
         if track is not None:
-            ground = _Ground(reconstruction, clear, heads, [coarse_course(other) for other in others], settings)
+            courses = [coarse_course(other) for other in others]
+            ground = _Ground(reconstruction, clear, heads, courses, is_upright(seam.centre_px), settings)
             stations += _measure_seam(seam.seam_id, track, ground)
     return stations
 
@@ -122,7 +129,7 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
     else:
         gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
     rows = [
-        _row(seam_id, station, section, gap, reconstruction)
+        _row(seam_id, station, section, gap, ground)
         for station, section, gap in zip(stations, sections, gaps, strict=True)
     ]
     rows = _with_unevenness(rows, settings.station_step_mm, settings.half_length_mm)
@@ -161,20 +168,20 @@ def _place(track: Track, s: float, ground: _Ground) -> _Station:
     """One station's section."""
     settings = ground.settings
     origin, direction, pixel, width_px = track.at(s)
-    towards_b = _towards_b(track, origin, direction)
-    ahead = ground.reconstruction.rig.left.project(np.stack([origin, origin + towards_b]))
+    across = towards_b(direction, origin, ground.upright)
+    ahead = ground.reconstruction.rig.left.project(np.stack([origin, origin + across]))
     px_mm = float(np.linalg.norm(ahead[1] - ahead[0]))
     half = 0.5 * width_px / px_mm
+    inner = half + settings.guard_px / px_mm
     u, v = np.clip(np.round(pixel).astype(int), 0, np.array(ground.heads.shape[::-1]) - 1)
     if ground.heads[v, u]:
-        return _Station(s, pixel, half, "over a rivet")
-    inner = half + settings.guard_px / px_mm
+        return _Station(s, pixel, half, inner, "over a rivet")
     section = section_at(
         ground.reconstruction,
         ground.clear,
         origin,
         direction,
-        towards_b,
+        across,
         pixel,
         (inner, inner),
         (inner + settings.skin_extent_mm,) * 2,
@@ -182,22 +189,10 @@ def _place(track: Track, s: float, ground: _Ground) -> _Station:
         settings.min_points,
         ground.other_courses,
     )
-    return _Station(s, pixel, half, section)
+    return _Station(s, pixel, half, inner, section)
 
 
-def _towards_b(track: Track, origin: Array, direction: Array) -> Array:
-    """Unit vector across the seam to side B: right of a seam nearer to vertical in the left image, else below it."""
-    chord = track.pixels[-1] - track.pixels[0]
-    axis = np.array([1.0, 0, 0]) if abs(chord[1]) >= abs(chord[0]) else np.array([0, 1.0, 0])
-    across = axis - (axis @ direction) * direction
-    view = origin / np.linalg.norm(origin)
-    across -= (across @ view) * view
-    return np.asarray(across / np.linalg.norm(across))
-
-
-def _row(
-    seam_id: str, station: _Station, section: Section | None, gap: Gap | str, reconstruction: Reconstruction
-) -> SeamStation:
+def _row(seam_id: str, station: _Station, section: Section | None, gap: Gap | str, ground: _Ground) -> SeamStation:
     u, v = (float(x) for x in station.pixel)
     if section is None:
         return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=str(station.section))
@@ -205,8 +200,8 @@ def _row(
     half = station.half_width_mm
     a, b = (gap.a.ideal_mm, gap.b.ideal_mm) if isinstance(gap, Gap) else (-half, half)
     middle = midpoint(section, a, b)
-    pixel = reconstruction.rig.left.project(middle)
-    row = SeamStation(
+    pixel = ground.reconstruction.rig.left.project(middle)
+    row = FittedStation(
         seam_id,
         station.s_mm,
         float(middle[0]),
@@ -219,6 +214,7 @@ def _row(
         n_left=section.a.n,
         n_right=section.b.n,
         reason=gap if isinstance(gap, str) else None,
+        fit=_kept(station, section, (a, b), ground.settings),
     )
     if isinstance(gap, str):
         return row
@@ -226,7 +222,16 @@ def _row(
     if width < u95 <= _WIDEST_BOUND_MM:
         limit = max(width, 0.0) + u95
         return replace(row, reason=f"too narrow for its width to be measured: under {limit:.2f} mm")
-    return replace(row, width_mm=width, width_u95_mm=u95)
+    fit = replace(row.fit, depths_mm=(gap.a.depth_mm, gap.b.depth_mm)) if row.fit else None
+    return replace(row, width_mm=width, width_u95_mm=u95, fit=fit)
+
+
+def _kept(station: _Station, section: Section, edges: tuple[float, float], settings: SeamSettings) -> SectionFit:
+    """What a station's values rest on."""
+    outer = station.inner_mm + settings.skin_extent_mm
+    return SectionFit(
+        section.frame, section.a, section.b, edges, None, station.inner_mm, outer, settings.half_length_mm
+    )
 
 
 def _step_u95(section: Section, a: float, b: float) -> float:

@@ -71,13 +71,6 @@ class Track:
         )
 
 
-def oriented(centre_px: Array) -> Array:
-    """The line in its direction of growing arc length: downwards where it is nearer to vertical, else to the right."""
-    chord = centre_px[-1] - centre_px[0]
-    growing = chord[1] if abs(chord[1]) >= abs(chord[0]) else chord[0]
-    return centre_px if growing >= 0 else centre_px[::-1]
-
-
 def lay_on_skin(
     centre_px: Array, width_px: Array, reconstruction: Reconstruction, usable: Mask, guard_px: float
 ) -> Track | None:

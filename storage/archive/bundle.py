@@ -28,6 +28,7 @@ from storage.archive.files import protect, sha256, sync, write_durably
 from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
 from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
+from storage.fits import write_fits
 from storage.models import Identifier, UtcTime, validate
 from storage.panel_spec import pattern_toml
 
@@ -36,6 +37,7 @@ MANIFEST = "manifest.json"
 # 10 nm, 0.1 mdeg and 0.1 mpx, far below any uncertainty: tables of such numbers take a third of the room.
 _DIGITS = {"mm": 5, "deg": 4, "px": 4}
 CLOUD, OVERLAY, OVERLAY_SVG, PREVIEW, RIG = "cloud.parquet", "overlay.png", "overlay.svg", "preview.png", "rig.json"
+FITS = "fits.parquet"
 PATTERN = "pattern.toml"  # where the scene enrols its station's pattern
 
 
@@ -108,6 +110,7 @@ def write_bundle(
     if result.pattern:
         text = pattern_toml(result.pattern, result.key.panel, "enrolled", result.key.scene_id)
         (folder / PATTERN).write_text(text, encoding="utf-8")
+    write_fits(folder / FITS, result.rivets, result.stations)
     for name, table in tables.items():
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
     files = sorted(folder.iterdir())

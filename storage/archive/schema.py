@@ -156,6 +156,8 @@ n_inner INTEGER points on the head that were used
 n_outer INTEGER points on the skin around it that were used
 rms_inner_mm DOUBLE scatter of the head's points about its plane, mm
 rms_outer_mm DOUBLE scatter of the skin's points about the reference surface, mm
+diameter_u95_mm DOUBLE expanded uncertainty (95 %) of diameter_mm, mm
+diameter_nominal_mm DOUBLE diameter of the head by the panel's pattern, mm; NULL where it names none
 x_panel_mm DOUBLE the same point in the panel's frame, mm; NULL where the panel's pattern was not recognised
 y_panel_mm DOUBLE the same point in the panel's frame, mm
 z_panel_mm DOUBLE the same point in the panel's frame, mm

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import timedelta
+
+from metrology.verdicts import DECISIONS, IN_ORDER, OUTSIDE, gravity
 
 # A scan cannot be newer than the moment it was first stored; a camera's clock may be a little ahead.
 CLOCK_SLACK = timedelta(minutes=5)
@@ -17,11 +20,17 @@ NEWEST_TIME = f"coalesce(max(captured_at) FILTER (NOT {AHEAD}), max(captured_at)
 """When the newest scan was taken, by the same rule."""
 
 KEY = "aircraft_serial, panel, station, captured_at, scene_id"
-# From grave to harmless.
-_RANK = (
-    "CASE decision WHEN 'fail' THEN 0 WHEN 'conditional fail' THEN 1 WHEN 'not measured' THEN 2 "
-    "WHEN 'conditional pass' THEN 3 WHEN 'pass' THEN 4 ELSE 5 END"
-)
+
+
+def _one_of(decisions: Iterable[str]) -> str:
+    return f"decision IN ({', '.join(map(repr, decisions))})"
+
+
+RANK_SQL = f"CASE decision {' '.join(f'WHEN {d!r} THEN {gravity(d)}' for d in DECISIONS)} ELSE {len(DECISIONS)} END"
+"""Rank of a row's decision, from grave to harmless."""
+OUTSIDE_SQL = _one_of(OUTSIDE)
+"""Whether a row's value lies beyond a limit."""
+_IN_ORDER_SQL = _one_of(IN_ORDER)
 
 
 @dataclass(frozen=True)
@@ -60,15 +69,15 @@ VIEWS = (
         "worst_rivets",
         "Rivets of the newest scans that do not pass, the gravest first, then by distance from flush",
         f"SELECT {KEY}, rivet_id, height_mean_mm, height_u95_mm, tilt_deg, tilt_u95_deg, severity, decision, reason, "
-        f"u_px, v_px FROM latest_rivets WHERE decision NOT IN ('pass', 'no limit') "
-        f"ORDER BY {_RANK}, abs(height_mean_mm) DESC NULLS LAST",
+        f"u_px, v_px FROM latest_rivets WHERE NOT {_IN_ORDER_SQL} "
+        f"ORDER BY {RANK_SQL}, abs(height_mean_mm) DESC NULLS LAST",
     ),
     View(
         "worst_seam_stations",
         "Seam positions of the newest scans that do not pass, the gravest first, then by step",
         f"SELECT {KEY}, seam_id, s_mm, step_mm, step_u95_mm, width_mm, width_u95_mm, severity, decision, reason, "
-        f"u_px, v_px FROM latest_seam_stations WHERE decision NOT IN ('pass', 'no limit') "
-        f"ORDER BY {_RANK}, abs(step_mm) DESC NULLS LAST",
+        f"u_px, v_px FROM latest_seam_stations WHERE NOT {_IN_ORDER_SQL} "
+        f"ORDER BY {RANK_SQL}, abs(step_mm) DESC NULLS LAST",
     ),
     View(
         "seam_summary",
@@ -87,12 +96,12 @@ VIEWS = (
         "count(*) FILTER (status <> 'ok') AS n_scenes_with_warnings, "
         "count(*) FILTER (rig_verdict = 'unjudged') AS n_scenes_rig_unjudged FROM latest_scenes GROUP BY ALL), "
         "r AS (SELECT aircraft_serial, panel, count(*) AS n_rivets, "
-        "count(*) FILTER (decision IN ('fail', 'conditional fail')) AS n_rivets_failing, "
+        f"count(*) FILTER ({OUTSIDE_SQL}) AS n_rivets_failing, "
         "count(*) FILTER (decision = 'not measured') AS n_rivets_not_measured, "
         "max(abs(height_mean_mm)) AS height_worst_mm, avg(height_mean_mm) AS height_mean_mm "
         "FROM latest_rivets GROUP BY ALL), "
         "t AS (SELECT aircraft_serial, panel, count(*) AS n_seam_stations, "
-        "count(*) FILTER (decision IN ('fail', 'conditional fail')) AS n_seam_stations_failing, "
+        f"count(*) FILTER ({OUTSIDE_SQL}) AS n_seam_stations_failing, "
         "max(abs(step_mm)) AS step_worst_mm, max(width_mm) AS width_worst_mm FROM latest_seam_stations GROUP BY ALL) "
         "SELECT * FROM s LEFT JOIN r USING (aircraft_serial, panel) LEFT JOIN t USING (aircraft_serial, panel)",
     ),

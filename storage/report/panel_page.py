@@ -19,7 +19,7 @@ from storage.report.sections import (
     traceability,
     verdict,
 )
-from storage.report.verdicts import gravest, needs_attention
+from storage.report.verdicts import KEY, gravest, needs_attention
 
 
 def panel_page(record: PanelRecord) -> str:
@@ -78,10 +78,7 @@ def _maps(record: PanelRecord) -> list[str]:
     )
     if not drawing:
         return []
-    caption = (
-        "In panel coordinates. Disc: meets the limits; square: outside; diamond: seriously outside; ring: not judged."
-    )
-    return ["<h2>Map</h2>", figure(drawing, caption)]
+    return ["<h2>Map</h2>", figure(drawing, f"In panel coordinates. {KEY}.")]
 
 
 def _attention(record: PanelRecord) -> str:

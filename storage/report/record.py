@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.errors import SpecError, StoreError
+from metrology.errors import StoreError
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
 from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
-from storage.panel_spec import panel_spec_from
+from storage.panel_spec import judged_by
 from storage.review import Entry, ReviewLog
 
 Row = Mapping[str, Any]
@@ -107,7 +107,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         how_they_stand = standings(connection, review, scene_id)
     return SceneRecord(
         scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
-        _limits(manifest, paths.bundle / MANIFEST), decisions, how_they_stand,
+        judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand,
     )  # fmt: skip
 
 
@@ -132,12 +132,6 @@ def _earlier_work(store: Store, aircraft_serial: str, panel: str, newest: list[s
     with contextlib.closing(store.connect()) as connection:
         work = open_work(connection, ReviewLog(store.root).read())
     return tuple(entry for (scene_id, _), entry in work.items() if scene_id in earlier)
-
-
-def _limits(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:
-    with contextlib.suppress(SpecError):  # a run of an older version, whose specification had another form
-        return panel_spec_from(manifest.get("panel_spec", {}), path).limits
-    return None
 
 
 def _rows(store: Store, sql: str, *values: str) -> tuple[Row, ...]:

@@ -7,9 +7,18 @@ from html import escape
 from storage.report.drawings import heights_chart, marked_picture
 from storage.report.markup import data_uri, figure, moment, page
 from storage.report.record import SceneRecord
-from storage.report.sections import decisions_table, limits_table, rivet_table, seams, traceability, verdict
+from storage.report.sections import (
+    decisions_table,
+    feature_limits,
+    limits_table,
+    rivet_table,
+    seams,
+    traceability,
+    verdict,
+)
+from storage.report.verdicts import KEY
 
-_MARKS = "Rings and dots by verdict: green thin: meets the limits; blue dashed: outside; red thick: seriously outside."
+_MARKS = f"Rims and symbols: {KEY}."
 
 
 def scene_page(record: SceneRecord) -> str:
@@ -30,10 +39,9 @@ def scene_page(record: SceneRecord) -> str:
         "</div>",
     ]
     if record.rivets:
-        limit = record.limits.zone().height_mm if record.limits else None
         parts.append("<h2>Rivets</h2>")
-        if chart := heights_chart(record.rivets, limit):
-            parts.append(figure(chart, "Heights with their U95; dashed: limits of the default zone."))
+        if chart := heights_chart(record.rivets, feature_limits(record.rivets, "height_mm", record.limits)):
+            parts.append(figure(chart, "Heights with their U95; dashed: the limits that each was judged by."))
         parts.append(rivet_table(record.rivets))
     if record.stations:
         parts += ["<h2>Seams</h2>", *seams(record.stations, record.limits)]

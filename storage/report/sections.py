@@ -9,7 +9,10 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
+from metrology.requirements import Downstream, downstream_of, limit_of
+from metrology.results import SeamStation
 from metrology.tolerance import RULE, Limit, PanelSpec, Zone
+from storage.archive.rows import result_of
 from storage.archive.work import OPEN_WORK, said
 from storage.report.drawings import seam_chart
 from storage.report.markup import badge, facts, figure, moment, number, table, with_u95
@@ -92,11 +95,11 @@ def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
     parts = []
     for seam_id, group in groupby(stations, key=lambda s: s["seam_id"]):
         course = list(group)
-        zone = limits.zone(course[0]["zone"]) if limits else Zone()
         parts.append(f"<h3>Seam {escape(seam_id)}</h3>{verdict(course)}{_summary(course)}")
-        for quantity, limit in (("step", zone.step_mm), ("width", zone.width_mm)):
-            if chart := seam_chart(course, quantity, limit):
-                parts.append(figure(chart, f"{quantity} along seam {seam_id}; grey: U95; dashed: limits"))
+        for quantity in ("step", "width"):
+            if chart := seam_chart(course, quantity, feature_limits(course, f"{quantity}_mm", limits)):
+                said = f"{quantity} along seam {seam_id}; grey: U95; dashed: the limits judged by"
+                parts.append(figure(chart, said + (" (zone and wind)" if quantity == "step" else "")))
         attention = [s for s in course if needs_attention(s)]
         if attention:
             parts.append(f"<details open><summary>{len(attention)} positions need attention</summary>")
@@ -104,6 +107,14 @@ def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
         parts.append('<details class="hide-in-print"><summary>all positions</summary>')
         parts.append(f"{station_table(course)}</details>")
     return parts
+
+
+def feature_limits(features: Sequence[Row], quantity: str, spec: PanelSpec | None) -> list[Limit | None]:
+    """The limit of a quantity that each rivet or seam station was judged by."""
+    if spec is None:
+        return [None] * len(features)
+    signs: list[Downstream] = [downstream_of(result_of(SeamStation, f)) if "seam_id" in f else 0 for f in features]
+    return [limit_of(spec.zone(f["zone"]), quantity, sign) for f, sign in zip(features, signs, strict=True)]
 
 
 def _summary(stations: Sequence[Row]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,7 +27,7 @@ from dashboard.habits import Habits, habits_of, with_minus
 from dashboard.launch import check_address, command, login_is_configured
 from dashboard.pictures import load_picture
 from dashboard.review_report import csv_report, html_report
-from dashboard.scenes import limits_used, load_features, load_scene_row, seam_neighbours, worst_feature
+from dashboard.scenes import load_features, load_scene_row, requirements, worst_feature
 from dashboard.trends import QUANTITIES, Subject, capability_of, events, series, spread
 from metrology.errors import StoreError, UsageError
 from metrology.tolerance import Limit
@@ -124,36 +125,64 @@ def test_importing_the_dashboard_loads_neither_open3d_nor_prefect() -> None:
 def test_rivet_close_up_measures_what_was_made(archive: Archive) -> None:
     made = recipe(5, "S2")
     cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
+    fits = archive.fits(load_scene_row(archive, LAST).bundle_path)
     rivets = load_features(archive, load_scene_row(archive, LAST)).rivets
     for rivet, height in zip(rivets.itertuples(), made.heights_mm, strict=True):
-        found = rivet_close_up(cloud, rivet)
+        found = rivet_close_up(cloud, rivet, fits.head(rivet.rivet_id))
         assert not isinstance(found, str), found
-        assert float(found.head.height(0.0, 0.0)) == pytest.approx(height, abs=0.006)
+        assert found.height == pytest.approx(rivet.height_mean_mm, abs=1e-5)
+        assert found.height == pytest.approx(height, abs=0.006)
         assert abs(np.median(found.deviation[found.outer])) < 0.002
-        assert np.hypot(found.x, found.y)[found.inner].max() < found.radius
-        slope = np.degrees(np.arctan(np.hypot(*found.head.coefficients[1:])))
-        assert slope == pytest.approx(made.tilt_deg, abs=0.12)
+        assert abs(np.median(found.deviation[found.inner]) - height) < 0.01
+        assert np.hypot(found.x, found.y)[found.inner].max() < found.fit.radius
+        rise = np.diff(found.head(np.array([-1.0, 1.0])))[0] / 2
+        assert np.degrees(np.arctan(rise)) == pytest.approx(made.tilt_deg, abs=0.12)
 
 
 def test_seam_section_measures_what_was_made(archive: Archive) -> None:
     features = load_features(archive, load_scene_row(archive, LAST))
     cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
+    fits = archive.fits(load_scene_row(archive, LAST).bundle_path)
     for station in list(features.stations.itertuples())[3:-3:6]:
-        found = seam_section(cloud, station, seam_neighbours(features, station))
+        found = seam_section(cloud, station, fits.section(station.seam_id, station.s_mm))
         assert not isinstance(found, str), found
-        step = found.line_b[0] - found.line_a[0]
-        assert step == pytest.approx(station.step_mm, abs=0.02)
-        assert found.edge_a is not None
-        assert found.edge_b is not None
-        assert found.edge_b[0] - found.edge_a[0] == pytest.approx(station.width_mm)
+        assert (found.step, found.width) == pytest.approx((station.step_mm, station.width_mm), abs=1e-5)
         assert found.line_a[0] < found.line_b[0]  # side B, at larger u, stands higher
+        # The points of side B lie on its line.
+        beyond = found.used & (found.x > 0)
+        line = np.polyval(found.line_b[::-1], found.x[beyond])
+        assert abs(np.median(found.h[beyond] - line)) < 0.02
 
 
-@pytest.mark.parametrize("change", [{"x_mm": None}, {"diameter_mm": 0.0}, {"u_px": 1e9}, {"z_mm": float("nan")}])
-def test_no_close_up_says_why(archive: Archive, change: dict) -> None:
-    cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
-    rivet = next(load_features(archive, load_scene_row(archive, LAST)).rivets.itertuples(index=False))
-    assert isinstance(rivet_close_up(cloud, SimpleNamespace(**{**rivet._asdict(), **change})), str)
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"height_mean_mm": None}, "not measured"),
+        ({"u_px": 1e9}, "outside the picture"),
+        ({"u_px": float("nan")}, "not measured"),
+        ({"height_mean_mm": 0.0312}, r"this version gets a height of .* the table says \+0.0312 mm"),
+    ],
+)
+def test_no_close_up_says_why(archive: Archive, change: dict, why: str) -> None:
+    row = load_scene_row(archive, LAST)
+    cloud, fits = archive.cloud(row.cloud_path), archive.fits(row.bundle_path)
+    rivet = next(load_features(archive, row).rivets.itertuples(index=False))
+    changed = SimpleNamespace(**{**rivet._asdict(), **change})
+    found = rivet_close_up(cloud, changed, fits.head(rivet.rivet_id))
+    assert isinstance(found, str)
+    assert re.search(why, found)
+    assert "kept no fit" in str(rivet_close_up(cloud, rivet, fits.head("R99")))
+
+
+def test_a_step_of_another_version_is_not_drawn(archive: Archive) -> None:
+    row = load_scene_row(archive, LAST)
+    cloud, fits = archive.cloud(row.cloud_path), archive.fits(row.bundle_path)
+    station = list(load_features(archive, row).stations.itertuples(index=False))[10]
+    fit = fits.section(station.seam_id, station.s_mm)
+    for column, said in (("step_mm", "gets a step of"), ("width_mm", "gets a width of")):
+        changed = SimpleNamespace(**{**station._asdict(), column: getattr(station, column) + 0.001})
+        assert said in str(seam_section(cloud, changed, fit))
+    assert fits.section(station.seam_id, station.s_mm + 1.0) is None
 
 
 def test_field_deviation_takes_the_skin_off(archive: Archive) -> None:
@@ -187,17 +216,23 @@ def test_scene_figure_carries_what_a_click_needs(archive: Archive) -> None:
 def test_close_up_figures_draw(archive: Archive) -> None:
     row, features = load_scene_row(archive, LAST), load_features(archive, load_scene_row(archive, LAST))
     cloud = archive.cloud(row.cloud_path)
-    limits = limits_used(archive, row.bundle_path, "default")
+    fits = archive.fits(row.bundle_path)
     rivet = next(features.rivets.itertuples())
-    found = rivet_close_up(cloud, rivet)
+    found = rivet_close_up(cloud, rivet, fits.head(rivet.rivet_id))
     assert not isinstance(found, str)
-    section = rivet_section(found, rivet.height_mean_mm, limits["height_mm"], Habits())
-    assert {"inner plane", "outer plane (skin)"} <= {trace.name for trace in section.data}
+    judged = requirements(archive, row.bundle_path, Feature("rivet", rivet.rivet_id), rivet)
+    assert judged is not None
+    assert [(r.name, r.limit.upper) for r in judged if r.limit] == [("height", 0.1), ("tilt", 1.0)]
+    section = rivet_section(found, judged[0].limit, Habits())
+    assert {"head as fitted", "skin as fitted"} <= {trace.name for trace in section.data}
+    assert any(
+        f"{rivet.height_mean_mm:+.3f} mm".replace("-", "−") in (a.text or "") for a in section.layout.annotations
+    )
     assert rivet_map(found, Habits()).data
     station = list(features.stations.itertuples())[10]
-    seam = seam_section(cloud, station, seam_neighbours(features, station))
+    seam = seam_section(cloud, station, fits.section(station.seam_id, station.s_mm))
     assert not isinstance(seam, str)
-    fig = seam_figure(seam, station, Habits("de"))
+    fig = seam_figure(seam, Habits("de"))
     letters = {trace.text[0] for trace in fig.data if trace.text}
     assert letters == {f"<b>{letter}</b>" for letter in ("D", "G", "D′", "G′")}
     said = " ".join(annotation.text or "" for annotation in fig.layout.annotations)

@@ -15,6 +15,7 @@ from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement, c
 from metrology.registration import Registration, enrol, register
 from metrology.results import Rivet, SeamStation
 from metrology.rig import Device, Rig
+from metrology.tolerance import PanelSpec, judge_rivets
 
 Array = NDArray[np.float64]
 SIZE = (203, 154)
@@ -92,6 +93,9 @@ class Panel:
         flags = np.zeros(u.shape, np.uint16)
         view = DecodedView(blank, blank, blank, blank, flags)
         return Reconstruction(RIG, view, view, points, blank, flags)
+
+
+NOTHING_ASKED = PanelSpec("P", "A")
 
 
 def moved(placement: Placement, rng: np.random.Generator, shift: float = 15.0, turn: float = 5.0) -> Placement:
@@ -230,9 +234,51 @@ def test_a_head_of_the_wrong_size_keeps_its_name_and_says_so() -> None:
     seen = scan(panel, NOMINAL, rng)
     rivets = [replace(r, diameter_mm=8.0) if k == 3 else r for k, r in enumerate(seen.rivets)]
     result = register(rivets, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
-    said = [r.rivet_id for r in result.rivets if r.reason == "diameter 8.0 mm, expected 5.0 mm"]
-    assert said == [seen.truth[seen.rivets[3].rivet_id]]
+    said = {r.rivet_id: (r.decision, r.severity) for r in judge_rivets(result.rivets, NOTHING_ASKED) if r.reason}
+    assert said == {seen.truth[seen.rivets[3].rivet_id]: ("fail", "red")}
     assert not result.missing
+    assert not result.warnings
+
+
+@pytest.mark.parametrize("size", [2.4, 6.6, 8.0, 11.0])
+def test_a_wrong_fastener_is_named_whatever_its_size(size: float) -> None:
+    rng = np.random.default_rng(1)
+    panel = symmetric()
+    seen = scan(panel, NOMINAL, rng)
+    rivets = [
+        replace(r, diameter_u95_mm=0.3, diameter_mm=size if k == 3 else r.diameter_mm)
+        for k, r in enumerate(seen.rivets)
+    ]
+    result = register(rivets, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
+    judged = judge_rivets(result.rivets, NOTHING_ASKED)
+    findings = {r.rivet_id: r.reason for r in judged if r.decision != "no limit"}
+    assert findings == {seen.truth[seen.rivets[3].rivet_id]: f"wrong fastener: {size:.1f} mm, expected 5.0"}
+    assert not result.missing
+    assert not result.unlisted
+
+
+def test_a_diameter_that_its_own_uncertainty_explains_is_no_certain_finding() -> None:
+    rivet = replace(found_rivet("R1", np.array([0.0, 0, 700]), 5.7), diameter_nominal_mm=5.0)
+    verdicts = {u95: judge_rivets([replace(rivet, diameter_u95_mm=u95)], NOTHING_ASKED)[0] for u95 in (0.1, 0.3)}
+    assert verdicts[0.1].decision == "fail"
+    assert (verdicts[0.3].decision, verdicts[0.3].severity) == ("conditional fail", "blue")
+    assert verdicts[0.3].reason == "perhaps a wrong fastener: 5.7 mm, expected 5.0 (diameter ± 0.3 mm)"
+    for unknown in ({"diameter_mm": None}, {"diameter_nominal_mm": None}, {"diameter_mm": 5.4}):
+        assert judge_rivets([replace(rivet, **unknown)], NOTHING_ASKED)[0].decision == "no limit"
+
+
+@pytest.mark.parametrize("factor", [1.45, 2.6])
+def test_most_heads_of_another_size_ask_for_the_station(factor: float) -> None:
+    rng = np.random.default_rng(1)
+    panel = symmetric()
+    seen = scan(panel, NOMINAL, rng)
+    other = [replace(r, diameter_mm=factor * r.diameter_mm, diameter_u95_mm=0.2) for r in seen.rivets]
+    result = register(other, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
+    assert "is this the right station?" in result.warnings[-1]
+    if result.status == "recognised":
+        n = len(seen.rivets)
+        assert f"heads of another size than the pattern's: {n} of {n}" in result.warnings[-1]
+        assert {r.decision for r in judge_rivets(result.rivets, NOTHING_ASKED)} == {"fail"}
 
 
 def test_a_half_turn_is_resolved_by_the_station() -> None:
