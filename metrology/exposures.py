@@ -47,7 +47,7 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
     limit = saturation_level(frames, frames[:, : code.fringe_frames])
     stack = fringes.reshape(len(exposures), len(code.counts), code.steps, -1)
     phasors = np.tensordot(np.exp(-2j * np.pi * np.arange(code.steps) / code.steps), stack, (0, 2)) * 2 / code.steps
-    clipped = (stack >= limit).any(2)
+    clipped = np.asarray((stack >= limit).any(2))
     order = np.argsort(exposures)
     for short, long in pairwise(order):
         usable = (np.abs(phasors[short]) > _LEAST_AMPLITUDE * limit) & ~clipped[short] & ~clipped[long]
