@@ -125,7 +125,7 @@ def _shared_field(rig: Rig) -> _Misplaced | None:
 
 
 def _crossing(left: Device, right: Device) -> Array:
-    """Distances about where the middles of two images are seen nearest to each other: narrow fields cross only there."""
+    """Distances at which the middles of two images come nearest to each other: narrow fields cross only here."""
     middle = [(device.width / 2, device.height / 2) for device in (left, right)]
     a, b = left.rays(middle[0]), right.rays(middle[1])
     along = float(np.linalg.lstsq(np.stack([a, -b], axis=1), right.centre, rcond=None)[0][0]) * a[2]
