@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 # Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
 MAX_DISTORTION_TERMS = 8
 _LARGEST = 1e12  # beyond any pixel or millimetre, and far from overflowing
-_ROTATION_TOLERANCE = 1.1e-6
+_ROTATION_TOLERANCE = 1.1e-5
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 

@@ -98,36 +98,45 @@ def stands_left(right: Device) -> bool:
 
 def _shared_field(rig: Rig) -> _Misplaced | None:
     """Cameras that look apart, or meet where no scan is taken; a projector that lights another place."""
-    seen = _sees(rig.right, rig.left)
+    distances = np.sort(np.append(_DISTANCES_MM, _crossing(rig.left, rig.right)))
+    seen = _sees(rig.right, rig.left, distances)
     shared = seen.mean(1)
     if shared.max() < _LEAST_SHARED:
         found = f"cameras that look apart: it sees {shared.max():.0%} of the left camera's field at best"
         return _Misplaced("right", found, "both to see the same place (R and t)")
     crossing = shared[-1] < _OPEN * shared.max()
     fitting = shared >= (_NEAR_BEST if crossing else _OPEN) * shared.max()
-    per_px = _DISTANCES_MM / np.sqrt(rig.left.K[0, 0] * rig.left.K[1, 1])
-    usual = (_DISTANCES_MM >= LEAST_WORKING_MM) & (_DISTANCES_MM <= LARGEST_WORKING_MM)
+    per_px = distances / np.sqrt(rig.left.K[0, 0] * rig.left.K[1, 1])
+    usual = (distances >= LEAST_WORKING_MM) & (distances <= LARGEST_WORKING_MM)
     usual &= (per_px >= LEAST_MM_PER_PX) & (per_px <= LARGEST_MM_PER_PX)
     if not (fitting & usual).any():
         best = int(np.argmax(shared))
         return _Misplaced(
             "right",
-            f"fields of view that meet {_DISTANCES_MM[best]:.0f} mm away at {per_px[best]:.2g} mm a pixel",
+            f"fields of view that meet {distances[best]:.0f} mm away at {per_px[best]:.2g} mm a pixel",
             f"{LEAST_WORKING_MM:g} to {LARGEST_WORKING_MM:g} mm and {LEAST_MM_PER_PX:g} to {LARGEST_MM_PER_PX:g} mm a "
             "pixel",
         )
-    lit = (seen & _sees(rig.projector, rig.left)).mean(1)[fitting & usual] / shared[fitting & usual]
+    lit = (seen & _sees(rig.projector, rig.left, distances)).mean(1)[fitting & usual] / shared[fitting & usual]
     if lit.max() < _LEAST_LIT:
         found = f"it lighting {lit.max():.0%} of what both cameras see"
         return _Misplaced("projector", found, f"at least {_LEAST_LIT:.0%} (its R and t, or the right camera's)")
     return None
 
 
-def _sees(device: Device, left: Device) -> NDArray[np.bool_]:
+def _crossing(left: Device, right: Device) -> Array:
+    """Distances at which the middles of two images come nearest to each other: narrow fields cross only here."""
+    middle = [(device.width / 2, device.height / 2) for device in (left, right)]
+    a, b = left.rays(middle[0]), right.rays(middle[1])
+    along = float(np.linalg.lstsq(np.stack([a, -b], axis=1), right.centre, rcond=None)[0][0]) * a[2]
+    return along * np.array([0.97, 1.0, 1.03]) if np.isfinite(along) and along > 0 else np.empty(0)
+
+
+def _sees(device: Device, left: Device, distances: Array) -> NDArray[np.bool_]:
     """(distances, places) which places of the left camera's field lie in a device's, its distortion left aside."""
     u, v = np.meshgrid(*(np.linspace(0, side - 1, _PLACES) for side in (left.width, left.height)))
     rays = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)]) @ np.linalg.inv(left.K).T
-    points = _DISTANCES_MM[:, None, None] * rays @ device.R.T + device.t
+    points = distances[:, None, None] * rays @ device.R.T + device.t
     pixels = points @ device.K.T
     before = points[..., 2] > 0
     return np.asarray(before & device.inside(pixels[..., :2] / np.where(before, points[..., 2], 1.0)[..., None]))

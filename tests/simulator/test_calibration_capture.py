@@ -109,10 +109,10 @@ def test_markers_are_larger():
     assert 0 < np.sort(np.unique(picture))[1] < 1
 
 
-@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
-def test_other_boards_are_what_opencv_finds(kind):
+@pytest.mark.parametrize(("kind", "layout"), [("chessboard", "new"), ("charuco", "new"), ("charuco", "old")])
+def test_other_boards_are_what_opencv_finds(kind, layout):
     # Draw the print straight on at 5 px per mm and let OpenCV find its corners.
-    board = PrintedBoard(kind, 7, 6, 12.0, marker_mm=9.0, border_mm=12.0)
+    board = PrintedBoard(kind, 7, 6, 12.0, marker_mm=9.0, border_mm=12.0, layout=layout)
     packed = _pack(board)
     x0, x1, y0, y1 = board.corners_mm
     x, y = np.arange(x0 + 0.1, x1, 0.2), np.arange(y0 + 0.1, y1, 0.2)
@@ -125,7 +125,9 @@ def test_other_boards_are_what_opencv_finds(kind):
         first, last = np.array([0.0, 0.0]), np.array([6 * 12.0, 5 * 12.0])
     else:
         dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
-        detector = cv2.aruco.CharucoDetector(cv2.aruco.CharucoBoard((7, 6), 12.0, 9.0, dictionary))
+        printed = cv2.aruco.CharucoBoard((7, 6), 12.0, 9.0, dictionary)
+        printed.setLegacyPattern(layout == "old")
+        detector = cv2.aruco.CharucoDetector(printed)
         corners, ids, _, _ = detector.detectBoard(grey)
         assert len(ids) == 6 * 5
         corners = corners.reshape(-1, 2)
