@@ -65,7 +65,7 @@ def check_rig(rig: Rig) -> None:
 
 
 def _misplaced(rig: Rig) -> _Misplaced | None:
-    return _distance(rig) or _sides(rig) or _shared_field(rig)
+    return _distance(rig) or _shared_field(rig)
 
 
 def _distance(rig: Rig) -> _Misplaced | None:
@@ -80,13 +80,6 @@ def _distance(rig: Rig) -> _Misplaced | None:
         if not LEAST_APART_MM <= apart <= LARGEST_APART_MM:
             expected = f"{LEAST_APART_MM:g} to {LARGEST_APART_MM:g} mm"
             return _Misplaced(name, f"its centre {apart:.4g} mm from the {named}'s (t)", expected)
-    return None
-
-
-def _sides(rig: Rig) -> _Misplaced | None:
-    if stands_left(rig.right):
-        found = f"it {-rig.right.centre[0]:.0f} mm to the left of the left camera"
-        return _Misplaced("right", found, "it on the right")
     return None
 
 
@@ -150,12 +143,13 @@ def _likely(rig: Rig, misplaced: _Misplaced) -> str:
         right = misplaced.device == "right"
         meant = replace(rig, right=changed) if right else replace(rig, projector=changed)
         left_to_fix = _misplaced(meant)
+        if right and stands_left(changed):  # a rig may be so, but then it is no slip of a convention
+            continue
         if left_to_fix is None or (right and left_to_fix.device == "projector"):
             fitting.append(said)
     if not fitting:
         return ""
-    exchanged = ", or left and right are exchanged" if misplaced.expected == "it on the right" else ""
-    return f": most likely {fitting[0]}{exchanged}"
+    return f": most likely {fitting[0]}"
 
 
 def _conventions(device: Device) -> Iterator[tuple[str, Device]]:
