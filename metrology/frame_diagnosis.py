@@ -195,9 +195,8 @@ def _wrong_frames(
     named = [(misfit, faults) for misfit, faults in named if faults]
     if not named or len(named[0][1]) > 1:
         return FrameDiagnosis(named[0][1] if named else ())
-    alike = [
-        faults[0] for misfit, faults in zip(misfits, found, strict=True) if misfit < _CLEARLY * misfits[0] + _ALIKE
-    ]
+    limit = _CLEARLY * named[0][0] + _ALIKE
+    alike = [faults[0] for misfit, faults in named if misfit < limit]
     if len(sample.code.counts) == 1:  # any three of four steps fit: no other count contradicts
         alike = [faults[0] for _, faults in named]
     telling = [fault for fault in alike if fault.telling]
