@@ -108,7 +108,7 @@ def _fit_without(
     code = sample.code
     kept = np.array([p for p in range(code.fringe_frames) if p not in left_out])
     levels = sample.frames(exposure)[kept]
-    fit = fit_sinusoids(levels, kept, code)
+    fit = fit_sinusoids(levels, kept.tolist(), code)
     if fit is None:
         return None
     lit = agreement(fit, code, sample.noise).judged & unclipped(levels, sample.saturation)

@@ -90,9 +90,11 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
     named = [view for view in views if view.diagnosis and view.diagnosis.faults]
     if named:
         raise SceneError("; ".join(_faults(scene, view) for view in named))
+    # Gray code and fringes of a sound scan never contradict each other, and no flag counts where they do.
+    limit = checks.contradictory_warning_fraction if scene.code.gray else checks.max_contradictory_fraction
     for view in views:
         worst = max(view.found, key=lambda judged: judged.contradictory)
-        if worst.contradictory > checks.max_contradictory_fraction:
+        if worst.contradictory > limit:
             raise SceneError(
                 f"{scene.folder}: found fringes that contradict each other in {worst.contradictory:.0%} of the lit "
                 f"pixels of the {view.camera} camera, expected hardly any: frames that belong together, in the order "
