@@ -58,7 +58,7 @@ def test_sound_frames_are_sound(code: FringeCode, flicker: float) -> None:
     found, diagnosis = look(frames, code)
     assert not diagnosis.named
     assert found[0].judged > 1000
-    assert found[0].contradictory < 0.005
+    assert found[0].contradictory < 0.01
     assert not found[0].odd
 
 
@@ -130,8 +130,9 @@ def test_a_count_without_fringes_is_named() -> None:
 ORDERS = {
     "listed as text is sorted": sorted(range(12), key=lambda i: str(i + 1)),
     "listed as text is sorted (": sorted(range(12), key=str),
-    "late by one": [0, *range(11)],
-    "begins at frame 12": [11, *range(11)],
+    "taken for the one before it: they are late by one": [0, *range(11)],
+    "late by one": [11, *range(11)],
+    "begins at frame 6": [(i + 5) % 12 for i in range(12)],
     "one was left out": [*range(1, 12), 11],
     "from frame 6 on: they are late": [0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9, 10],
     "counts in the order 64, 70, 59": [4, 5, 6, 7, 0, 1, 2, 3, 8, 9, 10, 11],
