@@ -33,8 +33,8 @@ _BRIGHTNESS = 0.15
 _FRINGES = 0.3
 # Phases that miss each other systematically, as a share of half a lattice step (sound: 0.01).
 DRIFT = 0.1
-# Contrast that depends on the phase by this share of itself: a wrong frame lets it, a surface hardly. Asked where so few
-# counts leave little else to ask.
+# Contrast that depends on the phase by this share of itself: a wrong frame lets it, a surface hardly. Asked where so
+# few counts leave little else to ask.
 _CONTRAST = 0.3
 _MOST_CONTRAST = 2.0
 _FEW_COUNTS = 2
@@ -42,8 +42,8 @@ _FEW_COUNTS = 2
 _CONTRADICTORY = 0.05
 _BAND_CONTRADICTORY = 0.5
 _ROWS_PER_BAND = 2
-# Gamma averages out over a fringe and more: bands along fringes are as high as one where half the projector is seen, and
-# frames of few fringes are not judged by their fringes.
+# Gamma averages out over a fringe and more: bands along fringes are as high as one where half the projector is seen,
+# and frames of few fringes are not judged by their fringes.
 _FRINGES_PER_BAND = 1.2
 _PART_SEEN = 0.5
 _LEAST_COUNT = 8

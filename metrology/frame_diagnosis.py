@@ -190,16 +190,15 @@ def _wrong_frames(
         trial = _try(levels, shows, sample)
         if _fits(trial, listed):
             fitting.append((trial.misfit, left_out))
-    found = [_described(sample, exposure, frames, finer) for _, frames in sorted(fitting)[:_MOST_NAMED]]
-    misfits = [misfit for (misfit, _), faults in zip(sorted(fitting), found, strict=False) if faults]
-    found = [faults for faults in found if faults]
-    if not found or len(found[0]) > 1:
-        return FrameDiagnosis(found[0] if found else ())
-    alike = [
-        faults[0] for misfit, faults in zip(misfits, found, strict=True) if misfit < _CLEARLY * misfits[0] + _ALIKE
-    ]
+    likeliest = sorted(fitting)[:_MOST_NAMED]
+    named = [(misfit, _described(sample, exposure, frames, finer)) for misfit, frames in likeliest]
+    named = [(misfit, faults) for misfit, faults in named if faults]
+    if not named or len(named[0][1]) > 1:
+        return FrameDiagnosis(named[0][1] if named else ())
+    limit = _CLEARLY * named[0][0] + _ALIKE
+    alike = [faults[0] for misfit, faults in named if misfit < limit]
     if len(sample.code.counts) == 1:  # any three of four steps fit: no other count contradicts
-        alike = [faults[0] for faults in found]
+        alike = [faults[0] for _, faults in named]
     telling = [fault for fault in alike if fault.telling]
     if len(alike) == 1 or len(telling) == 1:
         return FrameDiagnosis(tuple(telling or alike))
@@ -262,7 +261,7 @@ def _try(levels: Float32, shows: NDArray[np.int64], sample: FrameSample) -> _Tri
     worst, contradictory, judged = 0.0, 0, 0
     for exposure in np.unique(shows[shows >= 0] // frames):
         listed = np.flatnonzero((shows // frames == exposure) & (shows % frames < fringes) & (shows >= 0))
-        fit = fit_sinusoids(levels[listed], shows[listed] % frames, sample.code)
+        fit = fit_sinusoids(levels[listed], (shows[listed] % frames).tolist(), sample.code)
         if fit is None:
             return _Trial(np.inf, 1.0, 0)
         told = agreement(fit, sample.code, sample.noise, _coarse(levels, shows, int(exposure), sample, fit))
@@ -294,7 +293,7 @@ def _rises_along(sample: FrameSample, order: FrameOrder, expected: Array) -> boo
     for exposure in range(len(sample.levels)):
         at = np.flatnonzero((shows // sample.code.frames == exposure) & (shows >= 0))
         at = at[shows[at] % sample.code.frames < sample.code.fringe_frames]
-        fit = fit_sinusoids(levels[at], shows[at] % sample.code.frames, sample.code)
+        fit = fit_sinusoids(levels[at], (shows[at] % sample.code.frames).tolist(), sample.code)
         if fit is None:
             continue
         told = agreement(fit, sample.code, sample.noise, _coarse(levels, shows, exposure, sample, fit))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.frame_consistency import frame_deviations, unclipped
-from metrology.frame_sample import Array, FrameSample, SinusoidFit, agreement, fit_sinusoids
+from metrology.frame_sample import Array, FrameSample, SinusoidFit, fit_sinusoids
 
 Look = Literal["same", "like", "dark", "flat", "brighter", "darker", "other"]
 
@@ -19,8 +19,10 @@ _DARK = 0.3
 # Share of a frame's variation that another picture must explain to be what it shows; with less than the second no
 # picture explains anything: it has no fringes.
 _EXPLAINS, _NOTHING = 0.8, 0.1
-# The share of rows of one kind from which the whole frame is of that kind.
-_WHOLE = 0.97
+# A frame is wrong as a whole if hardly any rows, this share of all, are left beside the wrong ones.
+_BESIDE = 0.02
+# A pixel tells something of a frame where the others' fringes exceed their noise by this factor.
+_FRINGE_SIGMAS = 5.0
 _LEAST_PIXELS = 8
 
 Finer = Callable[[NDArray[np.int64]], FrameSample]
@@ -108,10 +110,11 @@ def _fit_without(
     code = sample.code
     kept = np.array([p for p in range(code.fringe_frames) if p not in left_out])
     levels = sample.frames(exposure)[kept]
-    fit = fit_sinusoids(levels, kept, code)
+    fit = fit_sinusoids(levels, kept.tolist(), code)
     if fit is None:
         return None
-    lit = agreement(fit, code, sample.noise).judged & unclipped(levels, sample.saturation)
+    carries = fit.amplitude.min(0) > _FRINGE_SIGMAS * sample.noise.sigma(np.maximum(fit.mean, 0))
+    lit = np.asarray(carries & unclipped(levels, sample.saturation))
     return fit, kept, lit
 
 
@@ -124,11 +127,10 @@ def _wrong_rows(
         return None, None
     bad = wrong[judged] > 1
     first, end = _densest_run(bad)
-    if not bad.any() or bad[first:end].sum() >= _WHOLE * len(bad):
-        return None, None
+    beside = int(_BESIDE * len(bad))
     edges: list[int | None] = [None, None]
     for place, index in ((0, first), (1, end)):
-        if 0 < index < len(bad):
+        if beside < index < len(bad) - beside:
             low, high = int(sample.rows[judged[index - 1]]), int(sample.rows[judged[index]])
             edges[place] = _edge(low, high, place == 0, exposure, frame, left_out, finer)
     return edges[0], edges[1]

@@ -32,8 +32,8 @@ def expected_gradient(camera: Device, projector: Device, axis: Axis) -> Array:
     centre = np.array([camera.width, camera.height]) / 2
     ray, beam = camera.rays(centre), projector.rays(np.array([projector.width, projector.height]) / 2)
     between = projector.centre - camera.centre
-    across = ray @ beam
-    reach = (between @ ray - (between @ beam) * across) / max(1 - across**2, 1e-9)
+    across = float(ray @ beam)
+    reach = float(between @ ray - (between @ beam) * across) / (1 - across**2 + 1e-9)
     distance = reach if reach > 0 else 1e3 * float(np.linalg.norm(between))
     step = camera.width / 100
     pixels = centre + step * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])

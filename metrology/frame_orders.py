@@ -84,7 +84,7 @@ def _of_steps(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
 
 
 def _of_names(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
-    names = "in the order of their numbers: they are listed as text is sorted (1, 10, 11, 2)"
+    names = "if they are read in the order of their numbers: they are listed as text is sorted (1, 10, 11, 2)"
     total = exposures * code.frames
     for size in (total, code.frames, code.fringe_frames):
         for first in (1, 0):
@@ -100,8 +100,10 @@ def _of_names(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
         yield _each_exposure(
             names, [k * code.steps + s for k in range(len(code.counts)) for s in step], code, exposures
         )
-    yield FrameOrder("in reverse order, the last one first", tuple(range(total))[::-1])
-    yield _each_exposure("in reverse order, the last one first", list(range(code.fringe_frames))[::-1], code, exposures)
+    yield FrameOrder("if they are read in reverse order, the last one first", tuple(range(total))[::-1])
+    yield _each_exposure(
+        "if they are read in reverse order, the last one first", list(range(code.fringe_frames))[::-1], code, exposures
+    )
     interleaved = [i % exposures * code.frames + i // exposures for i in range(total)]
     yield FrameOrder("with all exposures of a frame one after the other", tuple(interleaved))
 
@@ -139,10 +141,10 @@ def _shifted(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
     total = exposures * code.frames
     for first in range(total - 1):
         since = "" if first == 0 else f" from frame {first + 1} on"
-        late = list(range(first)) + [first - 1] + list(range(first, total - 1))
-        early = list(range(first)) + list(range(first + 1, total)) + [-1]
-        yield FrameOrder(f"if they are late by one{since}", tuple(late))
-        yield FrameOrder(f"if they are early by one{since}", tuple(early))
+        late = (*range(first), first - 1, *range(first, total - 1))
+        early = (*range(first), *range(first + 1, total), -1)
+        yield FrameOrder(f"if each is taken for the one before it{since}: they are late by one", late)
+        yield FrameOrder(f"if each is taken for the one after it{since}: one was left out", early)
     for turn in range(1, code.fringe_frames):
         rotated = [(i + turn) % code.fringe_frames for i in range(code.fringe_frames)]
         yield _each_exposure(f"if the sequence begins at frame {turn + 1}", rotated, code, exposures)
@@ -154,4 +156,4 @@ def _exchanged(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
         for j in range(i + 1, total if total <= _MOST_EXCHANGED else min(i + 2, total)):
             shows = list(range(total))
             shows[i], shows[j] = j, i
-            yield FrameOrder(f"if frames {i + 1} and {j + 1} are exchanged", tuple(shows))
+            yield FrameOrder(f"if frame {i + 1} and frame {j + 1} of the list are exchanged", tuple(shows))

@@ -36,7 +36,7 @@ _CONTRADICTION = 0.5
 _NOISE_SIGMAS, _JUDGED = 4.0, 0.9
 # A count without fringes where the others have some: less than this share of the largest amplitude.
 FAINT_COUNT = 0.1
-# Gray code: farther than this from the middle of the stripe (stripes), and than this from the fringe it tells (fringes).
+# Gray code: farther than this from the middle of the stripe (stripes) and from the fringe it tells (fringes).
 _OFF_STRIPE, _OFF_FRINGE = 0.55, 0.275
 
 
@@ -207,9 +207,9 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     turns = np.angle(fit.phasors).astype(np.float64) / (2 * np.pi)
     counts = tuple(code.counts[k] for k in fit.used)
     drift = 0.0
-    if coarse is not None:
+    if coarse is not None and code.gray is not None:
         judged = _NOISE_SIGMAS * sigma < _OFF_FRINGE
-        position, off = _from_stripes(turns, counts, coarse, code)
+        position, off = _from_stripes(turns, counts, coarse, code.gray.stripes)
         far = off > 1
     else:
         lattice = order_lattice(tuple(c // int(np.gcd.reduce(counts)) for c in counts))
@@ -222,15 +222,14 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     return Agreement(judged, judged & (far | faint), position, drift)
 
 
-def _from_stripes(turns: Array, counts: tuple[int, ...], coarse: Float32, code: FringeCode) -> tuple[Array, Array]:
-    """Position, and how far phases lie from where Gray code, then the next coarser count, expects them; 1 is too far."""
-    assert code.gray is not None
+def _from_stripes(turns: Array, counts: tuple[int, ...], coarse: Float32, stripes: int) -> tuple[Array, Array]:
+    """Position, and how far phases lie from where Gray code, then the coarser count, expects them; 1 is too far."""
     worst = np.zeros(turns.shape[1])
     position = coarse.astype(np.float64)
     for index, k in enumerate(np.argsort(counts)):
         off = turns[k] - counts[k] * position
         off -= np.rint(off)
-        limit = max(_OFF_STRIPE * counts[k] / code.gray.stripes, _OFF_FRINGE) if index == 0 else _OFF_FRINGE
+        limit = max(_OFF_STRIPE * counts[k] / stripes, _OFF_FRINGE) if index == 0 else _OFF_FRINGE
         worst = np.maximum(worst, np.abs(off) / limit)
         position = position + off / counts[k]
     return position, worst

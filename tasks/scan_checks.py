@@ -15,6 +15,7 @@ from metrology.frame_diagnosis import FrameDiagnosis, diagnose_frames
 from metrology.frame_faults import FrameFault
 from metrology.frame_geometry import expected_gradient, runs_backwards, steps_are_reversed
 from metrology.frame_sample import FrameSample, sample_frames
+from metrology.noise import NoiseModel
 from metrology.rig import Rig
 from storage.scene import Camera, Scene
 from tasks.settings import InspectionSettings, SceneChecks
@@ -52,8 +53,7 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     scene : Scene
     rig : Rig
     """
-    assert view.noise is not None
-    noise = view.noise
+    noise = view.noise or NoiseModel(1.0, 0.0)
     sample = sample_frames(frames, scene.code, noise)
     found = tuple(frame_consistency(sample, exposure) for exposure in range(len(frames)))
     seen = sum(judged.judged for judged in found) > 0
@@ -84,15 +84,17 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
             )
         )
         raise SceneError(
-            f"{scene.folder}: found that the frames {told}, expected them as scene.json lists them: counts "
-            f"{', '.join(map(str, scene.code.counts))} of {scene.code.steps} steps in the order in which they were shown"
+            f"{scene.folder}: found that the frames {told}; expected the order in which they were shown: "
+            f"counts {', '.join(map(str, scene.code.counts))} of {scene.code.steps} steps, as scene.json says"
         )
     named = [view for view in views if view.diagnosis and view.diagnosis.faults]
     if named:
         raise SceneError("; ".join(_faults(scene, view) for view in named))
+    # Gray code and fringes of a sound scan never contradict each other, and no flag counts where they do.
+    limit = checks.contradictory_warning_fraction if scene.code.gray else checks.max_contradictory_fraction
     for view in views:
         worst = max(view.found, key=lambda judged: judged.contradictory)
-        if worst.contradictory > checks.max_contradictory_fraction:
+        if worst.contradictory > limit:
             raise SceneError(
                 f"{scene.folder}: found fringes that contradict each other in {worst.contradictory:.0%} of the lit "
                 f"pixels of the {view.camera} camera, expected hardly any: frames that belong together, in the order "
@@ -111,8 +113,8 @@ def refuse_reversed_steps(scene: Scene, reconstruction: Reconstruction, settings
         return
     if steps_are_reversed(reconstruction, scene.code, settings.reconstruction, settings.rig_health):
         raise SceneError(
-            f"{scene.folder}: found that the frames of both cameras fit the rig with the steps of each count in reverse "
-            "order, expected step 1 to the last as scene.json lists them"
+            f"{scene.folder}: found that the frames of both cameras fit the rig with the steps of each count in "
+            "reverse order, expected step 1 to the last as scene.json lists them"
         )
 
 
@@ -123,8 +125,8 @@ def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) 
         share = contradictory_share(view)
         if share > checks.contradictory_warning_fraction:
             warnings.append(
-                f"{share:.1%} of the lit pixels of the {name} camera have fringes that contradict each other; they have "
-                "no points; look for movement, reflections of the fringes, or a frame that is not of this scan"
+                f"{share:.1%} of the lit pixels of the {name} camera have fringes that contradict each other and "
+                "therefore no points; look for movement, reflections of the fringes, or a frame of another scan"
             )
     return warnings
 
@@ -144,8 +146,7 @@ def _refuse_shared_pictures(scene: Scene, left: CheckedFrames, right: CheckedFra
 
 def _faults(scene: Scene, view: CheckedFrames) -> str:
     """The frames of a camera that do not fit, each with what it looks like."""
-    diagnosis = view.diagnosis
-    assert diagnosis is not None
+    diagnosis = view.diagnosis or FrameDiagnosis()
     paths = scene.left if view.camera == "left" else scene.right
     told = [(paths[fault.frame], _look(scene, view.camera, fault)) for fault in diagnosis.faults]
     if diagnosis.either:

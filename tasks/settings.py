@@ -45,7 +45,7 @@ class SceneChecks:
     max_contradictory_fraction: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self)):
+        for name in (setting.name for setting in fields(self)):
             if not 0 <= getattr(self, name) < 1:
                 raise UsageError(f"{name}: found {getattr(self, name):g}, expected 0 … 1")
 

@@ -1,0 +1,102 @@
+"""Scans whose frames are not what scene.json says: refused with one line that names what was found."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from metrology.errors import SceneError
+from storage.archive import Store
+from tasks import steps
+from tasks.settings import InspectionSettings
+
+Edit = Callable[[Path, dict[str, Any]], None]
+
+
+def faulty(shared: Path, folder: Path, edit: Edit) -> Path:
+    """The shared scan of the standard part, linked, with an edit."""
+    sound = shared / "scenes" / "standard-part"
+    document = json.loads((sound / "scene.json").read_text())
+    for camera in ("left", "right"):
+        (folder / camera).mkdir(parents=True)
+        for name in document["frames"][camera][0]:
+            os.symlink(sound / name, folder / name)
+    edit(folder, document)
+    (folder / "scene.json").write_text(json.dumps(document))
+    return folder
+
+
+def reconstruct(shared: Path, folder: Path) -> None:
+    loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(folder / "store"))
+    steps.reconstruct_scene(loaded, InspectionSettings())
+
+
+def torn(camera: str, frame: int, lower: int, row: int) -> Edit:
+    def edit(folder: Path, document: dict[str, Any]) -> None:
+        names = document["frames"][camera][0]
+        picture, other = (cv2.imread(str(folder / names[k]), cv2.IMREAD_UNCHANGED) for k in (frame, lower))
+        picture[row:] = other[row:]
+        (folder / names[frame]).unlink()
+        cv2.imwrite(str(folder / names[frame]), picture)
+
+    return edit
+
+
+def order(shown: Sequence[int], cameras: Sequence[str] = ("left", "right")) -> Edit:
+    def edit(_: Path, document: dict[str, Any]) -> None:
+        for camera in cameras:
+            document["frames"][camera][0] = [document["frames"][camera][0][k] for k in shown]
+
+    return edit
+
+
+def copied(folder: Path, document: dict[str, Any]) -> None:
+    for left, right in zip(document["frames"]["left"][0], document["frames"]["right"][0], strict=True):
+        (folder / right).unlink()
+        shutil.copy(folder / left, folder / right)
+
+
+REVERSED = [0, 3, 2, 1, 4, 7, 6, 5, 8, 11, 10, 9]
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (torn("right", 5, 6, 620), r"right/e0_f1_s1.png: found that it does not fit the other steps of count 64 "
+         r"below row 6[12]\d \(the same picture as right/e0_f1_s2.png\), expected step 2 of count 64"),
+        (torn("left", 8, 2, 0), r"left/e0_f2_s0.png: found the same picture as left/e0_f0_s2.png, expected step 1 of"),
+        (order([0, *range(11)], ["right"]), "frames of the right camera fit if each is .* late by one"),
+        (order(REVERSED), "frames of both cameras fit the rig with the steps of each count in reverse order"),
+        (copied, "right/e0_f0_s0.png: found the same picture as left/e0_f0_s0.png"),
+    ],
+)  # fmt: skip
+def test_wrong_frames_are_refused_by_name(shared: Path, tmp_path: Path, edit: Edit, said: str) -> None:
+    # "Late by one" repeats the first frame, which a manifest cannot list twice: a copy stands for it.
+    folder = faulty(shared, tmp_path / "scene", lambda *_: None)
+    document = json.loads((folder / "scene.json").read_text())
+    edit(folder, document)
+    for camera in ("left", "right"):
+        names = document["frames"][camera][0]
+        if len(set(names)) < len(names):
+            shutil.copy(folder / names[0], folder / camera / "first.png")
+            names[0] = f"{camera}/first.png"
+    (folder / "scene.json").write_text(json.dumps(document))
+    with pytest.raises(SceneError, match=said) as caught:
+        reconstruct(shared, folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sound_scan_is_neither_refused_nor_warned_of(shared: Path, tmp_path: Path) -> None:
+    folder = faulty(shared, tmp_path / "scene", lambda *_: None)
+    loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
+    reconstruction = steps.reconstruct_scene(loaded, InspectionSettings())
+    assert steps.contradiction_warnings(reconstruction, InspectionSettings().checks) == []
+    assert np.isfinite(reconstruction.points).any()
