@@ -8,7 +8,7 @@ view with every third row and column; those that fit are confirmed by texture wi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -150,11 +150,9 @@ def _undistortions() -> Iterator[_Hypothesis]:
 
 def _undoing(turns: tuple[Turn, Turn], exchanged: bool, reverse: tuple[bool, bool]) -> Callable[[_Scan, int], _Scan]:
     def undo(scan: _Scan, size: int) -> _Scan:
-        views = [
-            _turned(view, turn, size if back else None)
-            for view, turn, back in zip((scan.left, scan.right), turns, reverse, strict=True)
-        ]
-        return _Scan(*(views[::-1] if exchanged else views), scan.rig)
+        left = _turned(scan.left, turns[0], size if reverse[0] else None)
+        right = _turned(scan.right, turns[1], size if reverse[1] else None)
+        return _Scan(right, left, scan.rig) if exchanged else _Scan(left, right, scan.rig)
 
     return undo
 
@@ -165,11 +163,14 @@ def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan
     def plain(device: Device) -> Device:
         K = device.K
         if share is not None:
-            K = cv2.getOptimalNewCameraMatrix(K, device.distortion8, (device.width, device.height), share)[0]
+            size = (device.width, device.height)
+            K = np.asarray(cv2.getOptimalNewCameraMatrix(K, device.distortion8, size, share)[0], float)
         return replace(device, K=K, distortion=np.zeros(5))
 
     def undo(scan: _Scan, _: int) -> _Scan:
-        return replace(scan, rig=replace(scan.rig, **{name: plain(getattr(scan.rig, name)) for name in names}))
+        left = plain(scan.rig.left) if "left" in names else scan.rig.left
+        right = plain(scan.rig.right) if "right" in names else scan.rig.right
+        return replace(scan, rig=replace(scan.rig, left=left, right=right))
 
     return undo
 
@@ -183,14 +184,27 @@ def _turned(view: DecodedView, turn: Turn, size: int | None) -> DecodedView:
 
 
 def _sliced(view: DecodedView, part: tuple[slice, slice]) -> DecodedView:
-    return replace(view, **{f.name: getattr(view, f.name)[part] for f in fields(view) if f.name != "noise"})
+    return DecodedView(
+        coordinate=view.coordinate[part],
+        sigma=view.sigma[part],
+        modulation=view.modulation[part],
+        texture=view.texture[part],
+        flags=view.flags[part],
+        noise=view.noise,
+    )
 
 
 def _thinned(view: DecodedView, every: int) -> DecodedView:
     """Every so many rows and columns of a view, in memory of their own as the compiled kernels want it."""
-    part = (slice(None, None, every), slice(None, None, every))
-    images = {f.name: getattr(view, f.name)[part] for f in fields(view) if f.name != "noise"}
-    return replace(view, **{name: np.ascontiguousarray(image) for name, image in images.items()})
+    thin = _sliced(view, (slice(None, None, every), slice(None, None, every)))
+    return DecodedView(
+        coordinate=np.ascontiguousarray(thin.coordinate),
+        sigma=np.ascontiguousarray(thin.sigma),
+        modulation=np.ascontiguousarray(thin.modulation),
+        texture=np.ascontiguousarray(thin.texture),
+        flags=np.ascontiguousarray(thin.flags),
+        noise=thin.noise,
+    )
 
 
 def _thinned_rig(rig: Rig) -> Rig:
