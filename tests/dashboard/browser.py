@@ -136,8 +136,9 @@ def click_point(page: Any, k: int) -> None:
     """Click a point of a chart."""
     page.wait_for_function(_POINT, arg=k)
     place = page.evaluate(_POINT, k)
+    page.mouse.move(place[0] - 3, place[1])
     page.mouse.move(*place)
-    page.wait_for_timeout(300)
+    page.locator(".hoverlayer .hovertext").first.wait_for()  # Plotly clicks what it hovers over
     page.mouse.click(*place)
 
 
