@@ -115,7 +115,10 @@ def row_place(page: Any, row: int, table: int = 0, row_height: int = 35, tick: b
 
 def click_row(page: Any, row: int, **where: Any) -> None:
     """Click a row of a table, or tick it."""
-    page.mouse.click(*row_place(page, row, **where))
+    place = row_place(page, row, **where)
+    page.mouse.move(*place)
+    page.wait_for_timeout(150)
+    page.mouse.click(*place)
     page.wait_for_timeout(300)
     settle(page)
 
