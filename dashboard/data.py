@@ -30,7 +30,8 @@ from storage.fits import StoredFits, read_fits
 from storage.panel_spec import judged_by
 from storage.review import Feature, Review, ReviewLog, ShownFinding
 
-_CACHED_QUERIES, _CACHED_GENERATIONS, _CACHED_CLOUDS, _CACHED_SPECIFICATIONS = 200, 2, 2, 500
+_CACHED_QUERIES, _CACHED_FINDINGS, _CACHED_GENERATIONS = 200, 2000, 2
+_CACHED_CLOUDS, _CACHED_SPECIFICATIONS = 2, 500
 
 
 class Archive:
@@ -75,11 +76,7 @@ class Archive:
 
     def shown(self, scene_id: str, feature: Feature) -> ShownFinding | None:
         """A finding as this page shows it, for a decision about it; None where there is no such feature."""
-        cursor = _connection(str(self.root), self.generation).cursor()
-        try:
-            return shown_finding(cursor, self.review(), scene_id, feature)
-        finally:
-            cursor.close()
+        return _shown(str(self.root), self.generation, self._review_version, scene_id, feature)
 
     def standings(self, scene_id: str) -> tuple[Standing, ...]:
         """How the findings of a scene stand."""
@@ -143,6 +140,17 @@ def _reviewed(root: str, generation: str, version: tuple[int, int]) -> pa.Table:
     cursor = _connection(root, generation).cursor()
     try:
         return reviewed_features(cursor, _review(root, version))
+    finally:
+        cursor.close()
+
+
+@st.cache_data(max_entries=_CACHED_FINDINGS, show_spinner=False)
+def _shown(
+    root: str, generation: str, version: tuple[int, int], scene_id: str, feature: Feature
+) -> ShownFinding | None:
+    cursor = _connection(root, generation).cursor()
+    try:
+        return shown_finding(cursor, _review(root, version), scene_id, feature)
     finally:
         cursor.close()
 

@@ -115,7 +115,10 @@ def row_place(page: Any, row: int, table: int = 0, row_height: int = 35, tick: b
 
 def click_row(page: Any, row: int, **where: Any) -> None:
     """Click a row of a table, or tick it."""
-    page.mouse.click(*row_place(page, row, **where))
+    place = row_place(page, row, **where)
+    page.mouse.move(*place)
+    page.wait_for_timeout(150)
+    page.mouse.click(*place)
     page.wait_for_timeout(300)
     settle(page)
 
@@ -136,8 +139,9 @@ def click_point(page: Any, k: int) -> None:
     """Click a point of a chart."""
     page.wait_for_function(_POINT, arg=k)
     place = page.evaluate(_POINT, k)
+    page.mouse.move(place[0] - 3, place[1])
     page.mouse.move(*place)
-    page.wait_for_timeout(300)
+    page.locator(".hoverlayer .hovertext").first.wait_for()  # Plotly clicks what it hovers over
     page.mouse.click(*place)
 
 

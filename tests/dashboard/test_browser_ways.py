@@ -7,7 +7,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from browser import click_point, click_row, new_page, settle, wait
+from browser import click_point, click_row, new_page, settle
 
 pytestmark = pytest.mark.browser
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
@@ -16,12 +16,12 @@ LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
 def at(page: Any, path: str, **named: str) -> None:
     """Wait until the address is this page's and names these."""
 
-    def there() -> bool:
-        address = urlsplit(page.url)
+    def there(url: str) -> bool:
+        address = urlsplit(url)
         query = parse_qs(address.query)
         return address.path == f"/{path}" and all(query.get(name) == [value] for name, value in named.items())
 
-    wait(there)
+    page.wait_for_url(there, wait_until="commit")
     settle(page)
     assert page.get_by_text("something it did not expect").count() == 0
 
@@ -90,7 +90,7 @@ def test_from_the_review_to_scene_trends_and_back(server: tuple[str, Path], page
     assert (chosen(page, "Station"), chosen(page, "Rivet")) == ("S2", "R09")
     # A point of the control chart is a scan.
     click_point(page, 1)
-    wait(lambda: "/scene?scene=" in page.url)
+    page.wait_for_url("**/scene?scene=*", wait_until="commit")
     settle(page)
     assert page.get_by_text("station S2").count()
 
@@ -102,6 +102,9 @@ def test_from_the_scene_by_its_table(server: tuple[str, Path], page: Any) -> Non
     click_row(page, 1)
     at(page, "scene", scene=LAST, feature="rivet:R02", view="Table")
     page.get_by_text("Rivet R02").wait_for()
+    page.goto(f"{server[0]}/scene?scene={LAST}&view=Table")
+    page.get_by_text("Rivet R04").wait_for()
+    settle(page)
     click_row(page, 2, table=1)
     at(page, "scene", scene=LAST, feature="station:M1@8.0", view="Table")
     page.get_by_text("Seam station M1@8.0").wait_for()
@@ -119,8 +122,7 @@ def test_from_the_archive(server: tuple[str, Path], page: Any) -> None:
     click_row(page, 0, row_height=76, tick=True)
     page.get_by_test_id("stBaseButton-primary").click()
     at(page, "scene", scene=LAST)
-    page.go_back()
-    at(page, "archive", aircraft="MSN-0425")
+    page.goto(f"{server[0]}/archive?aircraft=MSN-0425")
     page.get_by_text("2 scans").wait_for()
     settle(page)
     for row in (0, 1):
