@@ -256,8 +256,9 @@ def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit:
     if known:
         places += [np.clip(shown - 1.3 * spread, -reach, reach), np.clip(shown + 1.3 * spread, -reach, reach)]
     low, high = _range(places)
-    _zone(fig, low, high, RED)
-    if "serious_lower" in marks or "serious_upper" in marks:
+    serious = "serious_lower" in marks or "serious_upper" in marks
+    _zone(fig, low, high, RED if serious else BLUE)
+    if serious:
         _zone(fig, marks.get("serious_lower", low), marks.get("serious_upper", high), BLUE)
     if "lower" in marks or "upper" in marks:
         _zone(fig, marks.get("lower", low), marks.get("upper", high), GREEN)
