@@ -170,7 +170,9 @@ def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> Se
     if not all(_is_number(value) for value in numbers):
         return "the station was not measured"
     u, v, stored = (float(value) for value in numbers)
-    step, width, points = step_height(fit, *fit.edges_mm), None, (None, None)
+    step, width = step_height(fit, *fit.edges_mm), None
+    inflection_a: Place | None = None
+    inflection_b: Place | None = None
     if abs(step - stored) > _SAME_MM:
         return _differs("step", step, stored)
     if fit.depths_mm is not None and _is_number(station.width_mm):
@@ -178,7 +180,7 @@ def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> Se
         width = gap_width(fit, a, b)
         if abs(width - float(station.width_mm)) > _SAME_MM:
             return _differs("width", width, float(station.width_mm))
-        points = tuple((float(p[0]), float(p[1])) for p in (inflection(fit.a, a)[0], inflection(fit.b, b)[0]))
+        inflection_a, inflection_b = _place(inflection(fit.a, a)[0]), _place(inflection(fit.b, b)[0])
     scale = _pixels_per_mm(cloud, u, v)
     window = _window(cloud, u, v, 1.2 * fit.outer_mm * scale) if scale else None
     if window is None:
@@ -191,10 +193,24 @@ def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> Se
         return f"the stored cloud has {len(x)} points there"
     away = np.abs(x)
     skin = (away > fit.inner_mm) & (away < fit.outer_mm) & (np.abs(h) < _SKIN_BAND_MM)
-    edges = [(x0, line.height(x0)) for x0, line in zip(fit.edges_mm, (fit.a, fit.b), strict=True)]
+    (start, end) = fit.edges_mm
     return SeamSection(
-        x, h, _usable(cloud, rows, columns) & skin, fit.a.coefficients, fit.b.coefficients, *edges, *points, step, width
+        x=x,
+        h=h,
+        used=_usable(cloud, rows, columns) & skin,
+        line_a=fit.a.coefficients,
+        line_b=fit.b.coefficients,
+        edge_a=(start, fit.a.height(start)),
+        edge_b=(end, fit.b.height(end)),
+        inflection_a=inflection_a,
+        inflection_b=inflection_b,
+        step=step,
+        width=width,
     )
+
+
+def _place(point: Array) -> Place:
+    return float(point[0]), float(point[1])
 
 
 def _differs(name: str, here: float, stored: float) -> str:

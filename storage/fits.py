@@ -49,7 +49,8 @@ class StoredFits:
             return None
         inner, *outer = row["reach_mm"]
         skin, head = np.array(row["skin"]), np.array(row["head"])
-        return HeadFit(_frame(row), skin, head, *row["circle_mm"], inner, tuple(outer))
+        (x, y, radius), (start, end) = row["circle_mm"], outer
+        return HeadFit(_frame(row), skin, head, x, y, radius, inner, (start, end))
 
     def section(self, seam_id: str, s_mm: float) -> SectionFit | None:
         """The fit of a seam station."""

@@ -21,7 +21,7 @@ def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Fi
     u0, v0 = closeup.u.min(), closeup.v.min()
     image = np.full((closeup.v.max() - v0 + 1, closeup.u.max() - u0 + 1), np.nan, np.float32)
     image[closeup.v - v0, closeup.u - u0] = closeup.deviation
-    scale = float(np.ptp(closeup.x) / max(1.0, np.ptp(closeup.u)))
+    scale = float(np.ptp(closeup.x)) / max(1.0, float(np.ptp(closeup.u)))
     centre = np.hypot(closeup.x, closeup.y).argmin()
     middle_u, middle_v = float(closeup.u[centre] - u0), float(closeup.v[centre] - v0)
     used = closeup.inner | closeup.outer
@@ -256,8 +256,9 @@ def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit:
     if known:
         places += [np.clip(shown - 1.3 * spread, -reach, reach), np.clip(shown + 1.3 * spread, -reach, reach)]
     low, high = _range(places)
-    _zone(fig, low, high, RED)
-    if "serious_lower" in marks or "serious_upper" in marks:
+    serious = "serious_lower" in marks or "serious_upper" in marks
+    _zone(fig, low, high, RED if serious else BLUE)
+    if serious:
         _zone(fig, marks.get("serious_lower", low), marks.get("serious_upper", high), BLUE)
     if "lower" in marks or "upper" in marks:
         _zone(fig, marks.get("lower", low), marks.get("upper", high), GREEN)

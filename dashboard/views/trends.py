@@ -11,7 +11,7 @@ from dashboard.figures.trends import control_figure, histogram, layout_figure, p
 from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
 from dashboard.frame import Desk, go, plain
-from dashboard.habits import Habits
+from dashboard.habits import Habits, with_minus
 from dashboard.picking import clickable_chart
 from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
@@ -108,7 +108,7 @@ def _control(
     values = spread(desk.archive, subject, quantity, selection, standard)
     shown = quantity.against(standard)
     if standard.note:
-        st.caption(standard.note)
+        st.caption(with_minus(standard.note))
     left, right = st.columns([7, 4])
     # The numbers come first: they are there while the figures are still being drawn.
     with right:
@@ -211,4 +211,4 @@ def _map(desk: Desk, subject: Subject, quantity: Quantity, selection: Selection)
     )
     st.caption(f"{quantity.title} of panel {plain(subject.panel)}, over all aircraft; places {frame}.")
     if standard.relative:
-        st.caption(standard.note)
+        st.caption(with_minus(standard.note))

@@ -147,7 +147,7 @@ def test_runs_whose_limits_cannot_be_read_say_so(tmp_path: Path) -> None:
 def test_the_page_says_by_what_it_holds_values(zoned: Path, open_page: Callable[..., AppTest]) -> None:
     page = open_page("trends", zoned, what="panel", panel="LH-F12", quantity="height")
     assert not page.exception
-    assert "judged by different limits" in texts(page)
+    assert "judged by different limits (−0.040" in texts(page)
     page = open_page("scene", zoned, scene="MSN-0424~LH-F12~S1~20261118T212000Z", feature="station:M1@40.0")
     assert not page.exception
     assert "Step into the wind" in texts(page)

@@ -25,6 +25,7 @@ from dashboard.findings import Selection, Wanted, feature_from_parameter, featur
 from dashboard.frame import plain
 from dashboard.habits import Habits, habits_of, with_minus
 from dashboard.launch import check_address, command, login_is_configured
+from dashboard.palette import BLUE, GREEN, RED
 from dashboard.pictures import load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.scenes import load_features, load_scene_row, requirements, worst_feature
@@ -251,6 +252,10 @@ def test_limits_stay_legible_beside_a_value_far_outside() -> None:
     assert high - low < 1.0
     assert bar.data[0].marker.symbol == "triangle-right"
     assert low < bar.data[0].x[0] < high
+    assert {shape.fillcolor for shape in bar.layout.shapes} == {RED, BLUE, GREEN}
+    # Without a serious limit nothing is seriously outside.
+    plain_limit = limit_bar(5.0, 0.003, Limit(-0.1, 0.1), "mm", Habits())
+    assert {shape.fillcolor for shape in plain_limit.layout.shapes} == {BLUE, GREEN}
     inside = limit_bar(-0.25, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Habits())
     assert inside.data[0].marker.symbol == "diamond"
     assert inside.data[0].x[0] == -0.25
