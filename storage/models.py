@@ -76,15 +76,30 @@ Line = Annotated[str, Strict(), AfterValidator(_one_line)]
 """Free text for people."""
 
 
-def _inside(path: str) -> str:
+def leads_inside(path: str) -> bool:
+    """Whether a relative path stays in the folder that it starts from."""
     pure = PurePosixPath(path)
-    if not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts:
+    return not (not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts)
+
+
+def _inside(path: str) -> str:
+    if not leads_inside(path):
         raise ValueError(f"found path {path!r}, expected one inside the folder, relative to it")
     return path
 
 
 InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
 """A file of the folder that the manifest lies in. Links in that folder are its owner's and are followed."""
+
+
+def _plain_name(name: str) -> str:
+    if _inside(name) != PurePosixPath(name).name or name.startswith("."):
+        raise ValueError(f"found name {name!r}, expected that of a file in the folder itself")
+    return name
+
+
+FileName = Annotated[str, Strict(), AfterValidator(_plain_name)]
+"""A file or folder right in a folder: no separator, no leading dot."""
 
 
 def validate(model: type[Model], document: Mapping[str, Any], path: Path, error: ErrorType) -> Model:
