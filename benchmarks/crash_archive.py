@@ -26,7 +26,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from metrology.errors import StoreError
-from storage.archive import Store, maintenance, recycle
+from storage.archive import Store, generations, maintenance
 from tests.storage.results import small_key, small_result
 
 SCENES = 12
@@ -66,7 +66,7 @@ def write_forever(root: str, seed: int, full: multiprocessing.sharedctypes.Synch
     rng = random.Random(seed)
     store = Store(Path(root))
     if seed % 2:  # half of the writers publish as into a large archive
-        recycle.WORTHWHILE_BYTES = 0
+        generations.WORTHWHILE_BYTES = 0
     while True:
         millis = rng.randrange(1, 1000)
         key = small_key(f"S{rng.randrange(SCENES):02d}", f"MSN-{rng.randrange(3)}")

@@ -149,10 +149,11 @@ def merged(tables: Sequence[Table], others: Sequence[Table]) -> tuple[Table, ...
 
 def additions(connection: duckdb.DuckDBPyConnection) -> dict[str, list[list[str]]]:
     """The columns of every table of an index, those that came together in one list."""
-    if not _has_bookkeeping(connection):
+    try:
+        rows = connection.execute("FROM bookkeeping.columns ORDER BY table_name, addition, column_name").fetchall()
+    except duckdb.CatalogException:  # made before indexes kept books
         return {table.name: [sorted(column.name for column in table.columns)] for table in structure(connection)}
     found: dict[str, dict[int, list[str]]] = {}
-    rows = connection.execute("FROM bookkeeping.columns ORDER BY table_name, addition, column_name").fetchall()
     for table, column, addition in rows:
         found.setdefault(table, {}).setdefault(addition, []).append(column)
     return {table: list(by_number.values()) for table, by_number in found.items()}
@@ -169,9 +170,22 @@ def digests_sql(columns: Additions, source: Callable[[str], str]) -> str:
         Where the rows of a table are to be found.
     """
     parts = [
-        f"SELECT scene_id, {_row_hash(table, groups)} AS h FROM {source(table)}" for table, groups in columns.items()
+        f"SELECT scene_id, {row_hash(table, groups)} AS h FROM {source(table)}" for table, groups in columns.items()
     ]
     return f"SELECT scene_id, sum(h)::HUGEINT AS digest FROM ({' UNION ALL '.join(parts)}) GROUP BY scene_id"
+
+
+def row_hash(table: str, groups: Sequence[Sequence[str]]) -> str:
+    """Of each row of a table; what holds nothing in all columns that were added together does not change it."""
+    first, *later = groups
+    terms = [f"hash({', '.join(first)}, '{table}')"]
+    for names in later:
+        nothing = " AND ".join(f"{name} IS NULL" for name in names)
+        terms.append(f"if({nothing}, 0::UBIGINT, hash({', '.join(names)}, '{names[0]}'))")
+    folded = terms[0]
+    for term in terms[1:]:
+        folded = f"xor({folded}, {term})"
+    return f"hash({folded})" if later else folded
 
 
 def row_digests(connection: duckdb.DuckDBPyConnection) -> dict[str, int]:
@@ -302,15 +316,3 @@ def _make_views(connection: duckdb.DuckDBPyConnection) -> None:
     for position, (name, create_sql) in enumerate(kept.items()):
         connection.execute(create_sql)
         connection.execute("INSERT INTO bookkeeping.views VALUES (?, ?, ?)", [name, create_sql, position])
-
-
-def _row_hash(table: str, groups: Sequence[Sequence[str]]) -> str:
-    first, *later = groups
-    terms = [f"hash({', '.join(first)}, '{table}')"]
-    for names in later:
-        nothing = " AND ".join(f"{name} IS NULL" for name in names)
-        terms.append(f"if({nothing}, 0::UBIGINT, hash({', '.join(names)}, '{names[0]}'))")
-    folded = terms[0]
-    for term in terms[1:]:
-        folded = f"xor({folded}, {term})"
-    return f"hash({folded})" if later else folded

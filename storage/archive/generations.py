@@ -25,6 +25,8 @@ from storage.archive.layout import Layout
 
 _NAMES = "archive-*.duckdb"
 _SPARE = ".spare.duckdb"
+# As long as it takes to copy this much, a generation takes to be brought up to date.
+WORTHWHILE_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
@@ -60,11 +62,9 @@ def publish(layout: Layout, runs: Sequence[Path]) -> dict[Path, str]:
             spare.chmod(0o644)
         with index.connected(spare) as connection:
             if bookkeeping.bring_up_to_date(connection):
-                refused, more = index.catch_up(connection, layout), None
+                refused, note = index.catch_up(connection, layout), None
             else:
-                refused, more = index.take(connection, layout, runs), [layout.relative(run) for run in runs]
-            mark = tuple(index.fingerprint(connection))
-        note = Note(last.name, tuple(more), mark) if last and more is not None else None
+                refused, note = index.take(connection, layout, runs), _news(connection, layout, last, runs)
         _give_place(layout, spare, last, note)
     return refused
 
@@ -143,7 +143,7 @@ def _recycled(layout: Layout, last: Path, spare: Path) -> bool:
     """Make the generation before the last equal to it, as a file of its own, if that can be done."""
     note = _read_note(last)
     former = layout.generations / note.before if note else None
-    if not (note and former and former.is_file()):
+    if not (note and former and former.is_file()) or last.stat().st_size < WORTHWHILE_BYTES:
         return False
     former.rename(spare)  # from here on nobody can open it anew
     _note(former).unlink(missing_ok=True)
@@ -156,6 +156,15 @@ def _recycled(layout: Layout, last: Path, spare: Path) -> bool:
                     return True
     remove_database(spare)
     return False
+
+
+def _news(
+    connection: duckdb.DuckDBPyConnection, layout: Layout, last: Path | None, runs: Sequence[Path]
+) -> Note | None:
+    """What to note of a generation in the making; None for one that is copied in no time."""
+    if last is None or last.stat().st_size < WORTHWHILE_BYTES:
+        return None
+    return Note(last.name, tuple(layout.relative(run) for run in runs), tuple(index.fingerprint(connection)))
 
 
 def _note(generation: Path) -> Path:

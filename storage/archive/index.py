@@ -33,24 +33,32 @@ def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[P
     An older run changes nothing, nor does another one than that on which the scene was signed off.
     """
     signed = signed_runs(ReviewLog(layout.root).read())
-    loader = Loader(connection, layout)
+    manifests: dict[Path, BundleModel] = {}
     refused = {}
     for run in runs:
         try:
-            manifest = check_bundle(run, only_tables=True)
+            manifests[run] = check_bundle(run, only_tables=True)
         except StoreError as problem:
             refused[run] = str(problem)
+    scenes = sorted({manifest.scene_id for manifest in manifests.values()})
+    asked = "SELECT scene_id, run_id FROM scenes WHERE scene_id IN (SELECT unnest(?))"
+    held: dict[str, str] = dict(connection.execute(asked, [scenes]).fetchall())
+    loader = Loader(connection, layout, held)
+    for run, manifest in sorted(manifests.items()):
+        scene = manifest.scene_id
+        if scene in held and (held[scene] >= manifest.run_id or scene in signed):
             continue
-        held = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [manifest.scene_id]).fetchall()
-        if not (held and (held[0][0] >= manifest.run_id or manifest.scene_id in signed)):
-            refused |= loader.load({run: manifest}).refused
+        outcome = loader.load({run: manifest})
+        refused |= outcome.refused
+        if outcome.loaded:
+            held[scene] = manifest.run_id
     return refused
 
 
 def catch_up(connection: duckdb.DuckDBPyConnection, layout: Layout) -> dict[Path, str]:
     """Let an index show of each scene the run that is to be shown; what cannot be taken is left out and named."""
     held = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
-    return preferred(Loader(connection, layout), layout, held).refused
+    return preferred(Loader(connection, layout, held), layout, held).refused
 
 
 def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: bool = True) -> Outcome:
@@ -93,7 +101,7 @@ def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: boo
 
 def fingerprint(connection: duckdb.DuckDBPyConnection) -> list[int]:
     """Equal for two indexes of the same tables that show the same runs with the same rows."""
-    counts = [f"(SELECT count(*) FROM {table.name})" for table in bookkeeping.structure(connection)]
+    counts = [f"(SELECT count(*) FROM {table})" for table in bookkeeping.additions(connection)]
     [row] = connection.execute(
         f"SELECT coalesce(sum(hash(scene_id, run_id, digest)), 0), {', '.join(counts)} FROM {bookkeeping.RUNS.name}"
     ).fetchall()
@@ -112,7 +120,6 @@ def connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
             "'flushline archive rebuild' makes it again"
         ) from None
     try:
-        connection.execute("SET TimeZone = 'UTC'")
         yield connection
         connection.execute("CHECKPOINT")
     except duckdb.Error as problem:

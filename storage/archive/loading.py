@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -20,6 +21,7 @@ from metrology.errors import StoreError
 from storage.archive import bookkeeping
 from storage.archive.bundle import BundleModel
 from storage.archive.layout import Layout
+from storage.models import leads_inside
 
 Runs = Mapping[Path, BundleModel]
 _KEY = ("aircraft_serial", "panel", "station", "captured_at", "scene_id")
@@ -55,10 +57,12 @@ class Loader:
     connection : duckdb.DuckDBPyConnection
         The index.
     layout : Layout
+    held : collection of str
+        Scenes that the index has.
     """
 
-    def __init__(self, connection: duckdb.DuckDBPyConnection, layout: Layout) -> None:
-        self.connection, self.layout = connection, layout
+    def __init__(self, connection: duckdb.DuckDBPyConnection, layout: Layout, held: Iterable[str] = ()) -> None:
+        self.connection, self.layout, self.held = connection, layout, set(held)
         self.columns = bookkeeping.additions(connection)
 
     def load(self, runs: Runs, keep: bool = True) -> Outcome:
@@ -78,14 +82,12 @@ class Loader:
             return
         self.connection.execute("BEGIN")
         try:
-            self._arrive(runs)
-            digests = self._digests()
+            digests = self._arrive(runs)
             if keep:
-                self._settle([manifest.scene_id for manifest in runs.values()])
+                self._settle(runs, digests)
             self.connection.execute("COMMIT")
         except (duckdb.Error, StoreError) as problem:
-            with contextlib.suppress(duckdb.Error):
-                self.connection.execute("ROLLBACK")
+            self._roll_back()
             refuse_full_disk(self.layout.index, problem)
             if len(runs) > 1:
                 items = list(runs.items())
@@ -95,101 +97,106 @@ class Loader:
                 [(run, manifest)] = runs.items()
                 outcome.refused[run] = _said(run, manifest, problem)
         except BaseException:
-            with contextlib.suppress(duckdb.Error):
-                self.connection.execute("ROLLBACK")
+            self._roll_back()
             raise
         else:
-            outcome.loaded |= {run: digests[manifest.scene_id] for run, manifest in runs.items()}
+            outcome.loaded |= digests
+            self.held |= {manifest.scene_id for manifest in runs.values()}
 
-    def _arrive(self, runs: Runs) -> None:
-        """Read the rows into tables of their own, and refuse what is not as it should be."""
-        self._state(runs)
+    def _roll_back(self) -> None:
+        with contextlib.suppress(duckdb.Error):
+            self.connection.execute("ROLLBACK")
+
+    def _arrive(self, runs: Runs) -> dict[Path, int]:
+        """Read the rows into tables of their own, and refuse what is not as it should be; returns their digests."""
+        for run, manifest in runs.items():
+            _check_place(run, manifest, self.layout)
+            if unknown := sorted(manifest.rows.keys() - self.columns.keys()):
+                version = manifest.versions.get("flushline", "unknown")
+                known = ", ".join(sorted(self.columns))
+                raise StoreError(f"{run}: found table {unknown[0]} of version {version}, expected one of {known}")
         for table in self.columns:
             self.connection.execute(
                 f"CREATE OR REPLACE TEMP TABLE arrived_{table} AS "
                 f"SELECT *, NULL::VARCHAR AS {_FILE} FROM {table} LIMIT 0"
             )
-            files = [str(run / f"{table}.parquet") for run, manifest in runs.items() if table in manifest.rows]
-            if files:
+            if files := [str(run / f"{table}.parquet") for run, manifest in runs.items() if table in manifest.rows]:
                 # The folders of a bundle are named by aircraft and panel, but not in Hive's way.
                 self.connection.execute(
                     f"INSERT INTO arrived_{table} BY NAME SELECT * FROM read_parquet(?, hive_partitioning = false, "
                     f"union_by_name = true, filename = '{_FILE}')",
                     [files],
                 )
-            self._check(table, runs)
+        return self._checked(runs)
 
-    def _state(self, runs: Runs) -> None:
-        """Keep what the manifests say beside what will arrive."""
+    def _checked(self, runs: Runs) -> dict[Path, int]:
+        """Refuse rows of another scene, another count than the manifest's, and paths that lead out of the bundle.
+
+        Returns
+        -------
+        dict
+            Digest of each run's rows.
+        """
+        counted, digests = Counter[tuple[Path, str]](), dict.fromkeys(runs, 0)
+        for table, file, rows, digest, *values, more in self.connection.execute(self._counting).fetchall():
+            run = Path(file).parent
+            counted[run, table] += rows
+            digests[run] += digest
+            _check_values(file, runs[run], dict(zip(_KEY, values, strict=True)) | (more or {}), self.layout)
         for run, manifest in runs.items():
-            if run != self.layout.scene(manifest.key) / manifest.run_id:
-                raise StoreError(
-                    f"{run}: found run {manifest.run_id} of {manifest.scene_id}, expected it in its own folder"
-                )
-            if unknown := sorted(manifest.rows.keys() - self.columns.keys()):
-                version = manifest.versions.get("flushline", "unknown")
-                raise StoreError(
-                    f"{run}: found table {unknown[0]} of version {version}, expected one of "
-                    f"{', '.join(sorted(self.columns))}"
-                )
-        names = ("run", "place", "run_id", *_KEY)
-        rows = [
-            (str(run), self.layout.relative(run), m.run_id, *(getattr(m, name) for name in _KEY))
-            for run, m in runs.items()
-        ]
-        columns = ", ".join(
-            f"unnest(?{'::TIMESTAMPTZ[]' if n == 'captured_at' else '::VARCHAR[]'}) AS {n}" for n in names
-        )
-        self.connection.execute(
-            f"CREATE OR REPLACE TEMP TABLE stated AS SELECT {columns}",
-            [list(column) for column in zip(*rows, strict=True)],
-        )
-
-    def _check(self, table: str, runs: Runs) -> None:
-        """Refuse rows of another scene, another count than the manifest's, and paths that lead out of the bundle."""
-        paths = [name for group in self.columns[table] for name in group if name.endswith("_path")]
-        leading_out = [
-            f"(a.{name} <> s.place AND NOT starts_with(a.{name}, s.place || '/')) OR contains(a.{name}, '..')"
-            for name in paths
-        ]
-        names = (*_KEY, "run_id") if table == "scenes" else _KEY
-        own = " AND ".join(f"a.{name} IS NOT DISTINCT FROM s.{name}" for name in names)
-        counted = self.connection.execute(
-            f"SELECT s.run, count(a.{_FILE}), count(a.{_FILE}) FILTER ({own}), "
-            f"count(a.{_FILE}) FILTER ({' OR '.join(leading_out) or 'false'}) "
-            f"FROM stated s LEFT JOIN arrived_{table} a ON a.{_FILE} = s.run || '/{table}.parquet' GROUP BY s.run"
-        ).fetchall()
-        for name, rows, fitting, outside in counted:
-            manifest = runs[Path(name)]
-            file, expected = f"{name}/{table}.parquet", 1 if table == "scenes" else manifest.rows.get(table, 0)
-            if rows != expected:
-                raise StoreError(f"{file}: found {rows} rows, expected {expected}")
-            if fitting != rows:
-                raise StoreError(f"{file}: found rows of another scene or run, expected those of {manifest.scene_id}")
-            if outside:
-                raise StoreError(f"{file}: found a path that leads out of the bundle, expected one inside it")
-
-    def _digests(self) -> dict[str, int]:
-        return dict(self.connection.execute(self._digests_sql).fetchall())
+            for table, stated in manifest.rows.items():
+                expected = 1 if table == "scenes" else stated
+                if counted[run, table] != expected:
+                    raise StoreError(
+                        f"{run / f'{table}.parquet'}: found {counted[run, table]} rows, expected {expected}"
+                    )
+        return digests
 
     @property
-    def _digests_sql(self) -> str:
-        return bookkeeping.digests_sql(self.columns, lambda table: f"arrived_{table}")
-
-    def _settle(self, scenes: Sequence[str]) -> None:
-        """Put what arrived in place of the scenes' former rows."""
-        held = self.connection.execute("SELECT count(*) FROM scenes WHERE scene_id IN (SELECT unnest(?))", [scenes])
-        if held.fetchall() != [(0,)]:
-            for table in (*self.columns, bookkeeping.RUNS.name):
-                self.connection.execute(f"DELETE FROM {table} WHERE scene_id IN (SELECT unnest(?))", [scenes])
-        for table in self.columns:
-            self.connection.execute(
-                f"INSERT INTO {table} BY NAME SELECT * EXCLUDE ({_FILE}) FROM arrived_{table} ORDER BY rowid"
+    def _counting(self) -> str:
+        """Rows of each table and file, by what has to be the same in all of them."""
+        parts = []
+        for table, groups in self.columns.items():
+            more = [n for group in groups for n in group if n.endswith("_path") or (n, table) == ("run_id", "scenes")]
+            pairs = ", ".join(f"'{name}': {name}" for name in more)
+            parts.append(
+                f"SELECT '{table}', {_FILE}, count(*), sum({bookkeeping.row_hash(table, groups)})::HUGEINT, "
+                f"{', '.join(_KEY)}, {f'MAP {{{pairs}}}' if pairs else 'NULL'} AS more "
+                f"FROM arrived_{table} GROUP BY ALL"
             )
+        return " UNION ALL ".join(parts)
+
+    def _settle(self, runs: Runs, digests: Mapping[Path, int]) -> None:
+        """Put what arrived in place of the scenes' former rows."""
+        scenes = [manifest.scene_id for manifest in runs.values()]
+        among = "scene_id = $1[1]" if len(scenes) == 1 else "scene_id IN (SELECT unnest($1))"
+        if not self.held.isdisjoint(scenes):
+            for table in (*self.columns, bookkeeping.RUNS.name):
+                self.connection.execute(f"DELETE FROM {table} WHERE {among}", [scenes])
+        for table in self.columns:
+            self.connection.execute(f"INSERT INTO {table} BY NAME SELECT * EXCLUDE ({_FILE}) FROM arrived_{table}")
         self.connection.execute(
-            f"INSERT INTO {bookkeeping.RUNS.name} SELECT scene_id, run_id, digest FROM arrived_scenes "
-            f"JOIN ({self._digests_sql}) USING (scene_id)"
+            f"INSERT INTO {bookkeeping.RUNS.name} SELECT unnest($1), unnest($2), unnest($3::HUGEINT[])",
+            [scenes, [manifest.run_id for manifest in runs.values()], [digests[run] for run in runs]],
         )
+
+
+def _check_place(run: Path, manifest: BundleModel, layout: Layout) -> None:
+    if run != layout.scene(manifest.key) / manifest.run_id:
+        raise StoreError(f"{run}: found run {manifest.run_id} of {manifest.scene_id}, expected it in its own folder")
+
+
+def _check_values(file: str, manifest: BundleModel, values: Mapping[str, object], layout: Layout) -> None:
+    """Refuse rows that name another scene or run than the manifest does, or files outside the bundle."""
+    for name in (*_KEY, *(["run_id"] if "run_id" in values else [])):
+        if values[name] != getattr(manifest, name):
+            raise StoreError(f"{file}: found rows with {name} {values[name]}, expected {getattr(manifest, name)}")
+    place = layout.relative(layout.scene(manifest.key) / manifest.run_id)
+    for name, path in values.items():
+        if name.endswith("_path") and path is not None:
+            text = str(path)
+            if not (leads_inside(text) and (text == place or text.startswith(f"{place}/"))):
+                raise StoreError(f"{file}: found {name} {text!r}, expected one inside {place}")
 
 
 def _said(run: Path, manifest: BundleModel, problem: Exception) -> str:

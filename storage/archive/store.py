@@ -162,9 +162,12 @@ class Store:
                 settle(self.layout, run, pattern)
         later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
         with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):
-            _, refused = self._take_up()
+            taken, refused = self._take_up()
         refuse_signed_off(self.root, key.scene_id, run.run_id)  # signed off meanwhile
-        self._check_shown(run.final, refused)
+        if run.final in refused:
+            raise StoreError(f"{refused[run.final]}; the result is kept there, but is not in the tables")
+        if run.final not in taken:
+            self._check_shown(run.final)  # another writer took it up
         return run.run_id
 
     def recover(self) -> int:
@@ -175,30 +178,28 @@ class Store:
         """
         with disk_trouble(self.root, "complete runs will enter the tables when there is"):
             taken, _ = self._take_up()
-            return taken
+            return len(taken)
 
-    def _take_up(self) -> tuple[int, dict[Path, str]]:
-        """How many runs entered the tables, and what is wrong with others, by run."""
+    def _take_up(self) -> tuple[set[Path], dict[Path, str]]:
+        """Runs that entered the tables that readers see, and what is wrong with others."""
         from storage.archive import generations
         from storage.archive.staging import pending
 
         with locked(self.layout.lock):
             runs = pending(self.layout)
             if not runs:
-                return 0, {}
+                return set(), {}
             refused = generations.publish(self.layout, list(runs.values()))
             for marker in runs:
                 marker.unlink(missing_ok=True)
         for problem in refused.values():
             _log.warning("%s; it is left out of the tables", problem)
-        return len(set(runs.values()) - refused.keys()), refused
+        return set(runs.values()) - refused.keys(), refused
 
-    def _check_shown(self, run: Path, refused: dict[Path, str]) -> None:
+    def _check_shown(self, run: Path) -> None:
         """Refuse to call a run published that readers do not see, nor a newer one in its place."""
         from storage.archive import snapshot
 
-        if run in refused:
-            raise StoreError(f"{refused[run]}; the result is kept in {run}, but is not in the tables")
         with contextlib.closing(snapshot.connect(self.layout)) as connection:
             row = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [run.parent.name]).fetchone()
         if row is None or row[0] < run.name:

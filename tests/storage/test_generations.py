@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from storage.archive import Store, maintenance
+from storage.archive import Store, generations, maintenance
 from tests.storage.results import small_key, small_result
 
 ROWS = "SELECT scene_id, run_id FROM scenes ORDER BY ALL"
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    """A store with as many generations as are kept, and what it takes to make the next from the first."""
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+    """A store whose index counts as large, with as many generations as are kept."""
+    monkeypatch.setattr(generations, "WORTHWHILE_BYTES", 0)
     store = Store(tmp_path / "store")
     for number in range(3):
         publish(store, number)
