@@ -185,7 +185,7 @@ def row_hash(table: str, groups: Sequence[Sequence[str]]) -> str:
     folded = terms[0]
     for term in terms[1:]:
         folded = f"xor({folded}, {term})"
-    return f"hash({folded})" if later else folded
+    return folded
 
 
 def row_digests(connection: duckdb.DuckDBPyConnection) -> dict[str, int]:
