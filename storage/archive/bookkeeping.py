@@ -111,7 +111,7 @@ def start(connection: duckdb.DuckDBPyConnection, former: duckdb.DuckDBPyConnecti
     """Make the tables and views of a new index: this version's, and what a former one has of others."""
     connection.execute("BEGIN")
     _make_bookkeeping(connection)
-    others: tuple[Table, ...] = ()
+    others: Sequence[Table] = ()
     if former and _has_bookkeeping(former):
         noted = {(table, name) for table, groups in additions(former).items() for group in groups for name in group}
         others = tuple(
@@ -121,7 +121,7 @@ def start(connection: duckdb.DuckDBPyConnection, former: duckdb.DuckDBPyConnecti
         for table in (VERSIONS, VIEWS_KEPT):
             for row in former.execute(f"FROM {table.name}").fetchall():
                 connection.execute(f"INSERT INTO {table.name} VALUES ({', '.join('?' * len(row))})", row)
-    tables = schema.TABLES
+    tables: Sequence[Table] = schema.TABLES
     if _is_older_than(connection):  # a newer version may have changed a column's type
         tables, others = others, tables
     _add_tables(connection, merged(tables, others))
