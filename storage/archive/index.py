@@ -90,7 +90,7 @@ def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: boo
             try:
                 bundles.bring(run, tables_only=True)
                 batch[run] = check_bundle(run, only_tables=True)
-            except StoreError as problem:
+            except (StoreError, FileNotFoundError) as problem:  # damaged, or pruned just now
                 outcome.refused[run] = str(problem)
         loaded = loader.load(batch, keep)
         outcome.add(loaded)

@@ -46,7 +46,9 @@ def rebuild(layout: Layout) -> list[str]:
                 generations.replace(layout, made)
         finally:
             remove_database(made)
-    return [text for _, text in sorted(refused.items())] + incomplete(Bundles(layout))
+    bundles = Bundles(layout)
+    there = bundles.whatever_is_there()  # without what was pruned meanwhile
+    return [text for run, text in sorted(refused.items()) if run in there] + incomplete(bundles)
 
 
 def _start(layout: Layout, connection: duckdb.DuckDBPyConnection) -> None:
