@@ -20,16 +20,19 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from metrology.errors import StoreError
-from storage.archive import Store, maintenance, recycle
+from storage.archive import Store, generations, maintenance, run_ids
+from storage.archive.compaction import compact
 from tests.storage.results import small_key, small_result
 
 SCENES = 12
+_UPKEEP = 0.05  # share of turns that begin with pruning, compacting or making the index again
 MAX_RIVETS = 9
 _CONSISTENT = """
 SELECT s.scene_id FROM scenes s
@@ -62,21 +65,38 @@ class Tally:
 
 
 def write_forever(root: str, seed: int, full: multiprocessing.sharedctypes.Synchronized[int]) -> None:  # type: ignore[name-defined]
-    """Publish random runs of random scenes until killed."""
+    """Publish random runs of random scenes until killed; now and then prune, compact or rebuild, at a time gone astray."""
     rng = random.Random(seed)
     store = Store(Path(root))
     if seed % 2:  # half of the writers publish as into a large archive
-        recycle.WORTHWHILE_BYTES = 0
+        generations.WORTHWHILE_BYTES = 0
     while True:
         millis = rng.randrange(1, 1000)
         key = small_key(f"S{rng.randrange(SCENES):02d}", f"MSN-{rng.randrange(3)}")
         try:
+            if rng.random() < _UPKEEP:
+                _let_the_clock_jump(rng)
+                rng.choice((maintenance.prune, maintenance.rebuild, compact))(store.layout)
             store.publish(small_result(key, height_mm=millis / 1000, rivets=millis % MAX_RIVETS + 1))
         except StoreError as problem:
             if "full" not in str(problem) and "space" not in str(problem):
                 raise
             full.value += 1
             time.sleep(0.05)
+
+
+def _let_the_clock_jump(rng: random.Random) -> None:
+    """Let run ids be given at another time from now on."""
+    moment = datetime(rng.randrange(1980, 2080), 1, 1, tzinfo=UTC)
+
+    class Clock(datetime):
+        """Says another time."""
+
+        @classmethod
+        def now(cls, tz: object = None) -> datetime:  # type: ignore[override]
+            return moment
+
+    run_ids.datetime = Clock  # type: ignore[misc]
 
 
 def torment(
@@ -134,6 +154,8 @@ def settle(store: Store, tally: Tally) -> Tally:
 def damage(store: Store, tally: Tally, seed: int = 2) -> None:
     """Spoil one file of a current run: the check must name it, and a rebuild must fall back to the run before."""
     rng = random.Random(seed)
+    store.publish(small_result(small_key("S00"), height_mm=0.018, rivets=1))
+    store.publish(small_result(small_key("S00"), height_mm=0.027, rivets=1))
     scenes = [scene for scene in sorted(store.layout.bundles.glob("*/*/*")) if len(list(scene.iterdir())) > 1]
     run = max(rng.choice(scenes).iterdir())
     path = run / "rivets.parquet"

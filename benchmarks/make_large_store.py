@@ -14,13 +14,15 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import duckdb
 from synthetic_scene import Recipe, synthetic_result
 
 from metrology.results import SceneKey
-from storage.archive import index, snapshot
+from storage.archive import bookkeeping, generations
+from storage.archive.files import locked
 from storage.archive.store import Store
 
 SEAMS_PER_SCENE, STATIONS_PER_SEAM = 2, 52
@@ -61,9 +63,8 @@ def make_large_store(root: Path, fleet: Fleet, size: tuple[int, int] = FULL_SIZE
     heights = (*(0.02 * ((i * 7) % 11 - 5) / 5 for i in range(fleet.rivets - 1)), 0.13)
     key = SceneKey("MSN-0001", "LH-F01", "S1", datetime(2025, 1, 6, 22, 0, tzinfo=UTC))
     store.publish(synthetic_result(Recipe(key, heights_mm=heights, size=size)))
-    with index.writing(store.layout) as connection:
-        _insert(connection, fleet)
-    snapshot.publish(store.layout)
+    with locked(store.layout.lock):
+        generations.change(store.layout, partial(_insert, fleet=fleet))
 
 
 def _insert(connection: duckdb.DuckDBPyConnection, fleet: Fleet) -> None:
@@ -76,6 +77,10 @@ def _insert(connection: duckdb.DuckDBPyConnection, fleet: Fleet) -> None:
     connection.execute(_SCENES)
     connection.execute(_RIVETS)
     connection.execute(_SEAM_STATIONS, [SEAMS_PER_SCENE, STATIONS_PER_SEAM])
+    connection.execute(f"DELETE FROM {bookkeeping.RUNS.name}")
+    digests = bookkeeping.digests_sql(bookkeeping.additions(connection), lambda table: table)
+    rows = f"SELECT scene_id, run_id, digest FROM scenes JOIN ({digests}) USING (scene_id)"
+    connection.execute(f"INSERT INTO {bookkeeping.RUNS.name} {rows}")
     connection.execute("DROP TABLE keys; DROP TABLE model; DROP TABLE heads")
     connection.execute("COMMIT")
 

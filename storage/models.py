@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
@@ -72,6 +72,12 @@ Line = Annotated[str, Strict(), AfterValidator(_one_line)]
 """Free text for people."""
 
 
+def leads_inside(path: str) -> bool:
+    """Whether a relative path stays in the folder that it starts from."""
+    pure = PurePosixPath(path)
+    return not (not path or "\0" in path or "\\" in path or pure.is_absolute() or ".." in pure.parts)
+
+
 def _inside(path: str) -> str:
     # Programs on Windows write left\f00.png for left/f00.png.
     parts = path.replace("\\", "/").split("/")
@@ -86,6 +92,16 @@ InnerPath = Annotated[str, Strict(), AfterValidator(_inside)]
 """A file of the folder that the manifest lies in, with ``/`` between folders.
 
 Links there are its owner's, and followed."""
+
+
+def _plain_name(name: str) -> str:
+    if _inside(name) != PurePosixPath(name).name or name.startswith("."):
+        raise ValueError(f"found name {name!r}, expected that of a file in the folder itself")
+    return name
+
+
+FileName = Annotated[str, Strict(), AfterValidator(_plain_name)]
+"""A file or folder right in a folder: no separator, no leading dot."""
 
 
 def validate(model: type[Model], document: Mapping[str, Any], path: Path, error: ErrorType) -> Model:

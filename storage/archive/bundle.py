@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from metrology.cloud import Reconstruction
 from metrology.errors import StoreError
@@ -29,7 +29,7 @@ from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
 from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
 from storage.fits import write_fits
-from storage.models import Identifier, UtcTime, validate
+from storage.models import FileName, Identifier, UtcTime, validate
 from storage.panel_spec import pattern_toml
 
 FORMAT = "flushline-bundle/1"
@@ -54,23 +54,30 @@ class BundleModel(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
 
     format: Literal["flushline-bundle/1"]
-    run_id: str
+    run_id: FileName
     aircraft_serial: Identifier
     panel: Identifier
     station: Identifier
     captured_at: UtcTime
-    scene_id: str
+    scene_id: FileName
     config_hash: str
     rig_hash: str
     frames_digest: str | None = None
     files_state: str | None = None
     first_stored_at: UtcTime | None = None
-    files: dict[str, FileModel]
+    versions: dict[str, str] = Field(default_factory=dict)
+    rows: dict[FileName, int]
+    files: dict[FileName, FileModel]
 
     @property
     def key(self) -> SceneKey:
         """Which scene it is."""
         return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at)
+
+    @property
+    def table_files(self) -> list[str]:
+        """Its tables, which are those of the version that wrote it."""
+        return [f"{table}.parquet" for table in self.rows]
 
 
 def document_hash(document: Mapping[str, Any]) -> str:
@@ -156,17 +163,18 @@ def check_bundle(bundle: Path, only_tables: bool = False) -> BundleModel:
         Look at the tables alone, which is what the index is made from.
     """
     manifest = read_manifest(bundle)
-    if bundle.name != manifest.run_id or bundle.parent.name != manifest.scene_id:
+    if bundle.name != manifest.run_id or {bundle.parent.name, manifest.key.scene_id} != {manifest.scene_id}:
         raise StoreError(
             f"{bundle / MANIFEST}: found run {manifest.run_id!r} of {manifest.scene_id!r}, expected the folder's"
         )
-    wanted = [f"{table.name}.parquet" for table in TABLES]
-    if missing := sorted(set(wanted) - set(manifest.files)):
-        raise StoreError(f"{bundle / MANIFEST}: found no {missing[0]} listed, expected every table")
+    wanted = manifest.table_files
+    if missing := sorted({f"{SCENES.name}.parquet", *wanted} - set(manifest.files)):
+        raise StoreError(f"{bundle / MANIFEST}: found no {missing[0]} listed, expected every table of the run")
     for name in wanted if only_tables else manifest.files:
         path, stated = bundle / name, manifest.files[name]
-        if not path.is_file():
-            raise StoreError(f"{path}: found no such file, expected it as the manifest lists it")
+        if path.is_symlink() or not path.is_file():
+            found = "a link" if path.is_symlink() else "no such file"
+            raise StoreError(f"{path}: found {found}, expected a file as the manifest lists it")
         if (size := path.stat().st_size) != stated.bytes:
             raise StoreError(f"{path}: found {size} bytes, expected {stated.bytes} as the manifest says")
         if (found := sha256(path)) != stated.sha256:

@@ -6,6 +6,7 @@ tables, from which the index is made, and what somebody looked at since. Whateve
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,10 +18,7 @@ from storage.archive.bundle import MANIFEST, PATTERN, read_manifest
 from storage.archive.files import make_folders, sync
 from storage.archive.layout import Layout
 from storage.archive.remote import Remote
-from storage.archive.schema import TABLES
 from storage.documents import read_json
-
-_TABLES = tuple(f"{table.name}.parquet" for table in TABLES)
 
 
 class Bundles:
@@ -46,11 +44,15 @@ class Bundles:
         """Every complete run of every scene, oldest first within a scene."""
         if self.target:
             return [self.layout.root / run for run in self._remote.runs()]
-        return sorted(manifest.parent for manifest in self.layout.bundles.glob(f"*/*/*/*/{MANIFEST}"))
+        return sorted(run for run in self._here() if (run / MANIFEST).exists())
+
+    def incomplete(self) -> list[Path]:
+        """Folders in place of a run that have no manifest."""
+        return sorted(run for run in self._here() if not (run / MANIFEST).is_file())
 
     def whatever_is_there(self) -> set[Path]:
         """Every run, complete or not."""
-        return {*self.layout.bundles.glob("*/*/*/*"), *(self.runs() if self.target else ())}
+        return {*self._here(), *(self.runs() if self.target else ())}
 
     def arrived(self, run: Path, staged: Path) -> bool:
         """Whether a run that has no place here lies on object storage already; then it gets its place here, too."""
@@ -72,8 +74,9 @@ class Bundles:
         """Fetch what of a run is not in the store's folder."""
         if not self.target:
             return
-        names = [MANIFEST, *_TABLES] if tables_only else [MANIFEST, *self._listed(run)]
-        for name in names:
+        self.bring_file(run / MANIFEST)
+        manifest = read_manifest(run)
+        for name in manifest.table_files if tables_only else sorted(manifest.files):
             self.bring_file(run / name)
 
     @contextmanager
@@ -102,19 +105,30 @@ class Bundles:
         if self.target:
             self._remote.remove(self.layout.relative(run))
 
+    def _here(self) -> list[Path]:
+        return [Path(run) for run in _below(str(self.layout.bundles), 4)]
+
     @cached_property
     def _remote(self) -> Remote:
         return Remote(str(self.target))
 
-    def _listed(self, run: Path) -> list[str]:
-        self.bring_file(run / MANIFEST)
-        return sorted(read_manifest(run).files)
-
     def _settle_here(self, staged: Path, run: Path) -> None:
         if self.target:
+            kept = {MANIFEST, PATTERN, *read_manifest(staged).table_files}
             for path in staged.iterdir():
-                if path.name not in (MANIFEST, PATTERN, *_TABLES):
+                if path.name not in kept:
                     path.unlink()
         make_folders(run.parent, self.layout.root)
         staged.rename(run)
         sync(run.parent)
+
+
+def _below(folder: str, levels: int) -> Iterator[str]:
+    """What lies some levels below a folder; a store may have a million of them."""
+    if not levels:
+        yield folder
+    elif os.path.isdir(folder):
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if not entry.name.startswith("."):
+                    yield from _below(entry.path, levels - 1)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
-import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from storage.archive import index
+import duckdb
+
+from metrology.errors import StoreError
+from storage.archive import bookkeeping, generations
 from storage.archive.bundles import Bundles
-from storage.archive.files import disk_trouble, locked, make_folders, point_to, sync
+from storage.archive.files import disk_trouble, locked, make_folders, next_number, point_to, remove_database, sync
 from storage.archive.layout import Layout
 from storage.archive.remote import Remote
-from storage.archive.schema import TABLES
-
-if TYPE_CHECKING:
-    import duckdb
 
 _KEPT = 2
 
@@ -26,10 +26,12 @@ def compact(layout: Layout) -> Path | str:
     `parquet` in the store points to the newest; the one before stays for whoever reads it just now. Where the bundles
     lie on object storage, the files go there, too: into ``parquet/NAME``, which ``parquet/latest`` names.
     """
-    target = layout.index / f"parquet-{time.time_ns():020d}"
     with disk_trouble(layout.root, "parquet is as it was"), locked(layout.lock):
+        place = Bundles(layout).target
+        there = Remote(place) if place else None
+        target = layout.index / f"parquet-{_number(layout, there):020d}"
         try:
-            with index.writing(layout) as connection:
+            with _reading(layout) as connection:
                 _write(connection, layout, target)
         except BaseException:
             shutil.rmtree(target, ignore_errors=True)
@@ -37,14 +39,35 @@ def compact(layout: Layout) -> Path | str:
         point_to(layout.parquet, target)
         for old in sorted(layout.index.glob("parquet-*"))[:-_KEPT]:
             shutil.rmtree(old)
-        if place := Bundles(layout).target:
-            _copy(target, Remote(place))
-            return place
-    return layout.parquet
+        if there:
+            _copy(target, there)
+    return place or layout.parquet
+
+
+def _number(layout: Layout, there: Remote | None) -> int:
+    """Greater than that of everything compacted before, here and there."""
+    names = there.folders("parquet") if there else []
+    return max([next_number(layout.index, "parquet-*"), *(int(name) + 1 for name in names if name.isdecimal())])
+
+
+@contextlib.contextmanager
+def _reading(layout: Layout) -> Iterator[duckdb.DuckDBPyConnection]:
+    """The published index, by a name of its own: under the one that readers use, DuckDB shares their settings."""
+    last = generations.newest(layout)
+    if last is None:
+        raise StoreError(f"{layout.root}: found no archive.duckdb, expected a store that holds at least one scene")
+    own = layout.index / ".compact.duckdb"
+    remove_database(own)
+    os.link(last, own)
+    try:
+        with contextlib.closing(duckdb.connect(str(own), read_only=True)) as connection:
+            yield connection
+    finally:
+        remove_database(own)
 
 
 def _write(connection: duckdb.DuckDBPyConnection, layout: Layout, target: Path) -> None:
-    for table in TABLES:
+    for table in bookkeeping.structure(connection):
         folder = target / table.name
         make_folders(folder, layout.root)
         place = str(folder).replace("'", "''")

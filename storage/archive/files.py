@@ -7,9 +7,11 @@ import errno
 import fcntl
 import hashlib
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator
+from glob import escape
 from pathlib import Path
 from uuid import uuid4
 
@@ -112,6 +114,11 @@ def protect(path: Path) -> None:
     path.chmod(stat.S_IMODE(path.stat().st_mode) & 0o444)
 
 
+def allow_writing(path: Path) -> None:
+    """Let the owner write a file again."""
+    path.chmod(stat.S_IMODE(path.stat().st_mode) | 0o200)
+
+
 def link_first(source: Path, target: Path) -> bool:
     """Give a file a second name that does not exist yet; False where another was first."""
     try:
@@ -133,20 +140,33 @@ def make_folders(folder: Path, root: Path) -> None:
         sync(new.parent)
 
 
-def copy_durably(source: Path, target: Path) -> None:
-    """Copy a file, sharing its blocks where the file system can; `target` appears whole or not at all."""
-    partial = target.with_name(f".{target.name}.partial")
-    try:
-        with source.open("rb") as reader, partial.open("wb") as writer:
-            try:
-                fcntl.ioctl(writer.fileno(), _FICLONE, reader.fileno())
-            except OSError:
-                shutil.copyfile(source, partial)
-            os.fsync(writer.fileno())
-        partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
-    sync(target.parent)
+def clone(source: Path, target: Path) -> None:
+    """Copy a file to be changed further, sharing its blocks where the file system can."""
+    with source.open("rb") as reader, target.open("wb") as writer:
+        try:
+            fcntl.ioctl(writer.fileno(), _FICLONE, reader.fileno())
+        except OSError:
+            shutil.copyfile(source, target)
+
+
+def companions(database: Path) -> list[Path]:
+    """What lies beside a DuckDB file under its name: logs that DuckDB would replay, and its temporary files."""
+    return sorted(database.parent.glob(f"{escape(database.name)}.*"))
+
+
+def remove_database(path: Path) -> None:
+    """Remove a DuckDB file and whatever lies beside it under its name."""
+    for file in (path, *companions(path)):
+        if file.is_dir() and not file.is_symlink():
+            shutil.rmtree(file)
+        else:
+            file.unlink(missing_ok=True)
+
+
+def next_number(folder: Path, pattern: str) -> int:
+    """A number greater than every one that the names matching `pattern` in a folder end in; the clock plays no part."""
+    found = (re.search(r"(\d+)(\.\w+)?$", path.name) for path in folder.glob(pattern))
+    return 1 + max((int(match[1]) for match in found if match), default=0)
 
 
 def point_to(link: Path, target: Path) -> None:

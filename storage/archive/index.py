@@ -1,131 +1,111 @@
-"""The working index: one DuckDB file with all scenes' rows, changed only under the store's lock.
+"""What is done to an index: bring in runs, and catch up with all bundles.
 
-It can be made again from the bundles at any time. DuckDB allows one writing process or many reading ones, so nobody
-opens this file but the writer: readers get published copies (see `snapshot`).
+An index is one DuckDB file with the rows of all scenes. It can be made again from the bundles at any time. Nobody
+changes one that is published: the next generation is made beside it (see `generations`).
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import duckdb
 
 from metrology.errors import StoreError
+from storage.archive import bookkeeping
 from storage.archive.bundle import BundleModel, check_bundle
 from storage.archive.bundles import Bundles
 from storage.archive.layout import Layout
-from storage.archive.schema import TABLES
+from storage.archive.loading import Loader, Outcome, refuse_full_disk
 from storage.archive.signed import by_preference, signed_runs
-from storage.archive.views import VIEWS
 from storage.review import ReviewLog
 
 # The newest format that released command-line clients of DuckDB 1.4 and later all read.
 STORAGE_FORMAT = "v1.4.0"
-_RUNS_PER_INSERT = 500
+_RUNS_PER_LOAD = 500
 
 
-@contextlib.contextmanager
-def writing(layout: Layout) -> Iterator[duckdb.DuckDBPyConnection]:
-    """The working index, to be changed under the store's lock; where it is missing it is made from the bundles."""
-    if not layout.work.exists():
-        rebuild(layout)
-    with connected(layout.work) as connection:
-        yield connection
-
-
-def discard(path: Path) -> None:
-    """Remove a DuckDB file and its log."""
-    for file in (path, path.with_name(path.name + ".wal")):
-        file.unlink(missing_ok=True)
-
-
-def current_runs(layout: Layout) -> tuple[list[Path], list[str]]:
-    """The run of each scene that is to be shown, and what is damaged.
-
-    That is the one that was signed off, else the newest; a damaged one gives way to the next.
-    """
-    newest: dict[Path, Path] = {}
-    problems = []
-    signed = signed_runs(ReviewLog(layout.root).read())
-    bundles = Bundles(layout)
-    for run in by_preference(bundles.runs(), signed):
-        if run.parent in newest:
-            continue
-        try:
-            bundles.bring(run, tables_only=True)
-            check_bundle(run, only_tables=True)
-        except StoreError as problem:
-            problems.append(str(problem))
-        else:
-            newest[run.parent] = run
-    return sorted(newest.values()), problems
-
-
-def replace_run(
-    connection: duckdb.DuckDBPyConnection, run: Path, manifest: BundleModel, signed: Mapping[str, str]
-) -> bool:
-    """Put a run's rows in place of those of its scene, all tables in one transaction.
+def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[Path]) -> dict[Path, str]:
+    """Put runs in place of those of their scenes; what cannot be taken is left out and named.
 
     An older run changes nothing, nor does another one than that on which the scene was signed off.
+    """
+    signed = signed_runs(ReviewLog(layout.root).read())
+    manifests: dict[Path, BundleModel] = {}
+    refused = {}
+    for run in runs:
+        try:
+            manifests[run] = check_bundle(run, only_tables=True)
+        except StoreError as problem:
+            refused[run] = str(problem)
+    scenes = sorted({manifest.scene_id for manifest in manifests.values()})
+    asked = "SELECT scene_id, run_id FROM scenes WHERE scene_id IN (SELECT unnest(?))"
+    held: dict[str, str] = dict(connection.execute(asked, [scenes]).fetchall())
+    loader = Loader(connection, layout, held)
+    for run, manifest in sorted(manifests.items()):
+        scene = manifest.scene_id
+        if scene in held and (held[scene] >= manifest.run_id or scene in signed):
+            continue
+        outcome = loader.load({run: manifest})
+        refused |= outcome.refused
+        if outcome.loaded:
+            held[scene] = manifest.run_id
+    return refused
+
+
+def catch_up(connection: duckdb.DuckDBPyConnection, layout: Layout) -> dict[Path, str]:
+    """Let an index show of each scene the run that is to be shown; what cannot be taken is left out and named."""
+    held = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+    return preferred(Loader(connection, layout, held), layout, held).refused
+
+
+def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: bool = True) -> Outcome:
+    """Load of each scene the run that is to be shown.
+
+    That is the run that was signed off, else the newest; one that cannot be taken gives way to the next.
 
     Parameters
     ----------
-    signed : mapping
-        The run that each signed-off scene was signed off on.
+    held : mapping
+        Runs that are there already, by scene.
+    keep : bool
+        False looks at the rows only.
     """
-    held = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [manifest.scene_id]).fetchone()
-    if held and (held[0] >= manifest.run_id or manifest.scene_id in signed):
-        return False
-    connection.execute("BEGIN")
-    try:
-        for table in TABLES:
-            connection.execute(f"DELETE FROM {table.name} WHERE scene_id = ?", [manifest.scene_id])
-        _insert(connection, [run])
-        connection.execute("COMMIT")
-    except BaseException:
-        with contextlib.suppress(duckdb.Error):
-            connection.execute("ROLLBACK")
-        raise
-    return True
+    bundles = Bundles(layout)
+    waiting: dict[Path, list[Path]] = {}  # by scene, the preferred one last
+    for run in reversed(by_preference(bundles.runs(), signed_runs(ReviewLog(layout.root).read()))):
+        waiting.setdefault(run.parent, []).append(run)
+    outcome = Outcome()
+    while waiting:
+        batch: dict[Path, BundleModel] = {}
+        for scene in list(islice(waiting, _RUNS_PER_LOAD)):
+            run = waiting[scene].pop()
+            is_held = held.get(scene.name) == run.name
+            if is_held or not waiting[scene]:
+                del waiting[scene]
+            if is_held:
+                continue
+            try:
+                bundles.bring(run, tables_only=True)
+                batch[run] = check_bundle(run, only_tables=True)
+            except (StoreError, FileNotFoundError) as problem:  # damaged, or pruned just now
+                outcome.refused[run] = str(problem)
+        loaded = loader.load(batch, keep)
+        outcome.add(loaded)
+        for run in loaded.loaded:
+            waiting.pop(run.parent, None)
+    return outcome
 
 
-def rebuild(layout: Layout) -> list[str]:
-    """Make the working index again from the bundles alone, under the store's lock; returns what is damaged."""
-    runs, problems = current_runs(layout)
-    partial = layout.work.with_suffix(".partial")
-    discard(partial)
-    try:
-        with connected(partial) as connection:
-            for made in (*TABLES, *VIEWS):
-                connection.execute(made.create_sql)
-            for start in range(0, len(runs), _RUNS_PER_INSERT):
-                _insert(connection, runs[start : start + _RUNS_PER_INSERT])
-        discard(layout.work)
-        partial.rename(layout.work)
-    finally:
-        discard(partial)
-    return problems
-
-
-def fingerprint(connection: duckdb.DuckDBPyConnection) -> tuple[int, ...]:
-    """Equal for two indexes that show the same runs with as many rows."""
-    counts = [f"(SELECT count(*) FROM {table.name})" for table in TABLES]
-    row = connection.execute(f"SELECT coalesce(sum(hash(scene_id, run_id)), 0), {', '.join(counts)} FROM scenes")
-    return tuple(int(value) for value in row.fetchall()[0])
-
-
-# The folders of a bundle are named by aircraft and panel, but not in Hive's way; every column is in the file.
-_READ = "SELECT * FROM read_parquet(?, hive_partitioning = false, union_by_name = true)"
-
-
-def _insert(connection: duckdb.DuckDBPyConnection, runs: Sequence[Path]) -> None:
-    for table in TABLES:
-        files = [str(run / f"{table.name}.parquet") for run in runs]
-        connection.execute(f"INSERT INTO {table.name} BY NAME {_READ}", [files])
+def fingerprint(connection: duckdb.DuckDBPyConnection) -> list[int]:
+    """Equal for two indexes of the same tables that show the same runs with the same rows."""
+    counts = [f"(SELECT count(*) FROM {table})" for table in bookkeeping.additions(connection)]
+    [row] = connection.execute(
+        f"SELECT coalesce(sum(hash(scene_id, run_id, digest)), 0), {', '.join(counts)} FROM {bookkeeping.RUNS.name}"
+    ).fetchall()
+    return [int(value) for value in row]
 
 
 @contextlib.contextmanager
@@ -134,7 +114,7 @@ def connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
     try:
         connection = duckdb.connect(str(path), config={"storage_compatibility_version": STORAGE_FORMAT})
     except duckdb.Error as problem:
-        _refuse_full_disk(path, problem)
+        refuse_full_disk(path, problem)
         raise StoreError(
             f"{path}: found a damaged index ({_first_line(problem)}), expected a DuckDB file; "
             "'flushline archive rebuild' makes it again"
@@ -143,16 +123,10 @@ def connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
         yield connection
         connection.execute("CHECKPOINT")
     except duckdb.Error as problem:
-        _refuse_full_disk(path, problem)
+        refuse_full_disk(path, problem)
         raise StoreError(f"{path}: found {_first_line(problem)}, expected the index to take the change") from problem
     finally:
         connection.close()
-
-
-def _refuse_full_disk(path: Path, problem: duckdb.Error) -> None:
-    """DuckDB says in words of its own what is an OSError elsewhere."""
-    if os.strerror(errno.ENOSPC) in str(problem):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from problem
 
 
 def _first_line(problem: Exception) -> str:

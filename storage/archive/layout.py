@@ -7,19 +7,14 @@ rigs/RIG.json                  calibrations, found by the id that a scene names
 panels/PANEL/                  panel specifications in all their versions, and patterns enrolled from scans
 parquet/                       link to the compacted tables for other engines
 .staging/                      runs being written
-.index/                        the working index, its published generations, the lock
+.index/                        the generations of the index, the greatest run id, the lock
 """
 
 from __future__ import annotations
 
-import uuid
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from storage.archive.schema import schema_hash
-from storage.archive.views import VIEWS
 
 if TYPE_CHECKING:
     from metrology.results import SceneKey
@@ -70,18 +65,18 @@ class Layout:
 
     @property
     def index(self) -> Path:
-        """What makes the published index."""
+        """The generations of the index, and what writers need."""
         return self.root / ".index"
-
-    @property
-    def work(self) -> Path:
-        """The working index. Other tables or views make another file: the old one is left and a new one made."""
-        return self.index / f"work-{schema_hash(*(view.create_sql for view in VIEWS))}.duckdb"
 
     @property
     def generations(self) -> Path:
         """Published generations of the index."""
         return self.index / "generations"
+
+    @property
+    def newest_run(self) -> Path:
+        """Holds the greatest run id that was ever given."""
+        return self.index / "newest-run"
 
     @property
     def lock(self) -> Path:
@@ -95,12 +90,3 @@ class Layout:
     def relative(self, path: Path) -> str:
         """A path as the tables have it."""
         return path.relative_to(self.root).as_posix()
-
-
-def new_run_id(scene_folder: Path) -> str:
-    """A run id that sorts after every run that the scene has, also where the clock went back."""
-    moment = f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}"
-    newest = max((run.name for run in scene_folder.glob("*")), default="")
-    stamp, _, _ = newest.partition("-")
-    # "~" sorts after everything a time is made of.
-    return f"{moment if moment > stamp else stamp + '~'}-{uuid.uuid4().hex[:8]}"

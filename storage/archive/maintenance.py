@@ -3,85 +3,73 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import duckdb
+
 from metrology.errors import StoreError
-from storage.archive import index, snapshot
+from storage.archive import bookkeeping, generations, index, snapshot
 from storage.archive.bundle import MANIFEST, check_bundle
 from storage.archive.bundles import Bundles
-from storage.archive.files import disk_trouble, locked
+from storage.archive.checking import Check, check, check_fast, incomplete
+from storage.archive.files import disk_trouble, locked, remove_database
 from storage.archive.layout import Layout
+from storage.archive.loading import Loader
 from storage.archive.remote import Remote
-from storage.archive.schema import TABLES
 from storage.archive.signed import by_preference, signed_runs
+from storage.models import leads_inside
 from storage.review import ReviewLog
 
-_CHECKING_THREADS = 4
+__all__ = ["Check", "check", "check_fast", "export", "prune", "rebuild"]
+
 _REMOVED = ".removed"
 
 
-@dataclass(frozen=True)
-class Check:
-    """What a check of an archive found.
-
-    Attributes
-    ----------
-    runs : int
-        Bundles looked at.
-    problems : tuple of str
-        One line each; empty where all is well.
-    """
-
-    runs: int
-    problems: tuple[str, ...]
-
-
-def check(layout: Layout, on_run: Callable[[], None] = lambda: None) -> Check:
-    """Compare every bundle with its checksums, and the published index with the bundles."""
-    bundles = Bundles(layout)
-    runs = bundles.runs()
-    damaged: dict[Path, str] = {}
-
-    def look(run: Path) -> None:
-        try:
-            with bundles.as_stored(run) as folder:
-                check_bundle(folder)
-        except StoreError as problem:
-            damaged[run] = str(problem)
-        on_run()
-
-    with ThreadPoolExecutor(_CHECKING_THREADS) as threads:
-        for _ in threads.map(look, runs):
-            pass
-    problems = [damaged[run] for run in sorted(damaged)]
-    problems += _without_manifest(layout)
-    problems += _index_problems(bundles, [run for run in runs if run not in damaged])
-    return Check(len(runs), tuple(problems))
-
-
 def rebuild(layout: Layout) -> list[str]:
-    """Make the index again from the bundles alone and publish it; returns what is damaged."""
-    with disk_trouble(layout.root, "the index is as it was"), locked(layout.lock):
-        problems = index.rebuild(layout)
-        snapshot.publish(layout)
-    return problems
+    """Make the index again from the bundles alone and publish it; returns what is damaged.
+
+    It is made beside the published one, which others go on with; only catching up with what they stored meanwhile
+    takes the store's lock.
+    """
+    made = layout.index / ".rebuild.duckdb"
+    with disk_trouble(layout.root, "the index is as it was"), locked(layout.index / "rebuild-lock"):
+        remove_database(made)
+        try:
+            with index.connected(made) as connection:
+                _start(layout, connection)
+                refused = index.catch_up(connection, layout)
+            with locked(layout.lock):
+                with index.connected(made) as connection:
+                    refused |= index.catch_up(connection, layout)
+                generations.replace(layout, made)
+        finally:
+            remove_database(made)
+    bundles = Bundles(layout)
+    there = bundles.whatever_is_there()  # without what was pruned meanwhile
+    return [text for run, text in sorted(refused.items()) if run in there] + incomplete(bundles)
+
+
+def _start(layout: Layout, connection: duckdb.DuckDBPyConnection) -> None:
+    """Make the tables of this version, and those that other versions gave the index so far."""
+    with contextlib.ExitStack() as stack:
+        former = None
+        with contextlib.suppress(StoreError):  # lost or damaged: then there is nothing to be kept of it
+            former = stack.enter_context(contextlib.closing(snapshot.connect(layout)))
+        bookkeeping.start(connection, former)
 
 
 def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) -> list[Path]:
     """Remove runs that newer ones have replaced; returns what was removed.
 
-    The run that the index shows stays, and so does one that somebody signed off.
+    The run that the bundles say is to be shown stays if it is sound; where it is damaged, its scene keeps all runs and
+    is named in the end. A run that somebody signed off, or that the index shows, stays in any case.
 
     Parameters
     ----------
     keep : int
-        Runs to keep of each scene, the shown one included.
+        Sound runs to keep of each scene, the shown one included.
     older_than : timedelta, optional
         Remove only runs stored longer ago than this.
     """
@@ -91,30 +79,75 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     if review.problem:
         raise StoreError(f"{review.problem}; nothing is removed until that is cleared up")
     signed, bundles = signed_runs(review), Bundles(layout)
-    removed = []
+    removed, damaged = [], []
     with locked(layout.lock):
         for left in layout.staging.glob(f"*{_REMOVED}"):  # by a prune that was cut short
             shutil.rmtree(left)
-        shown = _shown(layout)
-        former: dict[str, list[Path]] = {}
-        for run in sorted(bundles.whatever_is_there(), reverse=True):
-            if run.name < shown.get(run.parent.name, ""):
-                former.setdefault(run.parent.name, []).append(run)
-        for scene_id in sorted(former):
-            for run in former[scene_id][keep - 1 :]:
-                if run.name == signed.get(scene_id) or (older_than and _age(run) < older_than):
+        protected = {*signed.items(), *_shown(layout).items()}
+        scenes: dict[str, list[Path]] = {}
+        for run in sorted(bundles.whatever_is_there()):
+            scenes.setdefault(run.parent.name, []).append(run)
+        for runs in (runs for _, runs in sorted(scenes.items()) if len(runs) > 1):
+            try:
+                replaced = _replaced(bundles, by_preference(runs, signed), keep)
+            except StoreError as problem:
+                damaged.append(str(problem))
+                continue
+            for run in replaced:
+                if (run.parent.name, run.name) in protected or (older_than and _age(run) < older_than):
                     continue
-                bundles.remove_there(run)
-                if run.is_dir():
-                    # Out of the bundles in one step: a run that is being removed must not look like a damaged one.
-                    trash = layout.staging / f"{run.name}{_REMOVED}"
-                    run.rename(trash)
-                    shutil.rmtree(trash)
+                _remove(layout, bundles, run)
                 removed.append(run)
-        for old in layout.index.glob("work-*"):
-            if not old.name.startswith(layout.work.name):
-                old.unlink()
+    if damaged:
+        more = f" (and {len(damaged) - 1} more scenes)" if len(damaged) > 1 else ""
+        raise StoreError(f"{damaged[0]}; all runs of its scene are kept{more}; {len(removed)} others removed")
     return removed
+
+
+def _replaced(bundles: Bundles, preferred: list[Path], keep: int) -> list[Path]:
+    """Runs of a scene older than the one to be shown, beyond those to be kept.
+
+    Parameters
+    ----------
+    preferred : list of Path
+        The scene's runs; the first has to be sound.
+    """
+    shown, *others = preferred
+    older = [run for run in others if run.name < shown.name]
+    if len(older) < keep:
+        return []
+    _check(bundles, shown)
+    kept = 1
+    replaced = []
+    for run in older:
+        if kept < keep:
+            with contextlib.suppress(StoreError):
+                _check(bundles, run)
+                kept += 1
+                continue
+        replaced.append(run)
+    return replaced
+
+
+def _check(bundles: Bundles, run: Path) -> None:
+    """Refuse a run that could not be shown: of its files, and of its rows."""
+    with bundles.as_stored(run) as folder:
+        check_bundle(folder)
+    with duckdb.connect() as connection:
+        bookkeeping.start(connection)
+        bundles.bring(run, tables_only=True)
+        outcome = Loader(connection, bundles.layout).load({run: check_bundle(run, only_tables=True)}, keep=False)
+    for problem in outcome.refused.values():
+        raise StoreError(problem)
+
+
+def _remove(layout: Layout, bundles: Bundles, run: Path) -> None:
+    bundles.remove_there(run)
+    if run.is_dir():
+        # Out of the bundles in one step: a run that is being removed must not look like a damaged one.
+        trash = layout.staging / f"{run.name}{_REMOVED}"
+        run.rename(trash)
+        shutil.rmtree(trash)
 
 
 def export(layout: Layout, target: str, aircraft: str | None = None, panel: str | None = None) -> tuple[int, int]:
@@ -154,50 +187,18 @@ def _current_paths(layout: Layout, aircraft: str | None, panel: str | None) -> l
             "ORDER BY bundle_path",
             [aircraft, panel],
         ).fetchall()
-    return [str(path) for (path,) in rows]
+    paths = [str(path) for (path,) in rows]
+    for path in paths:
+        if not (leads_inside(path) and path.startswith(f"{layout.bundles.name}/")):
+            raise StoreError(f"{layout.archive}: found path {path!r}, expected one of a bundle")
+    return paths
 
 
 def _shown(layout: Layout) -> dict[str, str]:
-    """The run of each scene that the published index shows."""
-    if not layout.archive.exists():
-        return {}
-    with contextlib.closing(snapshot.connect(layout)) as connection:
+    """The run of each scene that the published index shows; empty where it cannot be read."""
+    with contextlib.suppress(StoreError, duckdb.Error), contextlib.closing(snapshot.connect(layout)) as connection:
         return dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
-
-
-def _without_manifest(layout: Layout) -> Iterator[str]:
-    for run in sorted(layout.bundles.glob("*/*/*/*")):
-        if not (run / MANIFEST).is_file():
-            yield f"{run}: found no {MANIFEST}, expected a complete run"
-
-
-def _index_problems(bundles: Bundles, sound: list[Path]) -> Iterator[str]:
-    """Where the published index says something else than the undamaged bundles."""
-    layout = bundles.layout
-    if not layout.archive.exists():
-        if sound:
-            yield f"{layout.archive}: found no index, expected one of {len(sound)} runs ('flushline archive rebuild')"
-        return
-    signed = signed_runs(ReviewLog(layout.root).read())
-    newest = {run.parent.name: run for run in reversed(by_preference(sound, signed))}
-    shown = _shown(layout)
-    with contextlib.closing(snapshot.connect(layout)) as connection:
-        counts = {
-            table.name: dict(connection.execute(f"SELECT scene_id, count(*) FROM {table.name} GROUP BY ALL").fetchall())
-            for table in TABLES
-        }
-    for scene_id in sorted(shown.keys() - newest.keys()):
-        yield f"{layout.archive}: found scene {scene_id} without an undamaged run, expected its bundle"
-    for scene_id, run in sorted(newest.items()):
-        if shown.get(scene_id) != run.name:
-            yield f"{layout.archive}: found run {shown.get(scene_id)} of {scene_id}, expected {run.name}"
-            continue
-        bundles.bring_file(run / MANIFEST)
-        rows = json.loads((run / MANIFEST).read_text(encoding="utf-8"))["rows"]
-        for table, expected in rows.items():
-            if counts[table].get(scene_id, 0) != expected:
-                found = counts[table].get(scene_id, 0)
-                yield f"{layout.archive}: found {found} rows of {scene_id} in {table}, expected {expected}"
+    return {}
 
 
 def _age(run: Path) -> timedelta:

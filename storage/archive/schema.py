@@ -32,6 +32,15 @@ class Column:
     sql_type: str
     comment: str
 
+    @property
+    def create_sql(self) -> str:
+        """Name and type, as CREATE TABLE has them."""
+        return f"{self.name} {self.sql_type}"
+
+    def comment_sql(self, table: str) -> str:
+        """COMMENT ON COLUMN of a table."""
+        return f"COMMENT ON COLUMN {table}.{self.name} IS {_quoted(self.comment)}"
+
 
 @dataclass(frozen=True)
 class Table:
@@ -44,9 +53,9 @@ class Table:
     @property
     def create_sql(self) -> str:
         """CREATE TABLE with the comments."""
-        columns = ", ".join(f"{c.name} {c.sql_type}" for c in self.columns)
+        columns = ", ".join(c.create_sql for c in self.columns)
         comments = [f"COMMENT ON TABLE {self.name} IS {_quoted(self.comment)}"]
-        comments += [f"COMMENT ON COLUMN {self.name}.{c.name} IS {_quoted(c.comment)}" for c in self.columns]
+        comments += [c.comment_sql(self.name) for c in self.columns]
         return ";\n".join([f"CREATE TABLE {self.name} ({columns})", *comments])
 
     @property

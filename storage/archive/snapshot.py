@@ -1,27 +1,22 @@
-"""Published generations of the index: readers open an immutable copy, writers never disturb them.
+"""Reading the published index: readers open an immutable file, writers never disturb them.
 
 Reconnecting to a replaced file while an old connection lives would return the old data (DuckDB keeps an instance per
-path), therefore readers open the file that the link points to, not the link.
+path), therefore readers open the file that the link points to, not the link. DuckDB would replay a log that lies
+beside a file; no generation has one, so a file with one is not opened.
 """
 
 from __future__ import annotations
 
 import os
 import threading
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import duckdb
 
 from metrology.errors import StoreError
-from storage.archive.files import copy_durably, locked, make_folders, point_to, protect
+from storage.archive.files import companions, locked
 from storage.archive.layout import Layout
 
-if TYPE_CHECKING:
-    from storage.archive.recycle import News
-
-KEPT_GENERATIONS = 3
 _ATTEMPTS = 5
 # Queries of people: no files, no extensions, no way to change that.
 _CLOSED: dict[str, str | bool | int | float | list[str]] = {
@@ -30,31 +25,9 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "autoload_known_extensions": "false",
 }
 _SPILLING = {"memory_limit": "1GB", "max_temp_directory_size": "1GB"}
+# The paths that DuckDB allows nevertheless are those of its own file and what lies beside it.
+_NO_FILES = "SET disabled_filesystems = 'LocalFileSystem'"
 _closing = threading.Lock()
-
-
-def publish(layout: Layout, news: News | None = None) -> None:
-    """Publish the working index as it is; the caller holds the store's lock.
-
-    Parameters
-    ----------
-    news : News, optional
-        What the newest generation lacks, where that is known.
-    """
-    from storage.archive.recycle import discard, note, recycle
-
-    make_folders(layout.generations, layout.root)
-    target = layout.generations / f"archive-{time.time_ns():020d}.duckdb"
-    generations = sorted(layout.generations.glob("archive-*.duckdb"))
-    if not (news and len(generations) >= KEPT_GENERATIONS and recycle(layout, generations, news, target)):
-        copy_durably(layout.work, target)
-    if news:
-        note(layout, target, news)
-    # Whoever opens it for writing by mistake is refused instead of changing what others read.
-    protect(target)
-    point_to(layout.archive, target)
-    for old in sorted(layout.generations.glob("archive-*.duckdb"))[:-KEPT_GENERATIONS]:
-        discard(old)
 
 
 def connect(layout: Layout, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
@@ -68,32 +41,64 @@ def connect(layout: Layout, spill: Path | None = None) -> duckdb.DuckDBPyConnect
     """
     if not layout.archive.exists():
         raise StoreError(f"{layout.root}: found no archive.duckdb, expected a store that holds at least one scene")
-    config = _CLOSED | (_SPILLING | {"temp_directory": str(spill)} if spill else {})
     for attempt in range(_ATTEMPTS):
-        path = os.path.realpath(layout.archive)
+        path = Path(os.path.realpath(layout.archive))
         try:
-            connection = duckdb.connect(path, read_only=True, config=config)
-        except duckdb.Error as problem:
+            return open_generation(path, spill)
+        except (duckdb.Error, LogBesideError) as problem:
             # A generation may be removed between looking the link up and opening it.
-            if attempt + 1 < _ATTEMPTS and (not Path(path).exists() or path != os.path.realpath(layout.archive)):
+            if attempt + 1 < _ATTEMPTS and (not path.exists() or path != Path(os.path.realpath(layout.archive))):
                 continue
-            if "Could not set lock" in str(problem) and os.access(layout.lock, os.W_OK):
-                # Another program holds this generation open for writing: make one that nobody holds.
-                with locked(layout.lock):
-                    publish(layout)
+            if attempt + 1 < _ATTEMPTS and _is_spoilt(problem) and os.access(layout.lock, os.W_OK):
+                _publish_anew(layout, path)
                 continue
             raise StoreError(f"{layout.archive}: found {_first_line(problem)}, expected a readable index") from None
-        with _closing:  # connections to the same file in one process share its settings
-            [(closed,)] = connection.execute("SELECT current_setting('lock_configuration')").fetchall()
-            if not closed:
-                connection.execute("SET GLOBAL TimeZone = 'UTC'")
-                if spill is None:
-                    connection.execute("SET disabled_filesystems = 'LocalFileSystem'")
-                connection.execute("SET lock_configuration = true")
-        return connection
     raise StoreError(
         f"{layout.archive}: found it replaced {_ATTEMPTS} times while opening it, expected a quieter store"
     )
+
+
+def open_generation(path: Path, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
+    """A generation, to be read only, in a connection that reaches nothing else; `spill` as for `connect`."""
+    _refuse_log(path)
+    config = _CLOSED | (_SPILLING | {"temp_directory": str(spill)} if spill else {})
+    connection = duckdb.connect(str(path), read_only=True, config=config)
+    try:
+        _refuse_log(path)
+    except LogBesideError:
+        connection.close()
+        raise
+    with _closing:  # connections to the same file in one process share its settings
+        [(closed,)] = connection.execute("SELECT current_setting('lock_configuration')").fetchall()
+        if not closed:
+            connection.execute("SET GLOBAL TimeZone = 'UTC'")
+            if spill is None:
+                connection.execute(_NO_FILES)
+            connection.execute("SET lock_configuration = true")
+    return connection
+
+
+class LogBesideError(Exception):
+    """A log lies beside a generation, put there by something else than Flushline."""
+
+
+def _refuse_log(path: Path) -> None:
+    if beside := [file for file in companions(path) if ".wal" in file.name]:
+        raise LogBesideError(f"{beside[0].name} beside it, which would change what is read")
+
+
+def _is_spoilt(problem: Exception) -> bool:
+    """Whether a generation is no longer of use: open for writing in another program, or with a log beside it."""
+    return isinstance(problem, LogBesideError) or "Could not set lock" in str(problem)
+
+
+def _publish_anew(layout: Layout, spoilt: Path) -> None:
+    """Publish what `spoilt` holds as a generation of its own, if nobody did meanwhile."""
+    from storage.archive import generations
+
+    with locked(layout.lock):
+        if Path(os.path.realpath(layout.archive)) == spoilt:
+            generations.publish(layout, [])
 
 
 def _first_line(problem: Exception) -> str:

@@ -19,8 +19,10 @@ from storage.archive.bundle import PATTERN
 from storage.archive.bundles import Bundles
 from storage.archive.files import hold, link_first, locked, make_folders, write_durably
 from storage.archive.known import known_scene, refuse_rivals
-from storage.archive.layout import Layout, new_run_id
+from storage.archive.layout import Layout
 from storage.archive.panels import PatternTaken
+from storage.archive.run_ids import new_run_id
+from storage.models import leads_inside
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def staged_run(layout: Layout, scene: Path, pattern: Path, frames_digest: str | 
         if known:
             known.refuse_other(scene.name, frames_digest, scene.name)
         refuse_rivals(layout, scene, frames_digest)
-        run_id = new_run_id(scene)
+        run_id = new_run_id(layout, scene)
         run = StagedRun(run_id, layout.staging / run_id, scene / run_id, known.first_stored_at if known else None)
         marker = _marker(run.folder)
         document = {
@@ -123,9 +125,12 @@ def _places(layout: Layout, marker: Path) -> tuple[Path | None, Path | None]:
     """Where a marker's run and pattern will lie; None for a marker that its writer did not finish."""
     try:
         document = json.loads(marker.read_text())
-        return layout.root / str(document["run"]), layout.root / str(document["pattern"])
-    except (OSError, ValueError, KeyError):
+        run, pattern = str(document["run"]), str(document["pattern"])
+    except (OSError, ValueError, KeyError, TypeError):
         return None, None
+    if not (leads_inside(run) and leads_inside(pattern)):
+        return None, None
+    return layout.root / run, layout.root / pattern
 
 
 def _remove(layout: Layout, folder: Path, run: Path | None, pattern: Path | None) -> None:

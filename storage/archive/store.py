@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +15,7 @@ from metrology.errors import RigError, StoreError
 from storage.archive.files import disk_trouble, locked, write_first
 from storage.archive.layout import STORE_FORMAT, Layout
 from storage.documents import read_json
+from storage.models import leads_inside
 
 if TYPE_CHECKING:
     import duckdb
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
     from storage.archive.known import KnownScene
     from storage.archive.panels import Panels
     from storage.cloud import StoredCloud
+
+_log = logging.getLogger("flushline.archive")
 
 
 def query_problem(problem: duckdb.Error) -> str:
@@ -163,52 +168,75 @@ class Store:
                 settle(self.layout, run, pattern)
         later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
         with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):
-            self._take_up()
+            taken, refused = self._take_up()
         refuse_signed_off(self.root, key.scene_id, run.run_id)  # signed off meanwhile
+        if run.final in refused:
+            raise StoreError(f"{refused[run.final]}; the result is kept there, but is not in the tables")
+        if run.final not in taken:
+            self._check_shown(run.final)  # another writer took it up
         return run.run_id
 
     def recover(self) -> int:
         """Take up what writers left: index complete bundles, remove dead staging; returns how many runs were indexed.
 
-        Every writer ends with this, so one that waited for the lock often finds its bundle indexed by another.
+        Every writer ends with this, so one that waited for the lock often finds its bundle indexed by another. A run
+        that the index cannot take is left out, and said in one line.
         """
         with disk_trouble(self.root, "complete runs will enter the tables when there is"):
-            return self._take_up()
+            taken, _ = self._take_up()
+            return len(taken)
 
-    def _take_up(self) -> int:
-        from storage.archive import index, snapshot
-        from storage.archive.bundle import check_bundle
-        from storage.archive.recycle import News
-        from storage.archive.signed import signed_runs
+    def _take_up(self) -> tuple[set[Path], dict[Path, str]]:
+        """Runs that entered the tables that readers see, and what is wrong with others."""
+        from storage.archive import generations
         from storage.archive.staging import pending
-        from storage.review import ReviewLog
 
         with locked(self.layout.lock):
             runs = pending(self.layout)
             if not runs:
-                return 0
-            signed = signed_runs(ReviewLog(self.root).read())
-            with index.writing(self.layout) as connection:
-                for run in runs.values():
-                    with contextlib.suppress(StoreError):  # damaged on disk: `archive check` names it
-                        index.replace_run(connection, run, check_bundle(run, only_tables=True), signed)
-                news = News(tuple(runs.values()), index.fingerprint(connection))
-            snapshot.publish(self.layout, news)
+                return set(), {}
+            refused = generations.publish(self.layout, list(runs.values()))
             for marker in runs:
                 marker.unlink(missing_ok=True)
-            return len(runs)
+        for problem in refused.values():
+            _log.warning("%s; it is left out of the tables", problem)
+        return set(runs.values()) - refused.keys(), refused
+
+    def _check_shown(self, run: Path) -> None:
+        """Refuse to call a run published that readers do not see, nor a newer one in its place."""
+        from storage.archive import snapshot
+
+        with contextlib.closing(snapshot.connect(self.layout)) as connection:
+            row = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [run.parent.name]).fetchone()
+        if row is None or row[0] < run.name:
+            raise StoreError(
+                f"{self.layout.archive}: found {f'run {row[0]}' if row else 'no run'} of {run.parent.name}, expected "
+                f"{run.name}; the result is kept in {run}, and 'flushline archive check' says what is wrong"
+            )
 
     def connect(self, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
         """A read-only connection to the newest published index that cannot reach other files.
 
+        An index that lacks tables, columns or views of this version is brought up to date first, where that may be
+        done.
+
         Parameters
         ----------
         spill : Path, optional
-            Folder for what does not fit in memory; see `snapshot.connect` for who may ask for it.
+            Folder for what does not fit in memory, given by a process that may write nowhere else; see
+            `snapshot.connect`.
         """
-        from storage.archive import snapshot
+        from storage.archive import bookkeeping, generations, snapshot
 
-        return snapshot.connect(self.existing(), spill)
+        layout = self.existing()
+        connection = snapshot.connect(layout, spill)
+        if spill or bookkeeping.is_known(connection) or not os.access(layout.lock, os.W_OK):
+            return connection
+        connection.close()
+        with disk_trouble(self.root, "the index is as it was"), locked(layout.lock):
+            for problem in generations.publish(layout, []).values():
+                _log.warning("%s; it is left out of the tables", problem)
+        return snapshot.connect(layout)
 
     def query(self, sql: str, parameters: Sequence[object] = ()) -> pa.Table:
         """Rows that a SQL query returns; it can neither write nor reach other files.
@@ -238,14 +266,21 @@ class Store:
             ).fetchone()
         if row is None:
             raise StoreError(f"{self.root}: found no scene {scene_id!r}, expected a scene_id of the table scenes")
-        paths = ScenePaths(*(self.root / path for path in row))
+        paths = ScenePaths(*(self._inside(path) for path in row))
         self.bundles.bring(paths.bundle)
         return paths
 
     def file(self, relative: str) -> Path:
         """A file of a bundle by the path that the tables have for it; from object storage it is fetched."""
-        path = self.root / relative
+        path = self._inside(relative)
         self.bundles.bring_file(path)
+        return path
+
+    def _inside(self, relative: str) -> Path:
+        """A path of the tables, which has to be one of the bundles."""
+        path = self.root / relative
+        if not leads_inside(relative) or not path.is_relative_to(self.layout.bundles):
+            raise StoreError(f"{self.root}: found path {relative!r} in the tables, expected one of a bundle")
         return path
 
     def load_cloud(self, scene_id: str) -> StoredCloud:

@@ -43,9 +43,9 @@ class View:
 
     @property
     def create_sql(self) -> str:
-        """CREATE VIEW with its comment."""
+        """CREATE OR REPLACE VIEW with its comment."""
         comment = self.comment.replace("'", "''")
-        return f"CREATE VIEW {self.name} AS {self.query};\nCOMMENT ON VIEW {self.name} IS '{comment}'"
+        return f"CREATE OR REPLACE VIEW {self.name} AS {self.query};\nCOMMENT ON VIEW {self.name} IS '{comment}'"
 
 
 VIEWS = (

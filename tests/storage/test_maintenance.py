@@ -35,6 +35,14 @@ def spoil(path: Path) -> None:
     path.write_bytes(data)
 
 
+def forge(store: Store, sql: str) -> None:
+    """Change the published index behind Flushline's back."""
+    path = store.layout.archive.resolve()
+    path.chmod(0o644)
+    with duckdb.connect(str(path)) as connection:
+        connection.execute(sql)
+
+
 def newest_run(store: Store) -> Path:
     return max(store.layout.scene(small_key("S1")).iterdir())
 
@@ -56,15 +64,10 @@ def test_a_damaged_file_is_named(store: Store, name: str, capsys: pytest.Capture
 
 
 def test_an_index_that_says_something_else_is_named(store: Store) -> None:
-    with duckdb.connect(str(store.layout.work)) as connection:
-        connection.execute("DELETE FROM rivets WHERE aircraft_serial = 'MSN-2'")
-        connection.execute("DELETE FROM scenes WHERE station = 'S2'")
-    with maintenance.locked(store.layout.lock):
-        maintenance.snapshot.publish(store.layout)
+    forge(store, "DELETE FROM rivets WHERE aircraft_serial = 'MSN-2'; DELETE FROM scenes WHERE station = 'S2'")
     problems = maintenance.check(store.layout).problems
-    assert len(problems) == 2
     assert "found run None of MSN-1~LH-F12~S2" in problems[0]
-    assert "found 0 rows of MSN-2" in problems[1]
+    assert "found other rows of MSN-2" in problems[-1]
     assert maintenance.rebuild(store.layout) == []
     assert maintenance.check(store.layout).problems == ()
 

@@ -19,7 +19,7 @@ import pytest
 from metrology.errors import RigError, StoreError
 from metrology.panel import NominalRivet, PanelLayout
 from metrology.results import Rivet, SeamStation
-from storage.archive import Store, index, snapshot
+from storage.archive import Store, maintenance
 from storage.archive.panels import PatternTaken
 from storage.archive.schema import KEY, RIVETS, SEAM_STATIONS, TABLES
 from storage.archive.staging import staged_run
@@ -172,7 +172,7 @@ def test_a_plain_client_reads_while_results_are_published(store: Store) -> None:
             store.publish(small_result(small_key(station)))
             assert client.execute("SELECT count(*) FROM scenes").fetchone() == (1,)
     assert counts(store)[0] == 5
-    assert len(list(store.layout.generations.glob("*.duckdb"))) == snapshot.KEPT_GENERATIONS
+    assert len(list(store.layout.generations.glob("*.duckdb"))) == 2
 
 
 def test_the_published_file_is_of_the_format_that_released_clients_read(store: Store) -> None:
@@ -191,9 +191,9 @@ class _Stop(BaseException):
     ("module", "name"),
     [
         ("storage.archive.bundle", "write_bundle"),
-        ("storage.archive.index", "replace_run"),
-        ("storage.archive.snapshot", "publish"),
-        ("storage.archive.snapshot", "point_to"),
+        ("storage.archive.index", "take"),
+        ("storage.archive.generations", "publish"),
+        ("storage.archive.generations", "point_to"),
     ],
 )
 def test_a_run_cut_short_leaves_the_old_rows_or_the_new(
@@ -243,7 +243,7 @@ def test_a_full_disk_is_said_and_changes_nothing(store: Store, monkeypatch: pyte
             store.publish(small_result(small_key("S4")))
     assert list(store.layout.staging.iterdir()) == []
     with monkeypatch.context() as patch:
-        patch.setattr("storage.archive.snapshot.copy_durably", full_disk)
+        patch.setattr("storage.archive.generations.clone", full_disk)
         with pytest.raises(StoreError, match=r"disk full.*the result is kept"):
             store.publish(small_result(small_key("S4")))
     assert counts(store)[0] == 1
@@ -316,8 +316,8 @@ def test_a_damaged_run_gives_way_to_the_one_before(store: Store) -> None:
     damaged = run / "rivets.parquet"
     damaged.chmod(0o644)
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"x")
-    runs, problems = index.current_runs(store.layout)
-    assert [path.name < run.name for path in runs] == [True]
+    problems = maintenance.rebuild(store.layout)
+    assert store.query("SELECT run_id FROM scenes").column(0)[0].as_py() < run.name
     assert "rivets.parquet: found checksum" in problems[0]
 
 
