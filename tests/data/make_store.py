@@ -18,11 +18,12 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
+from storage.archive.sign_off import sign_off
+
 from metrology.inspection import InspectionResult
 from metrology.panel import NominalRivet, PanelLayout
 from metrology.results import SceneKey
 from storage.archive import Store
-from storage.archive.sign_off import sign_off
 from storage.review import Feature, ReviewLog, station_id
 from storage.saved_queries import SavedQueries
 from tests.storage.results import small_key, small_result, small_rig
