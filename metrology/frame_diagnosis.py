@@ -158,7 +158,8 @@ def _repeated(sample: FrameSample, exposure: int) -> FrameDiagnosis:
         return FrameDiagnosis()
     levels = sample.frames(exposure)[: code.fringe_frames][:, lit].astype(np.float64)
     pictures = levels - levels.mean(0)
-    like = np.corrcoef(pictures)
+    length = np.maximum(np.linalg.norm(pictures, axis=1), 1e-6)
+    like = pictures @ pictures.T / np.outer(length, length)
     faults = []
     for frame in range(1, code.fringe_frames):
         other = int(np.argmax(like[frame, :frame]))

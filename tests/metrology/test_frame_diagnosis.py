@@ -174,3 +174,13 @@ def test_frames_of_noise_are_odd_and_not_named() -> None:
     found, diagnosis = look(frames, USUAL)
     assert not diagnosis.named
     assert found[0].judged == 0 or found[0].odd
+
+
+@pytest.mark.parametrize("level", [0, 3, 255])
+def test_frames_of_one_level_say_nothing(level: int) -> None:
+    frames = np.full((1, 12, HEIGHT, WIDTH), level, np.uint8)
+    noise = estimate_noise(frames, USUAL, 254.0)
+    sample = sample_frames(frames, USUAL, noise)
+    found = frame_consistency(sample, 0)
+    assert (found.judged, found.odd) == (0, False)
+    assert not diagnose_frames(sample, [found]).named
