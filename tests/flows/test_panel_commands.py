@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
+from metrology.cloud import PixelFlag
 from storage.archive import Store
 from storage.panel_spec import DEFAULT_SPEC, load_panel_spec
 from tests.storage.results import small_key, small_result
@@ -80,3 +83,23 @@ def test_a_scene_is_enrolled_once_or_in_place_of_another(
     capsys.readouterr()
     assert main(["panel", "show", "--store", store]) == EXIT_DONE
     assert "station S3: 3 rivets, 0 seams enrolled from MSN-1~LH-F12~S3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("doubt", ["unjudged rig", "contradictory fringes"])
+def test_a_scene_that_nobody_can_vouch_for_is_not_enrolled(
+    doubt: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = small_result()
+    if doubt == "unjudged rig":
+        result = replace(result, rig_verdict="unjudged")
+    else:
+        flags = result.reconstruction.flags | np.uint16(PixelFlag.ORDER_RESIDUAL)
+        result = replace(result, reconstruction=replace(result.reconstruction, flags=flags))
+    store = Store(tmp_path / "store")
+    store.publish(result)
+    enrol = ["panel", "enrol", small_key().scene_id, "--store", str(store.root)]
+    assert main(enrol) == EXIT_BAD_INPUT
+    assert "expected a scan that can be vouched for" in capsys.readouterr().err
+    assert store.panels.stations("LH-F12") == []
+    assert main([*enrol, "--out", str(tmp_path / "pattern.toml")]) == EXIT_DONE
+    assert "warning: " in capsys.readouterr().out
