@@ -41,7 +41,8 @@ def command(port: int, address: str) -> list[str]:
 
 def login_is_configured(folder: Path) -> bool:
     """Whether Streamlit's secrets of this user or of `folder` name an identity provider."""
-    for place in (folder / ".streamlit", Path.home() / ".streamlit"):
+    home = Path(os.path.expanduser("~"))  # a service's user may have none
+    for place in (folder / ".streamlit", home / ".streamlit"):
         secrets = place / "secrets.toml"
         try:
             if "auth" in tomllib.loads(secrets.read_text(encoding="utf-8")):

@@ -16,6 +16,7 @@ from flows.progress import progress_bar
 from metrology.errors import FlushlineError
 from metrology.results import Rivet, SeamStation
 from storage.archive import Store
+from storage.documents import printable
 from storage.panel_spec import load_panel_spec
 from storage.rig import load_rig
 from tasks import steps
@@ -61,7 +62,7 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
 
         def inspect(job: Job) -> None:
             def show(step: str) -> None:
-                progress.update(bar, description=f"{job.folder.name}: {_STEP_TEXT[step]}")
+                progress.update(bar, description=f"{printable(job.folder.name)}: {_STEP_TEXT[step]}")
 
             print(describe(run(job, show)))
 

@@ -101,7 +101,7 @@ def inspect_inbox_flow(
                 for folder in planned.ready
             }
             for future in as_completed(list(futures)):
-                outcomes.append(_outcome(job, futures[future], future))
+                outcomes.append(outcome_of(job, futures[future], future))
                 done = len(outcomes) - len(planned.settled)
                 update_progress_artifact(progress, 100.0 * done / len(futures))
         if job.compact:
@@ -110,7 +110,7 @@ def inspect_inbox_flow(
     return outcomes
 
 
-def _outcome(job: InboxJob, folder: Path, future: PrefectFuture[Outcome]) -> Outcome:
+def outcome_of(job: InboxJob, folder: Path, future: PrefectFuture[Outcome]) -> Outcome:
     """A task's outcome; what ended the task itself is the outcome of its folder and of no other."""
     try:
         return future.result()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import os
 import sys
+import tempfile
 import tomllib
 import urllib.error
 import urllib.request
@@ -32,6 +33,7 @@ def runs_on_server(wanted: bool) -> bool:
         print(f"running in this process: {problem}", file=sys.stderr)
         return False
     if api or wanted:
+        provide_home()
         print(
             f"running as Prefect flow on {api or 'a server of its own, which takes a while to start'}", file=sys.stderr
         )
@@ -44,14 +46,25 @@ def configured_api() -> str | None:
     """The API that Prefect would use: PREFECT_API_URL, or the active profile's."""
     if url := os.environ.get("PREFECT_API_URL"):
         return url
-    home = Path(os.environ.get("PREFECT_HOME") or os.path.expanduser("~/.prefect"))
     try:
-        profiles = tomllib.loads((home / "profiles.toml").read_text(encoding="utf-8"))
+        profiles = tomllib.loads((_home() / "profiles.toml").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     active = os.environ.get("PREFECT_PROFILE", profiles.get("active"))
     url = profiles.get("profiles", {}).get(active, {}).get("PREFECT_API_URL")
     return str(url) if url else None
+
+
+def provide_home() -> None:
+    """Give Prefect a folder for its own files where it may not make one in the home."""
+    above = next(folder for folder in (_home(), *_home().absolute().parents) if folder.exists())
+    if not os.access(above, os.W_OK | os.X_OK):
+        os.environ["PREFECT_HOME"] = tempfile.mkdtemp(prefix="flushline-prefect-")
+        print(f"Prefect keeps its files in {os.environ['PREFECT_HOME']}: {above} cannot be written", file=sys.stderr)
+
+
+def _home() -> Path:
+    return Path(os.environ.get("PREFECT_HOME") or os.path.expanduser("~/.prefect"))
 
 
 def server_problem(api: str) -> str | None:

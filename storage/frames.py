@@ -102,6 +102,14 @@ def checksum(data: bytes) -> int:
     return zlib.crc32(data)
 
 
+def file_checksum(path: Path, error: ErrorType) -> int:
+    """The checksum that reading a frame would give; nothing is decoded."""
+    try:
+        return checksum(read_bytes(path, error))
+    except png.DamagedPng as problem:
+        raise error(f"{path}: {problem}") from None
+
+
 @dataclass(frozen=True)
 class FrameStack:
     """Decoded frames of one kind.

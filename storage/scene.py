@@ -20,8 +20,8 @@ from metrology.fringe import FringeCode, GrayCode
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
 from storage import scan_identity
-from storage.documents import check_format, read_bytes, read_json, utc_text
-from storage.frames import Frame, FrameHeader, FrameStack, checksum, read_header, read_stack, write_frame
+from storage.documents import check_format, read_json, utc_text
+from storage.frames import Frame, FrameHeader, FrameStack, file_checksum, read_header, read_stack, write_frame
 from storage.models import Identifier, InnerPath, Line, PositiveNumber, StrictModel, UtcTime, WholeNumber, validate
 
 FORMAT = "flushline-scene/1"
@@ -248,11 +248,7 @@ def files_state(manifest: Path, model: SceneModel) -> str:
 def digest_of_files(manifest: Path, model: SceneModel) -> str:
     """The digest that an inspection of the folder would give, see `storage.scan_identity`; nothing is decoded."""
     left, right = (
-        [
-            checksum(read_bytes(manifest.parent / path, SceneError))
-            for frames in getattr(model.frames, camera)
-            for path in frames
-        ]
+        [file_checksum(manifest.parent / path, SceneError) for paths in getattr(model.frames, camera) for path in paths]
         for camera in CAMERAS
     )
     return scan_identity.frames_digest(model.fringe.code, model.exposures, left, right)

@@ -27,7 +27,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 def run(options: argparse.Namespace) -> int:
     """Serve until stopped."""
     from flows.commands.run import inbox_job, way_to_run
-    from flows.prefect_server import configured_api, server_problem
+    from flows.prefect_server import configured_api, provide_home, server_problem
     from metrology.errors import UsageError
 
     job, way = inbox_job(options), way_to_run(options)
@@ -40,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if problem := server_problem(api):
         raise UsageError(f"serve: {problem} ('prefect server start')")
+    provide_home()
     from flows.prefect_inbox import serve
 
     return serve(job, way, options.cron, options.timezone, options.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +22,7 @@ from dashboard.data import Archive
 from dashboard.deviation import field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
 from dashboard.figures.scene import cloud_figure, scene_figure
+from dashboard.filters import newest_scan
 from dashboard.findings import Selection, Wanted, feature_from_parameter, feature_parameter, findings
 from dashboard.frame import plain
 from dashboard.habits import Habits, habits_of, with_minus
@@ -32,6 +34,7 @@ from dashboard.scenes import load_features, load_scene_row, requirements, worst_
 from dashboard.trends import QUANTITIES, Subject, capability_of, events, series, spread
 from metrology.errors import StoreError, UsageError
 from metrology.tolerance import Limit
+from storage.archive import Store
 from storage.review import Feature, ReviewLog, ShownFinding
 from storage.saved_queries import SavedQueries
 
@@ -303,6 +306,16 @@ def test_csv_in_both_habits_and_without_formulas(archive: Archive) -> None:
     assert pd.read_csv(pd.io.common.BytesIO(csv_report(rows, Habits("us"))))["value_mm"][0] == rows["value_mm"][0]
 
 
+def test_a_querys_csv_has_harmless_names_and_its_numbers() -> None:
+    rows = pd.DataFrame([["-cmd", -0.5, -1.5], ["+x", None, 2.0]], columns=["=name", "n", "n"])
+    assert csv_report(rows, Habits("us")).decode("utf-8-sig").splitlines() == [
+        "'=name,n,n",
+        "'-cmd,-0.5,-1.5",
+        "'+x,,2.0",
+    ]
+    assert csv_report(rows, Habits("de")).startswith(b"\xef\xbb\xbf'=name;n;n\r\n'-cmd;-0,5;-1,5")
+
+
 def test_html_report_is_one_safe_page(archive: Archive) -> None:
     rows = findings(archive, Wanted()).head(5)
     rows.loc[0, "reason"] = "<script>alert(1)</script>"
@@ -345,6 +358,17 @@ def test_trend_of_a_panel_counts_every_value(archive: Archive) -> None:
     assert found is not None
     assert found.cp is not None
     assert found.sigma_within == pytest.approx(found.sigma_overall, rel=0.05)  # aircraft hardly differ
+
+
+def test_a_scan_whose_time_lies_ahead_is_not_the_newest(writable: Path) -> None:
+    before = newest_scan(Archive(writable))
+    ahead = replace(recipe(0, "S1"), key=replace(recipe(0, "S1").key, captured_at=datetime(2036, 5, 1, tzinfo=UTC)))
+    Store(writable).publish(synthetic_result(ahead))
+    archive = Archive(writable)
+    assert newest_scan(archive) == before
+    rows = series(archive, Subject("rivet", "LH-F12", "S1", "R09"), QUANTITIES["height"], Selection())
+    assert len(rows) == 7
+    assert rows["captured_at"].max() <= pd.Timestamp.now(tz="UTC")  # no axis reaches into the future
 
 
 # -- files

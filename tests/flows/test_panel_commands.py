@@ -30,6 +30,7 @@ def test_a_scene_and_a_panel_are_reported(store: str, tmp_path: Path, capsys: py
     assert capsys.readouterr().out.splitlines() == [
         str(page), str(page.with_name("scene-rivets.csv")), str(page.with_name("scene-seam_stations.csv"))
     ]  # fmt: skip
+    assert page.with_name("scene-rivets.csv").read_bytes().startswith(b"\xef\xbb\xbfaircraft_serial,")
     panel = tmp_path / "panel.html"
     assert (
         main(["report", "--aircraft", "MSN-1", "--panel", "LH-F12", "--store", store, "--out", str(panel)]) == EXIT_DONE

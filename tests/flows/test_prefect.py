@@ -90,3 +90,31 @@ def test_the_deployment_for_a_work_pool_fits_the_flow() -> None:
     assert (root / file).is_file()
     assert name == inspect_inbox_flow.fn.__name__
     inspect.signature(inspect_inbox_flow.fn).bind(**deployment["parameters"])
+
+
+class KilledWorker(Exception):
+    """As Dask says it, after several workers died at a task."""
+
+
+class Ended:
+    """A task's future that has only a problem."""
+
+    def __init__(self, problem: Exception) -> None:
+        self.problem = problem
+
+    def result(self) -> None:
+        raise self.problem
+
+
+def test_what_ends_a_task_is_the_outcome_of_its_folder_alone(tmp_path: Path) -> None:
+    from flows.inbox_job import InboxJob
+    from flows.prefect_inbox import outcome_of
+
+    job = InboxJob(tmp_path / "inbox", tmp_path / "store")
+    folder = job.inbox / "scan"
+    folder.mkdir(parents=True)
+    failed = outcome_of(job, folder, Ended(MemoryError("too\nmuch")))  # type: ignore[arg-type]
+    assert (failed.state, failed.text) == ("failed", f"{folder}: found MemoryError: too much")
+    killed = outcome_of(job, folder, Ended(KilledWorker()))  # type: ignore[arg-type]
+    assert killed.state == "quarantined"
+    assert (job.inbox / "quarantine" / "scan.reason.txt").is_file()

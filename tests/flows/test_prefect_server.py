@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
 
 import pytest
 
 from flows.cli import main
-from flows.prefect_server import configured_api, runs_on_server, server_problem
+from flows.prefect_server import configured_api, provide_home, runs_on_server, server_problem
 from metrology.errors import UsageError
+from tests.users import as_user, only_root, open_to_all
 
 
 class _Server(BaseHTTPRequestHandler):
@@ -77,6 +80,18 @@ def test_no_home_is_no_server(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", "/nonexistent")
     assert configured_api() is None
+
+
+@only_root
+def test_a_home_that_cannot_be_written_gives_way(tmp_path: Path) -> None:
+    open_to_all(tmp_path)
+
+    def provide() -> None:
+        os.environ |= {"HOME": str(tmp_path), "PREFECT_HOME": ""}
+        provide_home()
+        assert os.access(os.environ["PREFECT_HOME"], os.W_OK)
+
+    as_user(61001, provide)
 
 
 @pytest.mark.parametrize("zone", ["Europe/Atlantis", "Europe", "../etc/passwd", "/etc/passwd", "CET\n"])

@@ -79,6 +79,8 @@ def test_a_signed_off_scene_is_locked_and_others_are_not(log: ReviewLog) -> None
         lambda lines: [lines[1], lines[0], lines[2]],
         lambda lines: [lines[0], "{not json", lines[2]],
         lambda lines: [lines[0], json.dumps({**json.loads(lines[1]), "extra": 1}), lines[2]],
+        lambda lines: [lines[0], lines[1], json.dumps({**json.loads(lines[2]), "at": "20261128090000"})],
+        lambda lines: [lines[0], lines[1], json.dumps({**json.loads(lines[2]), "at": 1795000000})],
     ],
 )
 def test_a_log_changed_behind_its_back_says_so_and_takes_no_more(log: ReviewLog, change) -> None:
