@@ -15,13 +15,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from storage.archive.sign_off import sign_off
 
 from flows.cli import main
 from flows.inbox import inspect_folder, only_run, plan, scene_folders
 from flows.inbox_job import InboxJob
 from metrology.errors import UsageError
 from storage.archive import Store
+from storage.archive.sign_off import sign_off
 from tasks import steps
 from tests.flows.conftest import write_small_scene
 from tests.storage.results import small_key, small_result
