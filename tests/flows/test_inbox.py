@@ -15,13 +15,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from storage.archive.sign_off import sign_off
 
 from flows.cli import main
 from flows.inbox import inspect_folder, only_run, plan, scene_folders
 from flows.inbox_job import InboxJob
 from metrology.errors import UsageError
 from storage.archive import Store
+from storage.review import ReviewLog, ShownScene
 from tasks import steps
 from tests.flows.conftest import write_small_scene
 from tests.storage.results import small_key, small_result
@@ -96,7 +96,7 @@ def test_a_signed_off_scene_keeps_its_result(
     assert run(job) == 0
     store = Store(job.store)
     signed = store.query("SELECT run_id FROM scenes WHERE station = 'S1'").column(0)[0].as_py()
-    sign_off(job.store, "k.ito", small_key("S1").scene_id, signed, "", {})
+    ReviewLog(job.store).sign_off("k.ito", ShownScene(small_key("S1").scene_id, signed))
     settings = tmp_path / "settings.toml"
     settings.write_text("[rivets]\nmin_score = 9.0\n")
     assert run(job, "--settings", str(settings)) == 0
