@@ -105,7 +105,7 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    counts = {decision: int(panels[decision.replace(" ", "_")].sum()) for decision in OPEN_DECISIONS}
+    counts: dict[str, int] = {decision: int(panels[decision.replace(" ", "_")].sum()) for decision in OPEN_DECISIONS}
     return {**counts, "pass": max(0, int(panels["features"].sum()) - sum(counts.values()))}
 
 
