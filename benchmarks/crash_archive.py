@@ -65,7 +65,7 @@ class Tally:
 
 
 def write_forever(root: str, seed: int, full: multiprocessing.sharedctypes.Synchronized[int]) -> None:  # type: ignore[name-defined]
-    """Publish random runs of random scenes until killed; now and then prune, compact or rebuild, at a time gone astray."""
+    """Publish random runs of random scenes until killed; some turns prune, compact or rebuild, at another time."""
     rng = random.Random(seed)
     store = Store(Path(root))
     if seed % 2:  # half of the writers publish as into a large archive
