@@ -122,7 +122,7 @@ def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) 
     """A warning for each camera in which fringes contradict each other in more than a sound scan's pixels."""
     warnings = []
     for name, view in (("left", reconstruction.left), ("right", reconstruction.right)):
-        share = contradictory_share(view)
+        share = contradictory_share(view.flags)
         if share > checks.contradictory_warning_fraction:
             warnings.append(
                 f"{share:.1%} of the lit pixels of the {name} camera have fringes that contradict each other and "
