@@ -64,9 +64,9 @@ def test_sound_frames_are_sound(code: FringeCode, flicker: float) -> None:
 
 def test_the_usual_share_tells_sound_from_wrong() -> None:
     frames = scan(USUAL, gamma=1.0)
-    assert contradictory_share(decode_phase(frames, USUAL, SIZE)) < 0.005
+    assert contradictory_share(decode_phase(frames, USUAL, SIZE).flags) < 0.005
     frames[0, 2] = frames[0, 1]
-    assert contradictory_share(decode_phase(frames, USUAL, SIZE)) > 0.2
+    assert contradictory_share(decode_phase(frames, USUAL, SIZE).flags) > 0.2
 
 
 @pytest.mark.parametrize("frame", range(USUAL.frames))
@@ -99,6 +99,24 @@ def test_a_frame_of_other_brightness_is_named(
     frames[0, code.steps + 1] = np.rint(change(frames[0, code.steps + 1].astype(float)))
     faults = look(frames, code)[1].faults
     assert [(fault.frame, fault.look, fault.rows) for fault in faults] == [(code.steps + 1, name, (None, None))]
+
+
+@pytest.mark.parametrize("pixels", [0.4, 1.0, 130.0])
+def test_a_frame_that_moved_is_neither_of_other_brightness_nor_without_fringes(pixels: float) -> None:
+    frames = scan(USUAL)
+    columns = np.arange(WIDTH)
+    for row in frames[0, 5]:
+        row[:] = np.rint(np.interp((columns - pixels) % (WIDTH - 1), columns, row))
+    (fault,) = look(frames, USUAL)[1].faults
+    assert (fault.frame, fault.look) == (5, "other")
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_frame_that_shows_only_the_skin_or_nothing_has_no_fringes(lit: bool) -> None:
+    frames = scan(USUAL)
+    frames[0, 5] = frames[0, :4].mean(0) if lit else 90
+    (fault,) = look(frames, USUAL)[1].faults
+    assert (fault.frame, fault.look) == (5, "flat")
 
 
 @pytest.mark.parametrize("code", CODES[:4])
