@@ -131,6 +131,18 @@ def test_a_torn_frame_is_named_with_its_row(code: FringeCode, row: int) -> None:
     assert fault.rows[0] == pytest.approx(row, abs=2 if code.axis == "x" else 8)
 
 
+@pytest.mark.parametrize("code", CODES)
+def test_a_frame_that_is_wrong_in_a_small_part_is_named_with_its_rows(code: FringeCode) -> None:
+    frames = scan(code)
+    lamp = np.zeros((HEIGHT, WIDTH))
+    lamp[100:190, 195:275] = 50
+    frames[0, 3] = np.clip(frames[0, 3] + lamp, 0, 255)
+    found, diagnosis = look(frames, code)
+    assert found[0].odd
+    assert 3 in [fault.frame for fault in diagnosis.faults]
+    assert diagnosis.either or len(diagnosis.faults) == 1
+
+
 def test_a_wrong_frame_of_one_exposure_is_named() -> None:
     frames = scan(USUAL, exposures=(0.4, 1.0))
     frames[0, 7] = frames[1, 7]
