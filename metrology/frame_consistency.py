@@ -161,7 +161,8 @@ def _odd_blocks(
         deviation[_per_band(lit[at], rows, bands) < _LEAST_PIXELS] = 0
         largest = max(largest, float(deviation.max()))
         odd |= np.repeat(deviation > 1, tall)[:rows, None] & inside
-    return largest, odd.any(1), odd.any(0) if odd.any() else np.ones(columns, bool)
+    odd_columns = odd.any(0) if odd.any() else np.ones(columns, bool)
+    return largest, np.asarray(odd.any(1)), np.asarray(odd_columns)
 
 
 def _columns_per_block(sample: FrameSample) -> int:
