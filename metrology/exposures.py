@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
+from itertools import pairwise, permutations
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ MAX_RATIO = 1e6  # of the longest to the shortest: more than any camera has
 _TOLERANCE = 1.2  # factor between the ratio that is stated and the one that is seen
 _LEAST_AMPLITUDE = 0.03  # of the saturation level, in the shorter exposure
 _LEAST_PIXELS = 300
+_MOST_ORDERED = 5  # more exposure times have too many orders to try
 
 
 def relative_exposures(times: Sequence[float]) -> tuple[float, ...]:
@@ -31,7 +34,7 @@ def relative_exposures(times: Sequence[float]) -> tuple[float, ...]:
 
 
 def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[float]) -> None:
-    """Refuse exposure times whose ratios are not those of the fringes' brightness.
+    """Refuse exposure times whose ratios are not those of the fringes' brightness, saying in which order they would be.
 
     Compared are amplitudes, which neither the room's light nor the camera's black level changes.
 
@@ -43,13 +46,34 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
     """
     if len(exposures) < 2:
         return
-    fringes = sampled(frames[:, : code.fringe_frames])[..., ::2, ::2]
+    samples = sampled(frames)[..., ::2, ::2]
     limit = saturation_level(frames, frames[:, : code.fringe_frames])
-    stack = fringes.reshape(len(exposures), len(code.counts), code.steps, -1)
+    found = _first_mismatch(samples, code, exposures, limit)
+    if isinstance(found, _Mismatch):
+        raise SceneError(
+            f"exposures: found {found.short:g} and {found.long:g}, {found.long / found.short:.3g} times as long, but "
+            f"frames that are {found.seen:.3g} times as bright; {_expected(samples, code, exposures, limit)}"
+        )
+
+
+@dataclass(frozen=True)
+class _Mismatch:
+    """Two exposure times, and how many times as bright the frames of the longer one are."""
+
+    short: float
+    long: float
+    seen: float
+
+
+def _first_mismatch(
+    samples: NDArray, code: FringeCode, exposures: Sequence[float], limit: float
+) -> _Mismatch | Literal["none", "unseen"]:
+    """The first two exposures that are not as bright as stated; "unseen" where no two can be compared."""
+    stack = samples[:, : code.fringe_frames].reshape(len(exposures), len(code.counts), code.steps, -1)
     phasors = np.tensordot(np.exp(-2j * np.pi * np.arange(code.steps) / code.steps), stack, (0, 2)) * 2 / code.steps
     clipped = np.asarray((stack >= limit).any(2))
-    order = np.argsort(exposures)
-    for short, long in pairwise(order):
+    seen_any = False
+    for short, long in pairwise(np.argsort(exposures)):
         usable = (np.abs(phasors[short]) > _LEAST_AMPLITUDE * limit) & ~clipped[short] & ~clipped[long]
         ratios = [
             np.median(np.real(longer[use] / shorter[use]))
@@ -58,10 +82,22 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
         ]
         if not ratios:
             continue
-        seen, stated = float(np.median(ratios)), exposures[long] / exposures[short]
-        if not 1 / _TOLERANCE < seen / stated < _TOLERANCE:
-            raise SceneError(
-                f"exposures: found {exposures[short]:g} and {exposures[long]:g}, {stated:.3g} times as long, but "
-                f"frames that are {seen:.3g} times as bright; expected the exposure times that the frames were taken "
-                "with, in their order (they are relative)"
-            )
+        seen_any = True
+        seen = float(np.median(ratios))
+        if not 1 / _TOLERANCE < seen * exposures[short] / exposures[long] < _TOLERANCE:
+            return _Mismatch(exposures[short], exposures[long], seen)
+    return "none" if seen_any else "unseen"
+
+
+def _expected(samples: NDArray, code: FringeCode, exposures: Sequence[float], limit: float) -> str:
+    """What the scene should list: the frames in another order, the times in another order, or other times."""
+    by_frame = samples.reshape(samples.shape[1], samples.shape[0], *samples.shape[2:]).swapaxes(0, 1)
+    if _first_mismatch(by_frame, code, exposures, limit) == "none":
+        return (
+            "the frames fit with all exposures of a frame one after the other; expected all frames of the first "
+            "exposure, then all of the next"
+        )
+    for times in permutations(exposures) if len(exposures) <= _MOST_ORDERED else ():
+        if _first_mismatch(samples, code, times, limit) == "none":
+            return f"expected the times in the order of the frames: {', '.join(f'{time:g}' for time in times)}"
+    return "expected the exposure times that the frames were taken with, in their order (they are relative)"

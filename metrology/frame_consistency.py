@@ -1,6 +1,7 @@
 """Whether a camera's frames are what the scene says: told from a coarse grid of every scan.
 
-Two things are looked at, over the whole picture and in bands of its rows, since a frame may be wrong in a part only:
+Two things are looked at, over the whole picture, in bands of its rows and in blocks, since a frame may be wrong in a
+part only:
 
 - *fringes that contradict each other*: the share of pixels whose phases (or phase and Gray-code stripe) tell no common
   position;
@@ -42,6 +43,8 @@ _FEW_COUNTS = 2
 _CONTRADICTORY = 0.05
 _BAND_CONTRADICTORY = 0.5
 _ROWS_PER_BAND = 2
+# A fault of a small part of the picture (a lamp, lost blocks) is seen in blocks of so many rows and columns.
+_BLOCK = 8
 # Gamma averages out over a fringe and more: bands along fringes are as high as one where half the projector is seen,
 # and frames of few fringes are not judged by their fringes.
 _FRINGES_PER_BAND = 1.2
@@ -65,9 +68,11 @@ class FrameConsistency:
     contradictory : float
         Share of them whose fringes contradict each other.
     odd_rows : (rows,) bool
-        Rows of the grid in bands where a frame deviates or most fringes contradict each other.
+        Rows of the grid in bands or blocks where a frame deviates or most fringes contradict each other.
+    odd_columns : (columns,) bool
+        Columns of the grid in such blocks, where neither a band nor the whole picture is odd; else all.
     deviation : float
-        Largest deviation of a frame, over the whole picture or a band; 1 is the limit.
+        Largest deviation of a frame, over the whole picture, a band or a block; 1 is the limit.
     drift : float
         What the phases miss each other by systematically; 1 is the limit.
     """
@@ -75,6 +80,7 @@ class FrameConsistency:
     judged: int
     contradictory: float
     odd_rows: NDArray[np.bool_]
+    odd_columns: NDArray[np.bool_]
     deviation: float
     drift: float
 
@@ -102,7 +108,8 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
     """Judge one exposure's frames in the order in which the scene lists them."""
     levels, gray = np.split(sample.frames(exposure), [sample.code.fringe_frames])
     rows = len(sample.rows)
-    nothing = FrameConsistency(0, 0.0, np.zeros(rows, bool), 0.0, 0.0)
+    everywhere = np.ones(sample.columns.shape[1], bool)
+    nothing = FrameConsistency(0, 0.0, np.zeros(rows, bool), everywhere, 0.0, 0.0)
     fit = fit_sinusoids(levels, range(len(levels)), sample.code)
     if fit is None:
         return nothing
@@ -120,20 +127,58 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
     share = _per_band(contradictory, rows, bands) / np.maximum(counted, 1)
     whole = largest_deviation(fit, sample.code, lit, rows, np.array([0]))
     odd_band = enough & ((deviation > 1) | (share > _BAND_CONTRADICTORY))
+    odd_rows, odd_columns = np.repeat(odd_band, per_band)[:rows], everywhere
+    largest = float(max(whole[0], deviation[enough].max(initial=0)))
+    if largest <= 1 and not odd_rows.any():
+        in_blocks, odd_rows, odd_columns = _odd_blocks(fit, sample, lit, per_band)
+        largest = max(largest, in_blocks)
     return FrameConsistency(
         judged=int(lit.sum()),
         contradictory=float(contradictory[lit].mean()),
-        odd_rows=np.repeat(odd_band, per_band)[:rows],
-        deviation=float(max(whole[0], deviation[enough].max(initial=0))),
+        odd_rows=odd_rows,
+        odd_columns=odd_columns,
+        deviation=largest,
         drift=told.drift / DRIFT,
     )
+
+
+def _odd_blocks(
+    fit: SinusoidFit, sample: FrameSample, lit: NDArray[np.bool_], per_band: int
+) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Largest deviation of a frame in a block, and the rows and columns of the grid in which blocks are odd."""
+    rows, columns = sample.columns.shape
+    tall, wide = max(_BLOCK, per_band), max(_BLOCK, _columns_per_block(sample))
+    across = max(1, columns // wide)
+    group = np.minimum(np.arange(columns) // wide, across - 1)
+    # Blocks of one group of columns below each other become bands of a picture of that group alone.
+    largest, odd = 0.0, np.zeros((rows, columns), bool)
+    for column in range(across):
+        inside = group == column
+        at = np.flatnonzero(np.tile(inside, rows))
+        own = SinusoidFit(fit.mean[at], fit.phasors[:, at], fit.used, fit.errors[:, at], fit.shows)
+        bands = np.arange(0, rows, tall)
+        deviation = frame_deviations(own, sample.code, lit[at], rows, bands).max(0)
+        deviation[_per_band(lit[at], rows, bands) < _LEAST_PIXELS] = 0
+        largest = max(largest, float(deviation.max()))
+        odd |= np.repeat(deviation > 1, tall)[:rows, None] & inside
+    odd_columns = odd.any(0) if odd.any() else np.ones(columns, bool)
+    return largest, np.asarray(odd.any(1)), np.asarray(odd_columns)
+
+
+def _columns_per_block(sample: FrameSample) -> int:
+    return _grid_per_fringe(sample, sample.columns.shape[1]) if sample.code.axis == "x" else _BLOCK
 
 
 def _rows_per_band(sample: FrameSample) -> int:
     if sample.code.axis == "x":
         return _ROWS_PER_BAND
+    return max(_ROWS_PER_BAND, _grid_per_fringe(sample, len(sample.rows)))
+
+
+def _grid_per_fringe(sample: FrameSample, grid: int) -> int:
+    """Rows or columns, of so many along the projector coordinate, that the widest fringe and a little more take up."""
     fringes = _PART_SEEN * min((count for count in sample.code.counts if count >= _LEAST_COUNT), default=1)
-    return max(_ROWS_PER_BAND, int(np.ceil(_FRINGES_PER_BAND * len(sample.rows) / fringes)))
+    return int(np.ceil(_FRINGES_PER_BAND * grid / fringes))
 
 
 def unclipped(levels: Float32, saturation: float) -> NDArray[np.bool_]:

@@ -179,6 +179,8 @@ def _wrong_frames(
 ) -> FrameDiagnosis:
     """The set of frames without which those of an exposure agree where they did not."""
     frames = sample.code.frames
+    if not found.odd_columns.all():
+        sample, finer = _in_columns(sample, finer, found.odd_columns)
     inside = found.odd_rows if found.odd_rows.any() else np.ones(len(sample.rows), bool)
     levels = _some_pixels(sample, exposure, inside)
     own = np.full(len(levels), -1)
@@ -204,6 +206,13 @@ def _wrong_frames(
     if len(alike) == 1 or len(telling) == 1:
         return FrameDiagnosis(tuple(telling or alike))
     return FrameDiagnosis(tuple(sorted(alike, key=lambda fault: fault.frame)), either=True)
+
+
+def _in_columns(
+    sample: FrameSample, finer: Finer | None, columns: NDArray[np.bool_]
+) -> tuple[FrameSample, Finer | None]:
+    """A sample, and a finer one, in some of the grid's columns."""
+    return sample.within(columns), None if finer is None else lambda rows: finer(rows).within(columns)
 
 
 def _described(

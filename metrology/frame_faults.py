@@ -16,9 +16,12 @@ Look = Literal["same", "like", "dark", "flat", "brighter", "darker", "other"]
 
 # A frame without fringes and darker than this share of the mean level is dark.
 _DARK = 0.3
-# Share of a frame's variation that another picture must explain to be what it shows; with less than the second no
-# picture explains anything: it has no fringes.
-_EXPLAINS, _NOTHING = 0.8, 0.1
+# Share of a frame's variation that another picture must explain to be what it shows.
+_EXPLAINS = 0.8
+# A frame that varies by less than this share of what fringes would, squared, has none.
+_NOTHING = 0.1
+# A frame whose brightness is within this share of the others' is wrong in something else.
+_AS_BRIGHT = 0.05
 # A frame is wrong as a whole if hardly any rows, this share of all, are left beside the wrong ones.
 _BESIDE = 0.02
 # A pixel tells something of a frame where the others' fringes exceed their noise by this factor.
@@ -192,12 +195,13 @@ def _likeness(
     varied = levels[frame][lit] - factor * mean
     explained = {p: _explained(varied, mean, picture) for p, picture in pictures.items()}
     best = max(explained, key=lambda p: explained[p])
-    if explained[best] > _EXPLAINS and best == frame:
+    if explained[best] > _EXPLAINS and best == frame and abs(factor - 1) > _AS_BRIGHT:
         return FrameFault(at, rows, "brighter" if factor > 1 else "darker", None, factor)
-    amplitude = fit.amplitude.max(0)[lit]
-    if explained[best] < _NOTHING or float(varied @ varied) < _NOTHING * float(amplitude @ amplitude) / 2:
+    amplitude, own = fit.amplitude.max(0)[lit], levels[frame][lit] - levels[frame][lit].mean()
+    # A frame without fringes shows the skin's texture or nothing at all.
+    if min(float(varied @ varied), float(own @ own)) < _NOTHING * float(amplitude @ amplitude) / 2:
         return FrameFault(at, rows, "dark" if factor < _DARK else "flat", None, factor)
-    if explained[best] > _EXPLAINS:
+    if explained[best] > _EXPLAINS and best != frame:
         return FrameFault(at, rows, "like", exposure * code.frames + best, factor)
     return FrameFault(at, rows, "other", None, factor)
 

@@ -9,7 +9,7 @@ difference of neighbours that `metrology.noise` uses, it keeps the smooth residu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -67,6 +67,10 @@ class FrameSample:
     def frames(self, exposure: int) -> Float32:
         """(frames, pixels) of one exposure."""
         return self.levels[exposure].reshape(self.levels.shape[1], -1)
+
+    def within(self, columns: NDArray[np.bool_]) -> FrameSample:
+        """The part of the grid in these of its columns."""
+        return replace(self, levels=np.ascontiguousarray(self.levels[..., columns]), columns=self.columns[:, columns])
 
 
 @dataclass(frozen=True)

@@ -97,13 +97,13 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
         if worst.contradictory > limit:
             raise SceneError(
                 f"{scene.folder}: found fringes that contradict each other in {worst.contradictory:.0%} of the lit "
-                f"pixels of the {view.camera} camera, expected hardly any: frames that belong together, in the order "
-                f"and with the fringe counts and steps that scene.json says"
+                f"pixels of the {view.camera} camera, expected hardly any: frames taken one after the other "
+                "while nothing moved, in the order and with the fringe counts and steps that scene.json says"
             )
         if any(judged.deviation > 1 or judged.drift > 1 for judged in view.found):
             raise SceneError(
                 f"{scene.folder}: found frames of the {view.camera} camera that do not fit each other, expected "
-                "frames of one scan, alike but for their fringes"
+                "frames of one scan, taken while nothing moved and in the same light, alike but for their fringes"
             )
 
 

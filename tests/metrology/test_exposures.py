@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 from metrology.errors import SceneError
@@ -50,6 +51,23 @@ def test_frames_that_are_not_as_bright_as_stated_are_refused(
         return
     with pytest.raises(SceneError, match=said):
         check_brightness(frames, USUAL, stated)
+
+
+def three_exposures(rng: np.random.Generator) -> NDArray[np.uint8]:
+    brightness = np.geomspace(0.3, 3.0, 400)
+    return recorded(clean_frames(ramp(160, 400, 1280), USUAL, 1280, 60 * brightness, 45 * brightness), rng, 1.5, TIMES)
+
+
+def test_frames_listed_with_all_exposures_of_each_are_said_to_be(rng: np.random.Generator) -> None:
+    frames = three_exposures(rng)
+    listed = frames.swapaxes(0, 1).reshape(frames.shape)
+    with pytest.raises(SceneError, match="fit with all exposures of a frame one after the other"):
+        check_brightness(listed, USUAL, TIMES)
+
+
+def test_times_in_another_order_are_named_in_the_order_of_the_frames(rng: np.random.Generator) -> None:
+    with pytest.raises(SceneError, match=r"expected the times in the order of the frames: 0\.25, 1, 2\.5"):
+        check_brightness(three_exposures(rng), USUAL, (1.0, 2.5, 0.25))
 
 
 def test_black_frames_say_nothing_about_exposures() -> None:

@@ -64,9 +64,9 @@ def test_sound_frames_are_sound(code: FringeCode, flicker: float) -> None:
 
 def test_the_usual_share_tells_sound_from_wrong() -> None:
     frames = scan(USUAL, gamma=1.0)
-    assert contradictory_share(decode_phase(frames, USUAL, SIZE)) < 0.005
+    assert contradictory_share(decode_phase(frames, USUAL, SIZE).flags) < 0.005
     frames[0, 2] = frames[0, 1]
-    assert contradictory_share(decode_phase(frames, USUAL, SIZE)) > 0.2
+    assert contradictory_share(decode_phase(frames, USUAL, SIZE).flags) > 0.2
 
 
 @pytest.mark.parametrize("frame", range(USUAL.frames))
@@ -101,6 +101,24 @@ def test_a_frame_of_other_brightness_is_named(
     assert [(fault.frame, fault.look, fault.rows) for fault in faults] == [(code.steps + 1, name, (None, None))]
 
 
+@pytest.mark.parametrize("pixels", [0.4, 1.0, 130.0])
+def test_a_frame_that_moved_is_neither_of_other_brightness_nor_without_fringes(pixels: float) -> None:
+    frames = scan(USUAL)
+    columns = np.arange(WIDTH)
+    for row in frames[0, 5]:
+        row[:] = np.rint(np.interp((columns - pixels) % (WIDTH - 1), columns, row))
+    (fault,) = look(frames, USUAL)[1].faults
+    assert (fault.frame, fault.look) == (5, "other")
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_frame_that_shows_only_the_skin_or_nothing_has_no_fringes(lit: bool) -> None:
+    frames = scan(USUAL)
+    frames[0, 5] = frames[0, :4].mean(0) if lit else 90
+    (fault,) = look(frames, USUAL)[1].faults
+    assert (fault.frame, fault.look) == (5, "flat")
+
+
 @pytest.mark.parametrize("code", CODES[:4])
 @pytest.mark.parametrize("row", [60, 150, 250])
 def test_a_torn_frame_is_named_with_its_row(code: FringeCode, row: int) -> None:
@@ -111,6 +129,18 @@ def test_a_torn_frame_is_named_with_its_row(code: FringeCode, row: int) -> None:
     assert fault.rows[1] is None
     # Along the fringes a phase changes by less than a quarter of a turn within some rows.
     assert fault.rows[0] == pytest.approx(row, abs=2 if code.axis == "x" else 8)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_a_frame_that_is_wrong_in_a_small_part_is_named_with_its_rows(code: FringeCode) -> None:
+    frames = scan(code)
+    lamp = np.zeros((HEIGHT, WIDTH))
+    lamp[100:190, 195:275] = 50
+    frames[0, 3] = np.clip(frames[0, 3] + lamp, 0, 255)
+    found, diagnosis = look(frames, code)
+    assert found[0].odd
+    assert 3 in [fault.frame for fault in diagnosis.faults]
+    assert diagnosis.either or len(diagnosis.faults) == 1
 
 
 def test_a_wrong_frame_of_one_exposure_is_named() -> None:
