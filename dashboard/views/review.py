@@ -48,8 +48,8 @@ _COLUMNS = {
     "decision": "Verdict",
     "state": "State",
     "disposition": "Disposition",
-    "captured_at": "Scanned",
     "reason": "Why",
+    "captured_at": "Scanned",
 }
 Name = tuple[str, Feature]
 """A finding: its scene and what it is there."""

@@ -241,7 +241,7 @@ def test_a_damaged_manifest_leaves_the_page_without_limits(writable: Path, open_
         manifest.chmod(0o644)
         manifest.write_text('{"panel_spec": {"zones": {"default": {"height_mm": {"lower": 3, "upper": 1}}}}}')
     page = clean(open_page("scene", writable, scene=LAST))
-    assert "no limit is known" in texts(page)
+    assert "The limits of this run cannot be read by this version" in texts(page)
 
 
 def test_new_results_show_without_a_restart(writable: Path, open_page: Open) -> None:
