@@ -104,10 +104,9 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
         said = " · ".join(f"{DECISION_MARKS[name]} {habits.whole(count)}" for name, count in counts.items())
         st.markdown(f":small[{said}]")
     if unjudged := int(panels["unjudged"].sum()):
-        st.warning(
-            f"Scans whose rig could not be judged: {habits.whole(unjudged)}. Nobody can vouch for their values, passes "
-            "included; scan them again.",
-            icon=":material/help:",
+        st.markdown(
+            f":orange[:material/help: Scans whose rig could not be judged: {habits.whole(unjudged)}. Nobody can vouch "
+            "for their values, passes included; scan them again.]"
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from dashboard.address import one_of
+from dashboard.address import one_of, put
 from dashboard.closeup import RivetCloseUp, SeamSection, rivet_close_up, seam_section
 from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
@@ -129,7 +129,7 @@ def _picture(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | No
 
 def _choose(scene_id: str, feature: str) -> None:
     """Show the close-up of a feature that was clicked."""
-    st.query_params["scene"], st.query_params["feature"] = scene_id, feature
+    put(scene=scene_id, feature=feature)
 
 
 def _deviation(desk: Desk, row: Any) -> None:

@@ -71,7 +71,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
 
     # … why …
     page.get_by_role("link", name="Close-up").click()
-    page.get_by_text("inner plane").first.wait_for()
+    page.get_by_text("head as fitted").first.wait_for()
     settle(page)
     page.get_by_text("mm outside").first.wait_for()
     shoot(page, pictures, "scene")
