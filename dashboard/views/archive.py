@@ -13,6 +13,7 @@ from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
 from dashboard.findings import Selection
 from dashboard.frame import Desk, go, plain
+from dashboard.habits import NOTHING
 from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.scenes import load_features, load_scene_row
@@ -131,6 +132,7 @@ def _list(desk: Desk, scenes: pd.DataFrame) -> list[str]:
         key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
         on_select="rerun",
         selection_mode="multi-row",
+        placeholder=NOTHING,
         column_config={
             "picture": st.column_config.ImageColumn("Picture", width="small"),
             "aircraft_serial": "Aircraft",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC
 
 import pandas as pd
 import streamlit as st
@@ -47,7 +48,7 @@ def _runs(desk: Desk, selection: Selection) -> None:
     left, right = st.columns([3, 2])
     with left:
         st.markdown("**Scenes inspected per day** (UTC)")
-        nights["date"] = [replace(desk.habits, zone="UTC").day(day) for day in nights["day"]]
+        nights["date"] = [replace(desk.habits, zone=UTC).day(day) for day in nights["day"]]
         show_table(
             nights,
             {
