@@ -42,6 +42,12 @@ def some_of(name: str, options: Sequence[str], default: Sequence[str] = ()) -> d
     return {"key": name, "on_change": _write_some, "args": (name, first)}
 
 
+def put(**named: str | None) -> None:
+    """Write several values into the address at once: one step for the browser's back button. None takes one out."""
+    kept = {name: st.query_params.get_all(name) for name in st.query_params if name not in named}
+    st.query_params.from_dict({**kept, **{name: value for name, value in named.items() if value is not None}})
+
+
 def _write_one(name: str, default: str | None) -> None:
     value = st.session_state.get(name)
     if value is None or value == default:

@@ -27,14 +27,31 @@ def clicked_row(key: str, names: Sequence[Any], picked: Picked, cells_only: bool
     """
 
     def act() -> None:
-        selection = _selection(key)
-        rows = [cell[0] for cell in selection.get("cells") or ()]
-        if not rows and not cells_only:
-            rows = list(selection.get("rows") or ())
+        rows = _selected_rows(key, cells_only)
         if rows and rows[0] < len(names):
             picked(names[rows[0]])
 
     return act
+
+
+def fresh_key(key: str, names: Sequence[Any], at: Any) -> str:
+    """A key with which a table begins anew once something else is looked at than was clicked in it.
+
+    Else a second click on that row would do nothing: the browser tells only what changes.
+
+    Parameters
+    ----------
+    names : sequence
+        Of the rows.
+    at : Any
+        The name of what is looked at; None where that has no meaning.
+    """
+    key = f"{key}-{hash(tuple(names))}"  # other rows begin without a selection
+    turn = f"{key}-turn"
+    rows = _selected_rows(f"{key}-{st.session_state.get(turn, 0)}")
+    if at is not None and rows and rows[0] < len(names) and names[rows[0]] != at:
+        st.session_state[turn] = st.session_state.get(turn, 0) + 1
+    return f"{key}-{st.session_state.get(turn, 0)}"
 
 
 def clickable_chart(figure: Any, key: str, picked: Picked, config: Mapping[str, Any]) -> None:
@@ -47,6 +64,12 @@ def clickable_chart(figure: Any, key: str, picked: Picked, config: Mapping[str, 
             picked(first[0] if isinstance(first, (list, tuple)) and len(first) == 1 else first)
 
     st.plotly_chart(figure, key=key, on_select=act, selection_mode="points", config=dict(config))
+
+
+def _selected_rows(key: str, cells_only: bool = False) -> list[int]:
+    selection = _selection(key)
+    rows = [cell[0] for cell in selection.get("cells") or ()]
+    return rows if rows or cells_only else list(selection.get("rows") or ())
 
 
 def _selection(key: str) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ import streamlit as st
 
 from dashboard.habits import NOTHING, Habits, with_minus
 from dashboard.palette import DECISION_MARKS
-from dashboard.picking import Picked, clicked_row
+from dashboard.picking import Picked, clicked_row, fresh_key
 
 _SIGNED = ("value_mm", "height_mean_mm", "step_mm", "difference_mm", "deviation_mm")
 
@@ -24,6 +24,7 @@ def show_table(
     height: int = 400,
     names: Sequence[Any] = (),
     picked: Picked | None = None,
+    at: Any = None,
 ) -> None:
     """Show columns of a frame under their headings.
 
@@ -35,11 +36,13 @@ def show_table(
         Of the rows, where they can be picked.
     picked : callable, optional
         Gets the name of a row that is clicked.
+    at : optional
+        The name of what is looked at.
     """
     styled, config = styled_table(rows, columns, habits)
     options: dict[str, Any] = {}
     if picked:
-        key = f"{key}-{hash(tuple(names))}"  # other rows begin without a selection
+        key = fresh_key(key, names, at)
         options = {
             "on_select": clicked_row(key, names, picked),
             "selection_mode": ["single-row", "single-cell"],

@@ -42,10 +42,16 @@ def panel_matrix(
         hoverinfo="skip",
         colorbar={"title": {"text": "waiting"}, "thickness": 10},
     )
+    doubtful = part[part["unjudged"] > 0]
+    fig.add_scatter(
+        x=doubtful["panel"], y=doubtful["aircraft_serial"], mode="text", text="?", textfont={"color": "black"},
+        hoverinfo="skip",
+    )  # fmt: skip
     text = [
         f"<b>{escape(r.aircraft_serial)} {escape(r.panel)}</b><br>{habits.whole(r.waiting)} waiting, "
         f"{habits.whole(r.open_work)} of them open work, {habits.whole(r.fail)} fail<br>"
-        f"last scan {habits.time(r.last_scan)}"
+        + (f"scans with an unjudged rig: {habits.whole(r.unjudged)}<br>" if r.unjudged else "")
+        + f"last scan {habits.time(r.last_scan)}"
         for r in part.itertuples()
     ]
     # Heat maps send no clicks; invisible markers on top of them do.

@@ -13,11 +13,13 @@ from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
 from dashboard.findings import Selection
 from dashboard.frame import Desk, go, plain
+from dashboard.habits import NOTHING
 from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.tables import show_table
 from metrology.errors import FlushlineError
+from storage.archive.views import TAKEN_AT
 
 TITLE = "Archive"
 _PAGE = 20
@@ -28,7 +30,8 @@ VERDICTS = {
     "with fails": "fail > 0",
     "needs attention": "bad > 0",
     "with unmeasured": "not_measured > 0",
-    "all pass": "bad = 0",
+    "all pass": "bad = 0 AND rig_verdict IS DISTINCT FROM 'unjudged'",
+    "rig unjudged": "rig_verdict = 'unjudged'",
 }
 
 
@@ -87,7 +90,8 @@ FROM (SELECT * FROM scenes WHERE {condition}) s LEFT JOIN (
 def _listed(selection: Selection, verdict: str) -> tuple[str, list[object]]:
     condition, parameters = selection.where()
     sql = (
-        "FROM (SELECT s.scene_id, s.captured_at, coalesce(fail, 0) AS fail, coalesce(not_measured, 0) AS not_measured, "
+        f"FROM (SELECT s.scene_id, s.rig_verdict, {TAKEN_AT} AS taken_at, coalesce(fail, 0) AS fail, "
+        "coalesce(not_measured, 0) AS not_measured, "
         f"coalesce(bad, 0) AS bad {_SCENES_SQL.format(condition=condition)}) WHERE {VERDICTS.get(verdict, 'true')}"
     )
     return sql, parameters
@@ -104,11 +108,11 @@ def _count(archive: Archive, selection: Selection, verdict: str) -> int:
 def _scenes(archive: Archive, selection: Selection, verdict: str, most: int, skip: int) -> pd.DataFrame:
     sql, parameters = _listed(selection, verdict)
     return archive.rows(
-        f"WITH page AS (SELECT scene_id, fail, not_measured {sql} ORDER BY captured_at DESC, scene_id "
+        f"WITH page AS (SELECT scene_id, taken_at, fail, not_measured {sql} ORDER BY taken_at DESC, scene_id "
         f"LIMIT {most} OFFSET {skip}) "
         "SELECT s.scene_id, aircraft_serial, panel, station, captured_at, fail, not_measured, n_rivets, n_stations, "
-        "rig_id, status, software_version, preview_path FROM page JOIN scenes s USING (scene_id) "
-        "ORDER BY captured_at DESC, s.scene_id",
+        "rig_id, rig_verdict, status, software_version, preview_path FROM page JOIN scenes s USING (scene_id) "
+        "ORDER BY taken_at DESC, s.scene_id",
         parameters,
     )
 
@@ -128,6 +132,7 @@ def _list(desk: Desk, scenes: pd.DataFrame) -> list[str]:
         key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
         on_select="rerun",
         selection_mode="multi-row",
+        placeholder=NOTHING,
         column_config={
             "picture": st.column_config.ImageColumn("Picture", width="small"),
             "aircraft_serial": "Aircraft",
@@ -141,6 +146,9 @@ def _list(desk: Desk, scenes: pd.DataFrame) -> list[str]:
             "n_rivets": "Rivets",
             "n_stations": "Seam stations",
             "rig_id": "Rig",
+            "rig_verdict": st.column_config.Column(
+                "Rig check", help="Whether the rig fits the scan; unjudged: the scan cannot tell. – in older runs"
+            ),
             "status": "Status",
             "software_version": "Version",
         },

@@ -33,7 +33,7 @@ def render(desk: Desk) -> None:
     problem = desk.archive.review().problem
     if problem:
         st.warning(f"The review log needs attention: {plain(problem)}", icon=":material/warning:")
-    left, right = st.columns([6, 5])
+    left, right = st.columns([3, 2])
     with left:
         _waiting(desk, panels, selection)
     with right:
@@ -45,7 +45,8 @@ def panel_states(desk: Desk, selection: Selection) -> pd.DataFrame:
     condition, selected = selection.where()
     sql = f"""
 WITH s AS (
-    SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, n_rivets, n_stations, status
+    SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, n_rivets, n_stations,
+        rig_verdict
     FROM latest_scenes WHERE {condition}
 ), f AS (
     SELECT *, scene_id IN (SELECT scene_id FROM s) AS newest FROM ({findings_sql(near=condition, scenes=condition)})
@@ -61,13 +62,13 @@ WITH s AS (
     FROM f GROUP BY ALL
 ), panels AS (
     SELECT aircraft_serial, panel, sum(n_rivets) AS n_rivets, sum(n_stations) AS n_stations, count(*) AS scenes,
-        count(*) FILTER (status <> 'ok') AS with_warnings, {NEWEST_TIME} AS last_scan
+        count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, {NEWEST_TIME} AS last_scan
     FROM s GROUP BY ALL
 )
 SELECT aircraft_serial, panel, {
         _counted("waiting", "open_work", "fail", "conditional_fail", "not_measured", "conditional_pass")
     },
-    (coalesce(n_rivets, 0) + coalesce(n_stations, 0))::BIGINT AS features, worst_mm, scenes, with_warnings, last_scan
+    (coalesce(n_rivets, 0) + coalesce(n_stations, 0))::BIGINT AS features, worst_mm, scenes, unjudged, last_scan
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """
@@ -102,6 +103,11 @@ def _totals(desk: Desk, panels: pd.DataFrame) -> None:
         st.html(decision_bar(counts, habits))
         said = " · ".join(f"{DECISION_MARKS[name]} {habits.whole(count)}" for name, count in counts.items())
         st.markdown(f":small[{said}]")
+    if unjudged := int(panels["unjudged"].sum()):
+        st.markdown(
+            f":orange[:material/help: Scans whose rig could not be judged: {habits.whole(unjudged)}. Nobody can vouch "
+            "for their values, passes included; scan them again.]"
+        )
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
@@ -123,9 +129,10 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
             "panel": "Panel",
             "waiting": "Waiting",
             "open_work": "Open work",
+            **({"unjudged": "Rig unjudged"} if shown["unjudged"].any() else {}),
             "fail": f"{DECISION_SIGNS['fail']} Fail",
             "conditional_fail": f"{DECISION_SIGNS['conditional fail']} Cond. fail",
-            "not_measured": "? Not measured",
+            "not_measured": "? Unmeasured",
             "worst_mm": "Worst, mm",
             "last_scan": "Last scan",
         },

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from dashboard.address import one_of, some_of
+from dashboard.address import one_of, put, some_of
 from dashboard.deciding import ask_who, decide, names_of, offer_sign_off, place_of, say_outcome
 from dashboard.filters import scene_filters
 from dashboard.findings import (
@@ -48,8 +48,8 @@ _COLUMNS = {
     "decision": "Verdict",
     "state": "State",
     "disposition": "Disposition",
-    "captured_at": "Scanned",
     "reason": "Why",
+    "captured_at": "Scanned",
 }
 Name = tuple[str, Feature]
 """A finding: its scene and what it is there."""
@@ -127,10 +127,7 @@ def _standing(desk: Desk, names: Sequence[Name], wanted: Wanted) -> Name | None:
 
 def _look_at(name: Name | None) -> None:
     """Look at a finding; without one at the first of the list."""
-    for parameter in ("scene", "feature"):
-        st.query_params.pop(parameter, None)
-    if name:
-        st.query_params["scene"], st.query_params["feature"] = name[0], feature_parameter(name[1])
+    put(scene=name[0] if name else None, feature=feature_parameter(name[1]) if name else None)
 
 
 def _nothing(desk: Desk, wanted: Wanted) -> None:

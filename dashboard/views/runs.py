@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC
 
 import pandas as pd
 import streamlit as st
@@ -16,6 +18,7 @@ from dashboard.frame import Desk, go, plain
 from dashboard.quarantine import put_aside
 from dashboard.tables import show_table
 from storage.archive.schema import STEPS
+from storage.archive.views import TAKEN_AT
 
 TITLE = "Runs and rigs"
 
@@ -34,7 +37,7 @@ def _runs(desk: Desk, selection: Selection) -> None:
     medians = ", ".join(f"median(seconds_{step}) AS seconds_{step}" for step in STEPS)
     nights = desk.archive.rows(
         "SELECT date_trunc('day', processed_at) AS day, count(*) AS scenes, "
-        "count(*) FILTER (status <> 'ok') AS warned, "
+        "count(*) FILTER (status <> 'ok') AS warned, count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, "
         "min(processed_at) AS first, max(processed_at) AS last, median(seconds_total) AS seconds_total, "
         f"{medians} FROM scenes WHERE {condition} GROUP BY 1 ORDER BY 1 DESC LIMIT 400",
         parameters,
@@ -42,16 +45,17 @@ def _runs(desk: Desk, selection: Selection) -> None:
     if nights.empty:
         st.info("No scene was inspected in that time.")
         return
-    left, right = st.columns([6, 5])
+    left, right = st.columns([3, 2])
     with left:
         st.markdown("**Scenes inspected per day** (UTC)")
-        nights["date"] = [desk.habits.day(day) for day in nights["day"]]
+        nights["date"] = [replace(desk.habits, zone=UTC).day(day) for day in nights["day"]]
         show_table(
             nights,
             {
                 "date": "Day",
                 "scenes": "Scenes",
                 "warned": "With warnings",
+                "unjudged": "Rig unjudged",
                 "first": "First stored",
                 "last": "Last stored",
                 "seconds_total": "Median, s",
@@ -68,7 +72,7 @@ def _runs(desk: Desk, selection: Selection) -> None:
 def _rigs(desk: Desk, selection: Selection) -> None:
     condition, parameters = selection.where()
     days = desk.archive.rows(
-        "SELECT rig_id, date_trunc('day', captured_at) AS day, count(*) AS scenes, "
+        f"SELECT rig_id, date_trunc('day', {TAKEN_AT}) AS day, max({TAKEN_AT}) AS last_used, count(*) AS scenes, "
         "median(epipolar_rms_px) AS epipolar, median(projector_rms_px) AS projector, "
         "median(sigma_z_median_mm) AS sigma, median(valid_fraction) AS valid, "
         "count(*) FILTER (rig_verdict = 'unjudged') AS unjudged "
@@ -85,6 +89,8 @@ def _rigs(desk: Desk, selection: Selection) -> None:
         "standard deviation of a point's depth."
     )
     latest = days.groupby("rig_id", as_index=False).last()
+    for counted in ("scenes", "unjudged"):
+        latest[counted] = latest["rig_id"].map(days.groupby("rig_id")[counted].sum())
     show_table(
         latest.rename(
             columns={
@@ -96,13 +102,13 @@ def _rigs(desk: Desk, selection: Selection) -> None:
         ),
         {
             "rig_id": "Rig calibration",
-            "day": "Last used",
-            "scenes": "Scenes that day",
+            "last_used": "Last used",
+            "scenes": "Scenes",
             "unjudged": "Rig unjudged",
-            "epipolar_px": "Cameras, px",
-            "projector_px": "Projector, px",
-            "sigma_mm": "Noise, mm",
-            "valid_fraction": "Share of pixels with a point",
+            "epipolar_px": "Cameras, px (last day)",
+            "projector_px": "Projector, px (last day)",
+            "sigma_mm": "Noise, mm (last day)",
+            "valid_fraction": "Share of pixels with a point (last day)",
         },
         desk.habits,
         key="rig-table",
@@ -156,9 +162,9 @@ def _link_to_picked(runs: pd.DataFrame) -> None:
 def _failures(desk: Desk, selection: Selection) -> None:
     condition, parameters = selection.where()
     warned = desk.archive.rows(
-        "SELECT aircraft_serial, panel, station, captured_at, scene_id, rig_id, "
+        "SELECT aircraft_serial, panel, station, captured_at, scene_id, rig_id, rig_verdict, "
         f"array_to_string(warnings, '; ') AS reason, status FROM scenes "
-        f"WHERE status <> 'ok' AND {condition} ORDER BY captured_at DESC LIMIT 500",
+        f"WHERE status <> 'ok' AND {condition} ORDER BY {TAKEN_AT} DESC, scene_id LIMIT 500",
         parameters,
     )
     st.markdown("**Inspected with warnings** · select one to open it")
@@ -173,6 +179,7 @@ def _failures(desk: Desk, selection: Selection) -> None:
                 "station": "Station",
                 "captured_at": "Scanned",
                 "rig_id": "Rig",
+                "rig_verdict": "Rig check",
                 "reason": "Warning",
             },
             desk.habits,

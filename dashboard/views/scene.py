@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from dashboard.address import one_of
+from dashboard.address import one_of, put
 from dashboard.closeup import RivetCloseUp, SeamSection, rivet_close_up, seam_section
 from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
@@ -86,6 +86,8 @@ def _headline(desk: Desk, row: Any) -> None:
         )
         if standings := desk.archive.standings(str(row.scene_id)):
             st.caption(f"findings: {said(standings)}")
+        if row.rig_verdict in ("unjudged", "warning"):
+            st.badge(f"rig {row.rig_verdict}", icon=":material/help:", color="orange")
         if signed:
             note = "" if signed.run_id == row.run_id else " (an earlier run)"
             st.badge(f"signed off by {plain(signed.who)}{note}", icon=":material/lock:", color="green")
@@ -111,7 +113,7 @@ def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
         "Files": _files,
     }
     if view == "Table":
-        _table(desk, row, features)
+        _table(desk, row, features, chosen)
     elif view in show:
         show[view](desk, row)
     else:
@@ -127,7 +129,7 @@ def _picture(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | No
 
 def _choose(scene_id: str, feature: str) -> None:
     """Show the close-up of a feature that was clicked."""
-    st.query_params["scene"], st.query_params["feature"] = scene_id, feature
+    put(scene=scene_id, feature=feature)
 
 
 def _deviation(desk: Desk, row: Any) -> None:
@@ -174,9 +176,10 @@ def _overlay(desk: Desk, row: Any) -> None:
             st.download_button("SVG", svg.read_bytes(), f"{row.scene_id}_overlay.svg", "image/svg+xml")
 
 
-def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
+def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     from dashboard.tables import show_table
 
+    at = feature_parameter(chosen) if chosen else None
     show_table(
         features.rivets,
         {
@@ -193,6 +196,7 @@ def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
         height=270,
         names=[feature_parameter(Feature("rivet", str(name))) for name in features.rivets["rivet_id"]],
         picked=partial(_choose, row.scene_id),
+        at=at,
     )
     show_table(
         features.stations,
@@ -210,6 +214,7 @@ def _table(desk: Desk, row: Any, features: SceneFeatures) -> None:
         height=220,
         names=[feature_parameter(Feature("seam station", str(name))) for name in features.stations["feature_id"]],
         picked=partial(_choose, row.scene_id),
+        at=at,
     )
 
 
@@ -297,6 +302,8 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
                 name=str(measured.seam_id),
             )
     _values(desk, row, measured, chosen)
+    if chosen.kind == "rivet":
+        _diameter(desk, measured)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
         st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
@@ -337,6 +344,15 @@ def _values(desk: Desk, row: Any, measured: Any, chosen: Feature) -> None:
                     key=f"bar-{wanted.name}-{wanted.limit}",
                     config={"displayModeBar": False, "staticPlot": True},
                 )
+
+
+def _diameter(desk: Desk, measured: Any) -> None:
+    """The head's diameter beside the one that its place asks for, where that is known."""
+    if _absent(measured.diameter_nominal_mm) or _absent(measured.diameter_mm):
+        return
+    found = desk.habits.measured(measured.diameter_mm, measured.diameter_u95_mm, "mm", False)
+    expected = desk.habits.number(measured.diameter_nominal_mm, 1)
+    st.markdown(f":small[Diameter] **{plain(found)}** :small[of {expected} mm expected]")
 
 
 def _as_measured(measured: Any, chosen: Feature) -> list[Requirement]:

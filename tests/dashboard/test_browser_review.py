@@ -165,7 +165,7 @@ def test_open_work_stays_until_a_later_scan_passes(server: tuple[str, Path], chr
     sound = recipe(4, "S2")
     later = replace(sound.key, captured_at=sound.key.captured_at.replace(hour=23))
     heights = tuple(0.0 if i == 8 else height for i, height in enumerate(sound.heights_mm))
-    Store(root).publish(synthetic_result(replace(sound, key=later, heights_mm=heights)))
+    Store(root).publish(synthetic_result(replace(sound, key=later, heights_mm=heights, warnings=())))
     page.goto(f"{address}/review?aircraft=MSN-0424&state=open+work")
     page.get_by_text("Nothing matches these filters").wait_for()
     last = ReviewLog(root).read().last_about(scene, rivet)

@@ -11,11 +11,15 @@ from typing import Any
 import duckdb
 import pytest
 from streamlit.testing.v1 import AppTest
-from week import WORST_HEIGHT, texts
+from synthetic_scene import synthetic_result
+from week import WORST_HEIGHT, recipe, texts
 
 from dashboard.app import PAGES
+from metrology.tolerance import judge_rivets
 from storage.archive.schema import TABLES
+from storage.archive.store import Store
 from storage.archive.views import VIEWS
+from storage.panel_spec import load_panel_spec
 from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
 
 Open = Callable[..., AppTest]
@@ -241,15 +245,56 @@ def test_a_damaged_manifest_leaves_the_page_without_limits(writable: Path, open_
         manifest.chmod(0o644)
         manifest.write_text('{"panel_spec": {"zones": {"default": {"height_mm": {"lower": 3, "upper": 1}}}}}')
     page = clean(open_page("scene", writable, scene=LAST))
-    assert "no limit is known" in texts(page)
+    assert "The limits of this run cannot be read by this version" in texts(page)
+
+
+def test_a_scan_with_an_unjudged_rig_is_counted_in_every_list(writable: Path, open_page: Open) -> None:
+    sound = recipe(5, "S1", "RH-F99")
+    sound = replace(sound, heights_mm=(0.0,) * 12, unmeasured=())
+    assert "could not be judged" not in texts(open_page("overview", writable))
+    Store(writable).publish(replace(synthetic_result(sound), rig_verdict="unjudged", warnings=("cannot tell",)))
+    overview = clean(open_page("overview", writable))
+    assert "Scans whose rig could not be judged: 1." in texts(overview)
+    panels = overview.dataframe[0].value.set_index("Panel")["Rig unjudged"]
+    assert panels["RH-F99"] == 1
+    assert panels["LH-F12"].sum() == 0
+    listed = {
+        verdict: set(open_page("archive", writable, verdict=verdict).dataframe[0].value["panel"])
+        for verdict in ("rig unjudged", "all pass", "any verdict")
+    }
+    assert listed["rig unjudged"] == {"RH-F99"}
+    assert "RH-F99" not in listed["all pass"]
+    assert "RH-F99" in listed["any verdict"]
+    assert "rig unjudged" in texts(open_page("scene", writable, scene=sound.key.scene_id))
+    assert open_page("runs", writable).dataframe[0].value["Rig unjudged"].sum() == 1
+    rigs = open_page("runs", writable, view="Rig health").dataframe[0].value.set_index("Rig calibration")
+    assert rigs.loc["rig-2026-11-17", "Rig unjudged"] == 1
+    warned = open_page("runs", writable, view="Warnings and failures").dataframe[0].value
+    assert list(warned["Rig check"][warned["Panel"] == "RH-F99"]) == ["unjudged"]
+
+
+def test_a_scan_ahead_of_the_clock_is_listed_by_when_it_was_stored(writable: Path, open_page: Open) -> None:
+    made = recipe(5, "S1", "RH-F99")
+    ahead = replace(made.key, captured_at=made.key.captured_at.replace(year=2612))
+    Store(writable).publish(synthetic_result(replace(made, key=ahead)))
+    rigs = open_page("runs", writable, view="Rig health", numbers="ISO").dataframe[0].value
+    assert rigs["Last used"].max().year < 2612
+    assert rigs["Scenes"].sum() == 13
+
+
+def test_a_wrong_fastener_s_diameter_stands_beside_the_expected_one(writable: Path, open_page: Open) -> None:
+    made = synthetic_result(recipe(5, "S1", "RH-F99"))
+    rivets = [replace(rivet, diameter_nominal_mm=rivet.diameter_mm) for rivet in made.rivets]
+    rivets[2] = replace(rivets[2], diameter_mm=8.0, diameter_u95_mm=0.05, diameter_nominal_mm=5.5)
+    made = replace(made, rivets=tuple(judge_rivets(rivets, load_panel_spec().limits)))
+    Store(writable).publish(made)
+    said = texts(clean(open_page("scene", writable, scene=made.key.scene_id, feature="rivet:R03"))).replace("\\", "")
+    assert "8.000 ± 0.050" in said
+    assert "of 5.5 mm expected" in said
+    assert "wrong fastener: 8.0 mm, expected 5.5" in said
 
 
 def test_new_results_show_without_a_restart(writable: Path, open_page: Open) -> None:
-    from synthetic_scene import synthetic_result
-    from week import recipe
-
-    from storage.archive.store import Store
-
     page = open_page("overview", writable)
     assert "RH-F99" not in page.multiselect(key="panel").options
     Store(writable).publish(synthetic_result(recipe(0, "S3", "RH-F99")))

@@ -84,10 +84,10 @@ def test_text_of_others_is_never_markup() -> None:
 
 def test_roles_by_configuration() -> None:
     roles = settings.RolesModel(reviewers=("M.Weber@x.de",), viewers=("*",))
-    assert role_of("m.weber@x.de", roles) == "reviewer"
-    assert role_of("someone@x.de", roles) == "viewer"
-    assert role_of("someone@x.de", settings.RolesModel(viewers=())) == "nobody"
-    assert role_of("", settings.RolesModel(reviewers=("*",))) == "nobody"
+    assert role_of("m.weber@x.de", {}, roles) == "reviewer"
+    assert role_of("someone@x.de", {}, roles) == "viewer"
+    assert role_of("someone@x.de", {}, settings.RolesModel(viewers=())) == "nobody"
+    assert role_of("", {}, settings.RolesModel(reviewers=("*",))) == "nobody"
 
 
 def test_only_this_computer_without_a_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
