@@ -83,6 +83,11 @@ class Layout:
         """Held by whoever changes the index."""
         return self.index / "lock"
 
+    def scene_folder(self, scene_id: str) -> Path:
+        """Folder of a scene's runs, by the scene's id."""
+        aircraft, _, rest = scene_id.partition("~")
+        return self.bundles / aircraft / rest.partition("~")[0] / scene_id
+
     def scene(self, key: SceneKey) -> Path:
         """Folder of a scene's runs."""
         return self.bundles / key.aircraft_serial / key.panel / key.scene_id

@@ -151,6 +151,7 @@ class Store:
         SceneError
             Where another scan is stored under the same key.
         """
+        from storage.archive.anchors import head_to_name
         from storage.archive.bundle import write_bundle
         from storage.archive.signed import refuse_signed_off
         from storage.archive.staging import settle, staged_run
@@ -164,7 +165,7 @@ class Store:
             digest = result.reconstruction.frames_digest
             with staged_run(self.layout, self.layout.scene(key), pattern, digest) as run:
                 place = self.layout.relative(run.final)
-                write_bundle(run.folder, run.run_id, place, result, run.first_stored_at)
+                write_bundle(run.folder, run.run_id, place, result, run.first_stored_at, head_to_name(self.root))
                 settle(self.layout, run, pattern)
         later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
         with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):

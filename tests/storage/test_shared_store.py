@@ -14,9 +14,8 @@ import pytest
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance
 from storage.archive.compaction import compact
-from storage.archive.decisions import sign_off
 from storage.archive.files import locked
-from storage.review import ShownScene
+from storage.review import ReviewLog, ShownScene
 from storage.rig import save_rig
 from storage.saved_queries import SavedQueries
 from tests.storage.results import small_key, small_result, small_rig
@@ -37,7 +36,7 @@ def use(store: Store, station: str) -> None:
     run = store.publish(small_result(small_key(station)))
     store.add_rig(small_rig())
     SavedQueries(store.root).save("mine", "SELECT 1")
-    sign_off(store.root, "k.ito", ShownScene(small_key(station).scene_id, run))
+    ReviewLog(store.root).sign_off("k.ito", ShownScene(small_key(station).scene_id, run))
     maintenance.prune(store.layout)
     maintenance.rebuild(store.layout)
     compact(store.layout)
@@ -56,7 +55,7 @@ def test_files_and_folders_follow_the_umask(
             continue
         assert mode & never == 0, path
         assert mode & files == files, path
-    for lock in (store.layout.lock, store.root / "reviews" / ".lock", store.root / "reviews" / "log.jsonl"):
+    for lock in (store.layout.lock, store.root / "reviews" / ".lock", store.root / "reviews" / "decisions.sqlite"):
         assert stat.S_IMODE(lock.stat().st_mode) == 0o666 & ~mask
 
 
