@@ -17,13 +17,27 @@ from urllib.parse import quote
 from sqlalchemy import Connection, Engine, create_engine, event, exc, insert, inspect, make_url, select, text
 from sqlalchemy.pool import NullPool
 
-from metrology.errors import StoreError
+from metrology.errors import StoreError, UsageError
 from storage.archive.files import sync
 from storage.review_entries import Entry
 from storage.review_tables import DECISIONS, POSTGRESQL
 
 _SECONDS_TO_WAIT = 60
 _SCENES_PER_QUERY = 1000
+
+
+def check_url(url: str) -> None:
+    """Refuse a database that cannot be reached, that is no PostgreSQL, or whose password would lie in the store."""
+    try:
+        parts = make_url(url)
+    except exc.ArgumentError:
+        parts = None
+    if parts is None or parts.get_backend_name() != POSTGRESQL:
+        raise UsageError(f"--reviews: found {url!r}, expected a URL such as postgresql+psycopg://host/name")
+    if parts.password is not None:
+        raise UsageError("--reviews: found a password, expected none: give it by ~/.pgpass or PGPASSWORD")
+    with ReviewDatabase(Path(), url).transaction():
+        pass
 
 
 class ReviewDatabase:

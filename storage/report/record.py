@@ -45,6 +45,8 @@ class SceneRecord:
         What people decided about its features, and its sign-off.
     standings : tuple of Standing
         How its findings stand.
+    review_head : str
+        Number and checksum of the last entry of the review log.
     """
 
     scene: Row
@@ -56,6 +58,7 @@ class SceneRecord:
     limits: PanelSpec | None
     decisions: tuple[Entry, ...] = ()
     standings: tuple[Standing, ...] = ()
+    review_head: str = ""
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -108,7 +111,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         how_they_stand = standings(connection, review, scene_id)
     return SceneRecord(
         scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
-        judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand,
+        judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand, str(ReviewLog(store.root).head()),
     )  # fmt: skip
 
 
