@@ -144,11 +144,12 @@ def entries_after(connection: Connection, number: int) -> list[Entry]:
 
 def entries_of_scenes(connection: Connection, scenes: Sequence[str]) -> list[Entry]:
     """All entries about scenes and their features."""
-    found = []
+    found: list[Entry] = []
     for start in range(0, len(scenes), _SCENES_PER_QUERY):
         part = list(scenes[start : start + _SCENES_PER_QUERY])
-        found += connection.execute(select(DECISIONS).where(DECISIONS.c.scene_id.in_(part))).all()
-    return sorted(Entry._make(row) for row in found)
+        rows = connection.execute(select(DECISIONS).where(DECISIONS.c.scene_id.in_(part)))
+        found += [Entry._make(row) for row in rows]
+    return sorted(found, key=lambda entry: entry.number)
 
 
 def sign_off_entries(connection: Connection) -> list[Entry]:

@@ -97,11 +97,12 @@ class Entry(NamedTuple):
         EntryModel.model_validate_json(document)
         said = json.loads(document)
         shown = said.get("shown", {})
-        return cls(
-            said["number"], document, checksum(document.encode()), said["format"], said["at"], said["who"],
-            said["action"], said["scene_id"], said["run_id"], said.get("feature_kind"), said.get("feature_id"),
-            said.get("disposition"), said.get("comment", ""), _text(shown.get("decision")),
-            *(_number(shown.get(name)) for name in SHOWN_NUMBERS), said["previous"],
+        numbers = [_number(shown.get(name)) for name in SHOWN_NUMBERS]
+        return cls._make(
+            (said["number"], document, checksum(document.encode()), said["format"], said["at"], said["who"],
+             said["action"], said["scene_id"], said["run_id"], said.get("feature_kind"), said.get("feature_id"),
+             said.get("disposition"), said.get("comment", ""), _text(shown.get("decision")), *numbers,
+             said["previous"])
         )  # fmt: skip
 
     @property

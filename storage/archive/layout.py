@@ -5,6 +5,8 @@ archive.duckdb                 link to the published index: what people, the das
 bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth (see `bundles`)
 rigs/RIG.json                  calibrations, found by the id that a scene names
 panels/PANEL/                  panel specifications in all their versions, and patterns enrolled from scans
+reviews/                       what people decided (see `storage.review_keeping`), and saved queries
+signed-off/SCENE_ID/RUN_ID     marks of runs that were signed off
 parquet/                       link to the compacted tables for other engines
 .staging/                      runs being written
 .index/                        the generations of the index, the greatest run id, the lock
