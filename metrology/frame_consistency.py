@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import DecodedView, PixelFlag
+from metrology.cloud import PixelFlag
 from metrology.frame_sample import (
     Array,
     Float32,
@@ -84,10 +84,16 @@ class FrameConsistency:
         return max(self.deviation, self.drift, self.contradictory / _CONTRADICTORY) > 1 or bool(self.odd_rows.any())
 
 
-def contradictory_share(view: DecodedView) -> float:
-    """Share of a view's lit pixels whose fringes contradict each other (`PixelFlag.ORDER_RESIDUAL`)."""
+def contradictory_share(flags: NDArray[np.uint16]) -> float:
+    """Share of a view's lit pixels whose fringes contradict each other (`PixelFlag.ORDER_RESIDUAL`).
+
+    Parameters
+    ----------
+    flags : (h, w) uint16
+        PixelFlag bits of the view.
+    """
     # One pixel in sixteen tells the share to a thousandth.
-    flags = view.flags[::_STRIDE, ::_STRIDE]
+    flags = flags[::_STRIDE, ::_STRIDE]
     lit = (flags & _UNLIT) == 0
     return float(((flags & PixelFlag.ORDER_RESIDUAL) != 0)[lit].mean()) if lit.any() else 0.0
 

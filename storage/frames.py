@@ -106,7 +106,7 @@ def file_checksum(path: Path, error: ErrorType) -> int:
     """The checksum that reading a frame would give; nothing is decoded."""
     try:
         return checksum(read_bytes(path, error))
-    except png.DamagedPng as problem:
+    except BadFrame as problem:
         raise error(f"{path}: {problem}") from None
 
 

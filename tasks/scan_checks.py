@@ -13,12 +13,12 @@ from metrology.errors import SceneError
 from metrology.frame_consistency import FrameConsistency, contradictory_share, frame_consistency
 from metrology.frame_diagnosis import FrameDiagnosis, diagnose_frames
 from metrology.frame_faults import FrameFault
-from metrology.frame_geometry import expected_gradient, runs_backwards, steps_are_reversed
+from metrology.frame_geometry import expected_gradient
 from metrology.frame_sample import FrameSample, sample_frames
 from metrology.noise import NoiseModel
 from metrology.rig import Rig
 from storage.scene import Camera, Scene
-from tasks.settings import InspectionSettings, SceneChecks
+from tasks.settings import SceneChecks
 
 
 @dataclass(frozen=True)
@@ -107,22 +107,11 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
             )
 
 
-def refuse_reversed_steps(scene: Scene, reconstruction: Reconstruction, settings: InspectionSettings) -> None:
-    """Refuse steps in reverse order, which leave no contradiction: the projector coordinate runs backwards."""
-    if not runs_backwards(reconstruction, scene.code.axis):
-        return
-    if steps_are_reversed(reconstruction, scene.code, settings.reconstruction, settings.rig_health):
-        raise SceneError(
-            f"{scene.folder}: found that the frames of both cameras fit the rig with the steps of each count in "
-            "reverse order, expected step 1 to the last as scene.json lists them"
-        )
-
-
 def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
     """A warning for each camera in which fringes contradict each other in more than a sound scan's pixels."""
     warnings = []
     for name, view in (("left", reconstruction.left), ("right", reconstruction.right)):
-        share = contradictory_share(view)
+        share = contradictory_share(view.flags)
         if share > checks.contradictory_warning_fraction:
             warnings.append(
                 f"{share:.1%} of the lit pixels of the {name} camera have fringes that contradict each other and "

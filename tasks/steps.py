@@ -37,7 +37,7 @@ from storage.scan_identity import frames_digest
 from storage.scene import MANIFEST, Camera, Scene, load_scene
 from tasks.clock import clock_warnings
 from tasks.rig_check import doubtful, mixed_up, unmatched
-from tasks.scan_checks import check_frames, contradiction_warnings, refuse_reversed_steps, refuse_wrong_frames
+from tasks.scan_checks import check_frames, contradiction_warnings, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks
 
 
@@ -106,7 +106,6 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
         loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
     del right_stack, reading_right
     reconstruction = replace(reconstruct.triangulate(left, right, rig, settings.reconstruction), frames_digest=digest)
-    refuse_reversed_steps(scene, reconstruction, settings)
     if problem := unmatched(scene, reconstruction, settings.rig_health):
         raise problem
     _check_skin_is_seen(scene, reconstruction, settings.checks)

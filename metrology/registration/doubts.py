@@ -7,11 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import PixelFlag
+from metrology.frame_consistency import contradictory_share
 
 # Sound scans have less than one in two hundred, and those in mixed phase along edges.
 _MOST_CONTRADICTORY = 0.02
-_UNLIT = PixelFlag.SATURATED | PixelFlag.LOW_MODULATION
 
 
 def enrolment_doubts(flags: Mapping[str, NDArray[np.uint16]], rig_verdict: str | None) -> tuple[str, ...]:
@@ -26,15 +25,9 @@ def enrolment_doubts(flags: Mapping[str, NDArray[np.uint16]], rig_verdict: str |
     """
     found = []
     for camera, bits in flags.items():
-        share = _contradictory(bits[::4, ::4])  # one pixel in sixteen tells the share to a thousandth
+        share = contradictory_share(bits)
         if share > _MOST_CONTRADICTORY:
             found.append(f"{share:.0%} of the {camera} camera's fringes contradict each other")
     if rig_verdict == "unjudged":
         found.append("it cannot tell whether the rig fits")
     return tuple(found)
-
-
-def _contradictory(flags: NDArray[np.uint16]) -> float:
-    """Share of the lit pixels whose fringes contradict each other."""
-    lit = (flags & _UNLIT) == 0
-    return float(((flags & PixelFlag.ORDER_RESIDUAL) != 0)[lit].mean()) if lit.any() else 0.0

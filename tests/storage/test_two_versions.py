@@ -44,8 +44,8 @@ def become(
     """Go on as another version, which writes its own columns and tables into its bundles, too."""
     written = bundle.result_tables
 
-    def result_tables(result: Any, run_id: str, place: str) -> dict[str, pa.Table]:
-        rows = written(result, run_id, place)
+    def result_tables(*arguments: Any) -> dict[str, pa.Table]:
+        rows = written(*arguments)
         key = rows["scenes"].select([column.name for column in KEY])
         if HOLES in tables:
             rows["holes"] = key.append_column(pa.field("hole_id", pa.string()), pa.array(["H1"]))
