@@ -54,7 +54,7 @@ class Archive:
         return os.path.realpath(link) if link.exists() else ""
 
     @cached_property
-    def _review_version(self) -> tuple[int, int]:
+    def _review_version(self) -> tuple[int, ...]:
         return ReviewLog(self.root).version
 
     @property
@@ -127,7 +127,7 @@ def _rows(root: str, generation: str, sql: str, parameters: tuple[Any, ...]) -> 
 
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
 def _rows_with_review(
-    root: str, generation: str, version: tuple[int, int], sql: str, parameters: tuple[Any, ...]
+    root: str, generation: str, version: tuple[int, ...], sql: str, parameters: tuple[Any, ...]
 ) -> pd.DataFrame:
     cursor = _connection(root, generation).cursor()
     cursor.register("reviewed", _reviewed(root, generation, version))
@@ -136,7 +136,7 @@ def _rows_with_review(
 
 
 @st.cache_resource(max_entries=4, show_spinner=False)
-def _reviewed(root: str, generation: str, version: tuple[int, int]) -> pa.Table:
+def _reviewed(root: str, generation: str, version: tuple[int, ...]) -> pa.Table:
     cursor = _connection(root, generation).cursor()
     try:
         return reviewed_features(cursor, _review(root, version))
@@ -146,7 +146,7 @@ def _reviewed(root: str, generation: str, version: tuple[int, int]) -> pa.Table:
 
 @st.cache_data(max_entries=_CACHED_FINDINGS, show_spinner=False)
 def _shown(
-    root: str, generation: str, version: tuple[int, int], scene_id: str, feature: Feature
+    root: str, generation: str, version: tuple[int, ...], scene_id: str, feature: Feature
 ) -> ShownFinding | None:
     cursor = _connection(root, generation).cursor()
     try:
@@ -156,7 +156,7 @@ def _shown(
 
 
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
-def _standings(root: str, generation: str, version: tuple[int, int], scene_id: str) -> tuple[Standing, ...]:
+def _standings(root: str, generation: str, version: tuple[int, ...], scene_id: str) -> tuple[Standing, ...]:
     cursor = _connection(root, generation).cursor()
     try:
         return standings(cursor, _review(root, version), scene_id)
@@ -164,8 +164,8 @@ def _standings(root: str, generation: str, version: tuple[int, int], scene_id: s
         cursor.close()
 
 
-@st.cache_data(max_entries=4, show_spinner=False)
-def _review(root: str, version: tuple[int, int]) -> Review:
+@st.cache_resource(max_entries=4, show_spinner=False)
+def _review(root: str, version: tuple[int, ...]) -> Review:
     return ReviewLog(Path(root)).read()
 
 

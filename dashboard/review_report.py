@@ -17,7 +17,7 @@ from dashboard.scenes import find_feature, load_features, load_scene_row
 from metrology.errors import FlushlineError
 from metrology.verdicts import SEVERITIES
 from storage.archive.work import Standing, said
-from storage.review import Feature
+from storage.review import Feature, ReviewLog
 from storage.spreadsheet import ENCODING, harmless
 
 _CROP_PX = 60
@@ -72,7 +72,8 @@ def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str
 <style>{_STYLE}</style></head><body>
 <h1>{_text(title)}: tolerance review</h1>
 <p>{len(rows)} findings ({_text(said(_standings(rows)))}) · made {_text(made)} from {_text(archive.root)}<br>
-Limits: {_text(limits)} · Flushline {_text(versions)} · decisions by ISO 14253-1 with the guard band U95</p>
+Limits: {_text(limits)} · Flushline {_text(versions)} · decisions by ISO 14253-1 with the guard band U95<br>
+The review log ends with {_text(ReviewLog(archive.root).head())}</p>
 <table><thead><tr>{titles}</tr></thead><tbody>
 {body}
 </tbody></table></body></html>

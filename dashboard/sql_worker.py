@@ -58,13 +58,11 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | No
     import pyarrow as pa
 
     from metrology.errors import UsageError
+    from storage.archive.decision_tables import register_decisions
     from storage.archive.store import Store, query_problem
-    from storage.archive.work import reviewed_features
-    from storage.review import ReviewLog
 
     connection = Store(root).connect(spill)
-    reviewed = reviewed_features(connection, ReviewLog(root).read())
-    connection.register("dispositions", reviewed.select(list(DISPOSITIONS_COLUMNS)))
+    register_decisions(connection, root, sql)
     try:
         rows = connection.sql(sql)
     except duckdb.InvalidInputException as problem:
@@ -81,20 +79,6 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | No
     table = table.replace_schema_metadata({TRUNCATED: b"1" if truncated else b"0"})
     with pa.ipc.new_stream(sys.stdout.buffer, table.schema) as stream:
         stream.write_table(table)
-
-
-DISPOSITIONS_COLUMNS = {
-    "scene_id": "the scene",
-    "feature_kind": "rivet or seam station",
-    "feature_id": "rivet_id, or seam_id@s_mm",
-    "decided_at": "when the last disposition was recorded (UTC)",
-    "disposition": "use as is, rework, repair, scrap, re-scan",
-    "who": "who decided",
-    "comment": "what they said",
-    "open_work": "whether rework, repair or re-scan was asked for and is not done",
-    "closed_by": "who closed the work, where a person did",
-    "closed_because": "why they closed it",
-}
 
 
 if __name__ == "__main__":

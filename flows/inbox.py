@@ -86,7 +86,7 @@ class _Look:
     def __init__(self, job: InboxJob, store: Store) -> None:
         self._job, self._store = job, store
         self._config_hash, self._rig_hash = _config_hashes(job, store), _rig_hashes(job, store)
-        self._known, self._signed = store.known_scenes(), ReviewLog(job.store).read().sign_offs()
+        self._known, self._signed = store.known_scenes(), ReviewLog(job.store).sign_offs().sign_offs()
         self._ready: dict[str, tuple[Path, SceneModel]] = {}
 
     def at(self, folder: Path) -> Outcome | None:

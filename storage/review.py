@@ -1,6 +1,6 @@
 """What people decided about findings: an append-only log of dispositions and sign-offs beside the archive.
 
-`reviews/log.jsonl` in the store has one JSON object per line. A line is never changed or removed; each names the
+An entry is a JSON document in a database (`storage.review_database`). It is never changed or removed; each names the
 checksum of the one before it, so a change made behind Flushline's back shows. Measurements are not touched by this.
 
 A decision is about what was on the screen: whoever records one says what was shown, and it is refused where somebody
@@ -9,15 +9,11 @@ else decided since. `storage.archive.decisions` also sees to it that the archive
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
-from metrology.errors import OutdatedError, StoreError, UsageError
-from storage.archive.files import locked
+from metrology.errors import OutdatedError, UsageError
 from storage.review_entries import (
     ASKS_FOR_WORK,
     DISPOSITIONS,
@@ -33,7 +29,8 @@ from storage.review_entries import (
     ShownScene,
     station_id,
 )
-from storage.review_file import FIRST, ReviewFile, checksum, last_checksum
+from storage.review_head import Head
+from storage.review_keeping import Check, Keeping
 
 __all__ = [
     "ASKS_FOR_WORK",
@@ -50,9 +47,6 @@ __all__ = [
     "station_id",
 ]
 
-Check = Callable[[Review], None]
-"""Raises where what was decided so far forbids an entry."""
-
 
 class ReviewLog:
     """The log of a store.
@@ -64,17 +58,43 @@ class ReviewLog:
     """
 
     def __init__(self, root: Path) -> None:
-        self.path = Path(root) / "reviews" / "log.jsonl"
-        self._file = ReviewFile(self.path)
+        self._keeping = Keeping(Path(root))
 
     @property
-    def version(self) -> tuple[int, int]:
-        """Changes with every new entry."""
-        return self._file.version
+    def path(self) -> Path:
+        """The database's file, where no server holds it."""
+        return self._keeping.folder / "decisions.sqlite"
+
+    @property
+    def version(self) -> tuple[int, ...]:
+        """Changes with every new entry, and where files were changed behind Flushline's back."""
+        return self._keeping.version
+
+    def head(self) -> Head:
+        """The last entry's number and checksum, as they are kept outside of the database."""
+        return self._keeping.head()
 
     def read(self) -> Review:
-        """Everything decided so far; a damaged or changed log is read up to that place."""
-        return _parse(self._file.content(), self.path)
+        """Everything decided so far; a damaged or changed log is read up to that place.
+
+        What this process read before is not read again.
+        """
+        return self._keeping.read()
+
+    def of_scenes(self, scenes: Sequence[str]) -> Review:
+        """What was decided about some scenes."""
+        from storage import review_database
+
+        return self._keeping.some(
+            lambda connection: review_database.entries_of_scenes(connection, scenes),
+            lambda entry: entry.scene_id in scenes,
+        )
+
+    def sign_offs(self) -> Review:
+        """All sign-offs, and no other entries."""
+        from storage import review_database
+
+        return self._keeping.some(review_database.sign_off_entries, lambda entry: entry.action == "sign-off")
 
     def dispose(
         self, who: str, shown: Sequence[ShownFinding], disposition: Disposition, comment: str = ""
@@ -134,50 +154,28 @@ class ReviewLog:
 
         def check(review: Review) -> None:
             _check_open(review, shown.scene_id)
-            if review.last_of_scene(shown.scene_id) != shown.last_entry:
-                last = review.entries[review.last_of_scene(shown.scene_id) - 1]
-                about = f"{last.feature.id} " if last.feature else ""
+            last = review.last_entry_of_scene(shown.scene_id)
+            if (last.number if last else 0) != shown.last_entry:
+                about = f"{last.feature.id} was decided" if last and last.feature else "other decisions"
+                said = f" ({last.said})" if last else ""
                 raise OutdatedError(
-                    f"{shown.scene_id}: found that {about}was decided since it was shown ({last.said}), expected the "
+                    f"{shown.scene_id}: found that {about} since it was shown{said}, expected the "
                     "decisions that were on the screen"
                 )
 
         return self._append(who, comment, [wanted], check)[0]
 
     def _append(self, who: str, comment: str, wanted: list[dict[str, Any]], check: Check) -> list[Entry]:
+        for what, text in (("name", who), ("comment", comment)):
+            if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
+                raise UsageError(f"review: found a {what} with characters that are no text, expected plain text")
         if not who.strip():
             raise UsageError("review: found no name, expected who decides")
         if len(comment) > MAX_COMMENT:
             raise UsageError(f"review: found a comment of {len(comment)} characters, expected at most {MAX_COMMENT}")
-        same = {"who": who.strip(), "comment": comment.strip()}
-        try:
-            self.path.parent.mkdir(exist_ok=True)
-            with locked(self.path.parent / ".lock"):
-                return self._append_locked([{**same, **part} for part in wanted], check)
-        except OSError as problem:
-            raise StoreError(
-                f'{self.path}: found "{problem.strerror}", expected a review log that can be written'
-            ) from None
-
-    def _append_locked(self, wanted: list[dict[str, Any]], check: Check) -> list[Entry]:
-        content = self._file.content()
-        review = _parse(content, self.path)
-        if review.problem:
-            raise StoreError(f"{review.problem}; nothing more is written to it until that is cleared up")
-        check(review)
-        previous = last_checksum(content)
-        lines: list[bytes] = []
-        entries: list[Entry] = []
-        for number, part in enumerate(wanted, start=len(review.entries) + 1):
-            entry = Entry.model_validate(
-                {"format": FORMAT, "number": number, "at": datetime.now(UTC), "previous": previous, **part}
-            )
-            line = entry.model_dump_json().encode()
-            previous = checksum(line)
-            lines.append(line + b"\n")
-            entries.append(entry)
-        self._file.append(b"".join(lines), len(content))
-        return entries
+        same = {"format": FORMAT, "who": who.strip(), "comment": comment.strip()}
+        scenes = sorted({str(part["scene_id"]) for part in wanted})
+        return self._keeping.append([{**same, **part} for part in wanted], scenes, check)
 
 
 def _of_feature(shown: ShownFinding) -> dict[str, Any]:
@@ -200,21 +198,3 @@ def _check_undecided_since(review: Review, shown: ShownFinding) -> None:
     if (last.number if last else 0) != shown.last_entry:
         found = f"decided since it was shown ({last.said})" if last else "shown with a decision that the log lacks"
         raise OutdatedError(f"{shown.scene_id} {shown.feature.id}: found it {found}, expected it as it was shown")
-
-
-def _parse(content: bytes, path: Path) -> Review:
-    entries: list[Entry] = []
-    previous = FIRST
-    for number, line in enumerate(content.splitlines(), start=1):
-        try:
-            entry = Entry.model_validate_json(line)
-        except ValidationError:
-            known = f"{FORMAT} or {FORMAT_OF_CLOSES}"
-            return Review(tuple(entries), f"{path}: found line {number} damaged, expected an entry of {known}")
-        if entry.number != number or entry.previous != previous:
-            return Review(
-                tuple(entries), f"{path}: found the lines before line {number} changed, expected them as written"
-            )
-        entries.append(entry)
-        previous = checksum(line)
-    return Review(tuple(entries))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import cached_property
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import Field, model_validator
 
 from storage.documents import utc_text
 from storage.models import StrictModel, UtcTime
+from storage.review_file import checksum
 
 FORMAT = "flushline-review/1"
 FORMAT_OF_CLOSES = "flushline-review/2"
@@ -21,10 +24,12 @@ ASKS_FOR_WORK: tuple[Disposition, ...] = ("rework", "repair", "re-scan")
 """What leaves work open, until a later scan passes or a person closes it."""
 FeatureKind = Literal["rivet", "seam station"]
 MAX_COMMENT = 4000
+SHOWN_NUMBERS = ("value_mm", "tilt_deg", "width_mm")
+"""What was shown of a finding that is compared with what another run measures."""
 
 
-class Entry(StrictModel):
-    """A line of the log.
+class EntryModel(StrictModel):
+    """The document of an entry, one line of JSON.
 
     `shown` holds what the person had before them: values, verdict, reason, revision of the limits, software version,
     settings and rig. A close says, as its comment, why the work that a disposition asked for is done.
@@ -45,10 +50,71 @@ class Entry(StrictModel):
     previous: str
 
     @model_validator(mode="after")
-    def _check_format(self) -> Entry:
+    def _check_format(self) -> EntryModel:
         if (self.action == "close") != (self.format == FORMAT_OF_CLOSES):
             raise ValueError(f"{FORMAT_OF_CLOSES} for a close, {FORMAT} for all else")
         return self
+
+
+class Entry(NamedTuple):
+    """An entry of the log: its document, and what of it is asked for often.
+
+    Attributes
+    ----------
+    document : str
+        As it was written.
+    checksum : str
+        SHA-256 of the document.
+    decided_at : str
+    decided_verdict, decided_value_mm, decided_tilt_deg, decided_width_mm : str, float or None
+        Of the finding as it was shown.
+    previous : str
+        Checksum of the entry before.
+    """
+
+    number: int
+    document: str
+    checksum: str
+    format: str
+    decided_at: str
+    who: str
+    action: str
+    scene_id: str
+    run_id: str
+    feature_kind: FeatureKind | None
+    feature_id: str | None
+    disposition: Disposition | None
+    comment: str
+    decided_verdict: str | None
+    decided_value_mm: float | None
+    decided_tilt_deg: float | None
+    decided_width_mm: float | None
+    previous: str
+
+    @classmethod
+    def of_document(cls, document: str) -> Entry:
+        """An entry from its document; pydantic's ValidationError where that is not one."""
+        EntryModel.model_validate_json(document)
+        said = json.loads(document)
+        shown = said.get("shown", {})
+        numbers = [_number(shown.get(name)) for name in SHOWN_NUMBERS]
+        return cls._make(
+            (said["number"], document, checksum(document.encode()), said["format"], said["at"], said["who"],
+             said["action"], said["scene_id"], said["run_id"], said.get("feature_kind"), said.get("feature_id"),
+             said.get("disposition"), said.get("comment", ""), _text(shown.get("decision")), *numbers,
+             said["previous"])
+        )  # fmt: skip
+
+    @property
+    def at(self) -> datetime:
+        """When it was decided."""
+        return datetime.fromisoformat(self.decided_at)
+
+    @property
+    def shown(self) -> dict[str, Any]:
+        """What the person had before them."""
+        shown: dict[str, Any] = json.loads(self.document).get("shown", {})
+        return shown
 
     @property
     def feature(self) -> Feature | None:
@@ -64,6 +130,14 @@ class Entry(StrictModel):
     def said(self) -> str:
         """What was decided, by whom and when, in one line."""
         return f"{self.what} by {self.who} at {utc_text(self.at)}"
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) else None
 
 
 @dataclass(frozen=True)
@@ -140,25 +214,26 @@ class Review:
     entries: tuple[Entry, ...] = ()
     problem: str | None = None
 
+    def with_more(self, entries: Sequence[Entry]) -> Review:
+        """A review that goes on with further entries; what is known of the former ones is not looked for again."""
+        more = Review(tuple(entries))
+        longer = Review(self.entries + more.entries)
+        for name in ("_dispositions", "_sign_offs", "_last_by_feature", "_last_by_scene"):
+            if name in self.__dict__:
+                longer.__dict__[name] = {**self.__dict__[name], **getattr(more, name)}
+        return longer
+
     def current(self) -> dict[tuple[str, Feature], Entry]:
         """The last disposition of each feature, by scene and feature."""
-        return {
-            (entry.scene_id, entry.feature): entry
-            for entry in self.entries
-            if entry.action == "disposition" and entry.feature
-        }
+        return self._dispositions
 
     def sign_offs(self) -> dict[str, Entry]:
         """The sign-off of each scene that has one."""
-        return {entry.scene_id: entry for entry in self.entries if entry.action == "sign-off"}
+        return self._sign_offs
 
     def work(self) -> dict[tuple[str, Feature], Entry]:
         """Last dispositions that asked for work which no person closed; whether a later scan passed, a store knows."""
-        return {
-            key: entry
-            for key, entry in self._last_by_feature.items()
-            if entry.action == "disposition" and entry.disposition in ASKS_FOR_WORK
-        }
+        return self._work
 
     def closes(self) -> dict[tuple[str, Feature], Entry]:
         """The close of each feature whose work a person closed, and about which nothing was decided since."""
@@ -170,12 +245,37 @@ class Review:
 
     def last_of_scene(self, scene_id: str) -> int:
         """Number of the last entry about a scene or one of its features; 0 for none."""
-        return self._last_by_scene.get(scene_id, 0)
+        last = self.last_entry_of_scene(scene_id)
+        return last.number if last else 0
+
+    def last_entry_of_scene(self, scene_id: str) -> Entry | None:
+        """The last entry about a scene or one of its features."""
+        return self._last_by_scene.get(scene_id)
+
+    @cached_property
+    def _dispositions(self) -> dict[tuple[str, Feature], Entry]:
+        return {
+            (entry.scene_id, entry.feature): entry
+            for entry in self.entries
+            if entry.action == "disposition" and entry.feature
+        }
+
+    @cached_property
+    def _sign_offs(self) -> dict[str, Entry]:
+        return {entry.scene_id: entry for entry in self.entries if entry.action == "sign-off"}
+
+    @cached_property
+    def _work(self) -> dict[tuple[str, Feature], Entry]:
+        return {
+            key: entry
+            for key, entry in self._last_by_feature.items()
+            if entry.action == "disposition" and entry.disposition in ASKS_FOR_WORK
+        }
 
     @cached_property
     def _last_by_feature(self) -> dict[tuple[str, Feature], Entry]:
         return {(entry.scene_id, entry.feature): entry for entry in self.entries if entry.feature}
 
     @cached_property
-    def _last_by_scene(self) -> dict[str, int]:
-        return {entry.scene_id: entry.number for entry in self.entries}
+    def _last_by_scene(self) -> dict[str, Entry]:
+        return {entry.scene_id: entry for entry in self.entries}

@@ -9,8 +9,8 @@ from dashboard.address import one_of
 from dashboard.frame import Desk, plain
 from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
-from dashboard.sql_worker import DISPOSITIONS_COLUMNS
 from metrology.errors import FlushlineError, UsageError
+from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
 from storage.saved_queries import SavedQueries
@@ -119,9 +119,13 @@ def _describe_tables() -> None:
             with st.expander(f"`{table.name}`"):
                 st.caption(plain(table.comment))
                 _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
-        with st.expander("`dispositions`"):
-            st.caption("The last disposition of each rivet and seam station that has one")
-            _columns([(name, "", comment) for name, comment in DISPOSITIONS_COLUMNS.items()])
+        for name, what, columns in (
+            ("decisions", "Everything that people decided, from the first entry on", DECISIONS_COLUMNS),
+            ("dispositions", "The last disposition of each feature that has one", DISPOSITIONS_COLUMNS),
+        ):
+            with st.expander(f"`{name}`"):
+                st.caption(what)
+                _columns([(column, "", comment) for column, comment in columns.items()])
         for view in VIEWS:
             with st.expander(f"`{view.name}`"):
                 st.caption(plain(view.comment))

@@ -1,4 +1,4 @@
-"""flushline archive: check, rebuild, compact, prune, export; a scene's cloud as PLY."""
+"""flushline archive: check, head, rebuild, compact, prune, export; a scene's cloud as PLY."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 
     creating = add("create", create, "make an empty store, with its bundles on object storage if you like")
     creating.add_argument("--bundles", metavar="URI", help="where bundles lie, such as s3://bucket/prefix")
+    creating.add_argument(
+        "--reviews", metavar="URL", help="where decisions are kept, such as postgresql+psycopg://host/name"
+    )
     checking = add(
         "check",
         check,
@@ -31,6 +34,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     checking.add_argument(
         "--fast", action="store_true", help="compare the index with its digests and the bundles' names; open no bundle"
     )
+    checking.add_argument(
+        "--head",
+        metavar="NUMBER:CHECKSUM",
+        action="append",
+        default=[],
+        help="of the review log, as 'archive head' or a report gave it",
+    )
+    add("head", head, "print number and checksum of the review log's last entry, to be kept elsewhere")
     add("rebuild", rebuild, "make the index again from the bundles alone")
     add("compact", compact, "write the tables as Parquet partitioned by aircraft, for other engines")
     pruning = add("prune", prune, "remove runs that newer runs of the same scene have replaced")
@@ -49,7 +60,7 @@ def create(options: argparse.Namespace) -> int:
     """Make an empty store."""
     from storage.archive import Store
 
-    Store(options.store).create(options.bundles)
+    Store(options.store).create(options.bundles, options.reviews)
     print(options.store)
     return 0
 
@@ -59,15 +70,17 @@ def check(options: argparse.Namespace) -> int:
     from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, counted, print_error
     from flows.progress import progress_bar
     from storage.archive import Store, maintenance
+    from storage.review_head import Head
 
     store = Store(options.store)
     layout = store.existing()
+    heads = [Head.parse(text) for text in options.head]
     if options.fast:
-        found = maintenance.check_fast(layout)
+        found = maintenance.check_fast(layout, heads)
     else:
         with progress_bar() as progress:
             bar = progress.add_task("checking runs", total=len(store.bundles.runs()))
-            found = maintenance.check(layout, lambda: progress.advance(bar))
+            found = maintenance.check(layout, lambda: progress.advance(bar), heads)
     for problem in found.problems[:_MOST_SHOWN]:
         print_error(problem)
     if len(found.problems) > _MOST_SHOWN:
@@ -77,6 +90,15 @@ def check(options: argparse.Namespace) -> int:
         f"{counted(len(found.problems), 'problem')}"
     )
     return EXIT_SOME_FAILED if found.problems else EXIT_DONE
+
+
+def head(options: argparse.Namespace) -> int:
+    """Print the head of the review log."""
+    from storage.archive import Store
+    from storage.review import ReviewLog
+
+    print(ReviewLog(Store(options.store).existing().root).head())
+    return 0
 
 
 def rebuild(options: argparse.Namespace) -> int:

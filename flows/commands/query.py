@@ -34,6 +34,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the query and print its rows."""
     from flows.rows import run_query, write_rows
     from metrology.errors import UsageError
+    from storage.archive.decision_tables import register_decisions
     from storage.archive.store import Store
 
     row_format: Format = options.format or _format_of(options.out)
@@ -49,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
             pq.write_table(table, output)
         return 0
     with contextlib.closing(store.connect()) as connection:
+        register_decisions(connection, store.root, options.sql)
         result = run_query(connection, options.sql)
         with _output(options.out) as output:
             write_rows(result, row_format, output, to_file=options.out is not None)

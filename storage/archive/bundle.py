@@ -94,7 +94,12 @@ def encode(reconstruction: Reconstruction, preview: NDArray[np.uint8]) -> dict[s
 
 
 def write_bundle(
-    folder: Path, run_id: str, final_path: str, result: InspectionResult, first_stored_at: datetime | None = None
+    folder: Path,
+    run_id: str,
+    final_path: str,
+    result: InspectionResult,
+    first_stored_at: datetime | None = None,
+    review_head: str | None = None,
 ) -> None:
     """Write and sync a run's files into an empty folder; manifest.json comes last.
 
@@ -104,6 +109,8 @@ def write_bundle(
         Where the folder will lie, relative to the store.
     first_stored_at : datetime, optional
         When the scene's first run was stored; now, where this is the first one.
+    review_head : str, optional
+        Number and checksum of the last entry of the review log.
     """
     first_stored_at = first_stored_at or datetime.now(UTC)
     with ThreadPoolExecutor(1) as painter:
@@ -135,6 +142,7 @@ def write_bundle(
         "frames_digest": result.reconstruction.frames_digest,
         "files_state": result.files_state,
         "first_stored_at": utc_text(first_stored_at),
+        "review_head": review_head,
         "settings": result.settings,
         "panel_spec": result.panel_spec,
         "registration": result.registration,

@@ -7,7 +7,7 @@ digest, and so have the rows of the bundle.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +16,14 @@ import duckdb
 
 from metrology.errors import StoreError
 from storage.archive import bookkeeping, generations, index, snapshot, views
+from storage.archive.anchors import review_problems
 from storage.archive.bundle import MANIFEST, check_bundle
 from storage.archive.bundles import Bundles
 from storage.archive.files import companions
 from storage.archive.layout import Layout
 from storage.archive.loading import Loader
 from storage.archive.signed import by_preference, signed_runs
-from storage.review import ReviewLog
+from storage.review_head import Head
 
 _CHECKING_THREADS = 4
 
@@ -43,8 +44,14 @@ class Check:
     problems: tuple[str, ...]
 
 
-def check(layout: Layout, on_run: Callable[[], None] = lambda: None) -> Check:
-    """Compare every bundle with its checksums, and every row of the index with the bundles."""
+def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequence[Head] = ()) -> Check:
+    """Compare every bundle with its checksums, every row of the index with the bundles, and the review log with both.
+
+    Parameters
+    ----------
+    heads : sequence of Head
+        Of the review log, as they were kept elsewhere.
+    """
     bundles = Bundles(layout)
     runs = bundles.runs()
     damaged: dict[Path, str] = {}
@@ -65,15 +72,18 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None) -> Check:
     problems += incomplete(bundles)
     shown = {run.parent.name: run.name for run in expected.loaded}
     problems += _index_problems(layout, shown, {run.parent.name: digest for run, digest in expected.loaded.items()})
-    return Check(len(runs), tuple(problems))
+    return Check(len(runs), (*problems, *review_problems(bundles, runs, heads)))
 
 
-def check_fast(layout: Layout) -> Check:
-    """Compare the rows of the index with their digests, and its runs with the names of the bundles, opening none."""
-    runs = Bundles(layout).runs()
-    signed = signed_runs(ReviewLog(layout.root).read())
-    shown = {run.parent.name: run.name for run in reversed(by_preference(runs, signed))}
-    return Check(len(runs), tuple(_index_problems(layout, shown, {})))
+def check_fast(layout: Layout, heads: Sequence[Head] = ()) -> Check:
+    """Compare the rows of the index with their digests, and its runs with the names of the bundles, opening none.
+
+    Of the review log the chain is looked at, and the runs that were signed off.
+    """
+    bundles = Bundles(layout)
+    runs = bundles.runs()
+    shown = {run.parent.name: run.name for run in reversed(by_preference(runs, signed_runs(layout.root)))}
+    return Check(len(runs), (*_index_problems(layout, shown, {}), *review_problems(bundles, (), heads)))
 
 
 def incomplete(bundles: Bundles) -> list[str]:

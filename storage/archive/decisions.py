@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ import duckdb
 
 from metrology.errors import OutdatedError, UsageError
 from storage.archive import snapshot
+from storage.archive.anchors import SIGNED_MANIFEST, manifest_checksum
+from storage.archive.bundles import Bundles
 from storage.archive.files import locked
 from storage.archive.layout import Layout
 from storage.archive.work import OPEN_WORK, UNRESOLVED, features_sql, standings
@@ -73,8 +76,19 @@ def sign_off(root: Path, who: str, shown: ShownScene, comment: str = "") -> Entr
     with _held(layout) as connection:
         if connection:
             _check_run(connection, shown)
-            _check_resolved(connection, log.read(), shown.scene_id)
+            _check_resolved(connection, log.of_scenes(same_place(connection, shown.scene_id)), shown.scene_id)
+            signed = {SIGNED_MANIFEST: manifest_checksum(Bundles(layout), shown.scene_id, shown.run_id)}
+            shown = replace(shown, values={**shown.values, **signed})
         return log.sign_off(who, shown, comment)
+
+
+def same_place(connection: duckdb.DuckDBPyConnection, scene_id: str) -> list[str]:
+    """All scans of a scan's station, itself included: what was decided about them tells how its findings stand."""
+    rows = connection.execute(
+        "SELECT s.scene_id FROM scenes s JOIN scenes t USING (aircraft_serial, panel, station) WHERE t.scene_id = ?",
+        [scene_id],
+    ).fetchall()
+    return [str(scene) for (scene,) in rows]
 
 
 @contextlib.contextmanager

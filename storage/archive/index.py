@@ -20,7 +20,6 @@ from storage.archive.bundles import Bundles
 from storage.archive.layout import Layout
 from storage.archive.loading import Loader, Outcome, refuse_full_disk
 from storage.archive.signed import by_preference, signed_runs
-from storage.review import ReviewLog
 
 # The newest format that released command-line clients of DuckDB 1.4 and later all read.
 STORAGE_FORMAT = "v1.4.0"
@@ -32,7 +31,6 @@ def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[P
 
     An older run changes nothing, nor does another one than that on which the scene was signed off.
     """
-    signed = signed_runs(ReviewLog(layout.root).read())
     manifests: dict[Path, BundleModel] = {}
     refused = {}
     for run in runs:
@@ -43,6 +41,7 @@ def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[P
     scenes = sorted({manifest.scene_id for manifest in manifests.values()})
     asked = "SELECT scene_id, run_id FROM scenes WHERE scene_id IN (SELECT unnest(?))"
     held: dict[str, str] = dict(connection.execute(asked, [scenes]).fetchall())
+    signed = signed_runs(layout.root, sorted(held)) if held else {}
     loader = Loader(connection, layout, held)
     for run, manifest in sorted(manifests.items()):
         scene = manifest.scene_id
@@ -75,7 +74,7 @@ def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: boo
     """
     bundles = Bundles(layout)
     waiting: dict[Path, list[Path]] = {}  # by scene, the preferred one last
-    for run in reversed(by_preference(bundles.runs(), signed_runs(ReviewLog(layout.root).read()))):
+    for run in reversed(by_preference(bundles.runs(), signed_runs(layout.root))):
         waiting.setdefault(run.parent, []).append(run)
     outcome = Outcome()
     while waiting:

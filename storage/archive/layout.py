@@ -5,6 +5,8 @@ archive.duckdb                 link to the published index: what people, the das
 bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth (see `bundles`)
 rigs/RIG.json                  calibrations, found by the id that a scene names
 panels/PANEL/                  panel specifications in all their versions, and patterns enrolled from scans
+reviews/                       what people decided (see `storage.review_keeping`), and saved queries
+signed-off/SCENE_ID/RUN_ID     marks of runs that were signed off
 parquet/                       link to the compacted tables for other engines
 .staging/                      runs being written
 .index/                        the generations of the index, the greatest run id, the lock
@@ -82,6 +84,11 @@ class Layout:
     def lock(self) -> Path:
         """Held by whoever changes the index."""
         return self.index / "lock"
+
+    def scene_folder(self, scene_id: str) -> Path:
+        """Folder of a scene's runs, by the scene's id."""
+        aircraft, _, rest = scene_id.partition("~")
+        return self.bundles / aircraft / rest.partition("~")[0] / scene_id
 
     def scene(self, key: SceneKey) -> Path:
         """Folder of a scene's runs."""

@@ -75,10 +75,9 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     """
     if keep < 1:
         raise StoreError(f"prune: found {keep} runs to keep, expected at least 1")
-    review = ReviewLog(layout.root).read()
-    if review.problem:
-        raise StoreError(f"{review.problem}; nothing is removed until that is cleared up")
-    signed, bundles = signed_runs(review), Bundles(layout)
+    if problem := ReviewLog(layout.root).read().problem:
+        raise StoreError(f"{problem}; nothing is removed until that is cleared up")
+    signed, bundles = signed_runs(layout.root), Bundles(layout)
     removed, damaged = [], []
     with locked(layout.lock):
         for left in layout.staging.glob(f"*{_REMOVED}"):  # by a prune that was cut short

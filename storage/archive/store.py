@@ -89,23 +89,30 @@ class Store:
 
         return Bundles(self.layout)
 
-    def create(self, bundles: str | None = None) -> None:
+    def create(self, bundles: str | None = None, reviews: str | None = None) -> None:
         """Make an empty store.
 
         Parameters
         ----------
         bundles : str, optional
             Where its bundles shall lie: a URI such as ``s3://bucket/prefix``; by default in the store's folder.
+        reviews : str, optional
+            PostgreSQL database of what people decide, as a URL without a password; by default SQLite in the store's
+            folder.
         """
         from storage.archive.remote import Remote
+        from storage.review_database import check_url
 
         self.check_usable()
         if self.layout.marker.exists():
             raise StoreError(f"{self.root}: found a store, expected a new folder")
         if bundles:
             Remote(bundles).runs()  # refused where it cannot be reached
+        if reviews:
+            check_url(reviews)
         self.root.mkdir(parents=True, exist_ok=True)
         document = {"format": STORE_FORMAT} | ({"bundles": bundles} if bundles else {})
+        document |= {"reviews": reviews} if reviews else {}
         write_first(self.layout.marker, json.dumps(document).encode())
         self.prepare()
 
@@ -151,6 +158,7 @@ class Store:
         SceneError
             Where another scan is stored under the same key.
         """
+        from storage.archive.anchors import head_to_name
         from storage.archive.bundle import write_bundle
         from storage.archive.signed import refuse_signed_off
         from storage.archive.staging import settle, staged_run
@@ -164,7 +172,7 @@ class Store:
             digest = result.reconstruction.frames_digest
             with staged_run(self.layout, self.layout.scene(key), pattern, digest) as run:
                 place = self.layout.relative(run.final)
-                write_bundle(run.folder, run.run_id, place, result, run.first_stored_at)
+                write_bundle(run.folder, run.run_id, place, result, run.first_stored_at, head_to_name(self.root))
                 settle(self.layout, run, pattern)
         later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
         with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):
@@ -249,7 +257,10 @@ class Store:
         """
         import duckdb
 
+        from storage.archive.decision_tables import register_decisions
+
         with contextlib.closing(self.connect()) as connection:
+            register_decisions(connection, self.root, sql)
             try:
                 rows = connection.sql(sql, params=list(parameters) or None)
                 if rows is None:

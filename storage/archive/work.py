@@ -17,7 +17,7 @@ from typing import Any, Literal
 import duckdb
 import pyarrow as pa
 
-from storage.review_entries import Entry, Feature, FeatureKind, Review
+from storage.review_entries import SHOWN_NUMBERS, Entry, Feature, FeatureKind, Review
 
 State = Literal["waiting", "open work", "decided"]
 WAITING: State = "waiting"
@@ -46,7 +46,6 @@ ATTENTION = "decision NOT IN ('pass', 'no limit')"
 NEWEST = "scene_id IN (SELECT scene_id FROM latest_scenes)"
 """The newest scan of each station, as a condition on a scene's key."""
 
-_VALUES = ("value_mm", "tilt_deg", "width_mm")
 # Pages and reports write three decimals; a smaller difference nobody saw.
 _VISIBLE = 0.0005
 _REVIEWED = pa.schema(
@@ -56,7 +55,7 @@ _REVIEWED = pa.schema(
         pa.field("comment", pa.string()),
         pa.field("decided_run", pa.string()),
         pa.field("decided_verdict", pa.string()),
-        *(pa.field(f"decided_{name}", pa.float64()) for name in _VALUES),
+        *(pa.field(f"decided_{name}", pa.float64()) for name in SHOWN_NUMBERS),
         pa.field("open_work", pa.bool_()),
         pa.field("closed_by", pa.string()),
         pa.field("closed_because", pa.string()),
@@ -74,7 +73,7 @@ def _differs(name: str) -> str:
 _STATE = f"""CASE WHEN d.open_work THEN '{OPEN_WORK}' WHEN g.signed_by IS NOT NULL THEN '{DECIDED}'
     WHEN d.disposition IS NULL THEN '{WAITING}'
     WHEN d.decided_verdict IS NOT NULL AND d.decided_run <> s.run_id
-        AND (d.decided_verdict <> f.decision OR {" OR ".join(map(_differs, _VALUES))}) THEN '{WAITING}'
+        AND (d.decided_verdict <> f.decision OR {" OR ".join(map(_differs, SHOWN_NUMBERS))}) THEN '{WAITING}'
     ELSE '{DECIDED}' END"""
 
 
@@ -168,7 +167,7 @@ def reviewed_features(connection: duckdb.DuckDBPyConnection, review: Review) -> 
         close = closes.get(key)
         rows.append(
             (scene_id, feature.kind, feature.id, entry.disposition, entry.who, entry.at, entry.comment, entry.run_id,
-             _text(entry.shown.get("decision")), *(_number(entry.shown.get(name)) for name in _VALUES), key in work,
+             entry.decided_verdict, entry.decided_value_mm, entry.decided_tilt_deg, entry.decided_width_mm, key in work,
              close.who if close else None, close.comment if close else None)
         )  # fmt: skip
     return _table(rows, _REVIEWED)
@@ -240,11 +239,3 @@ def _row(key: tuple[str, Feature]) -> tuple[str, str, str]:
 def _table(rows: Sequence[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
     columns = list(zip(*rows, strict=True)) or [()] * len(schema)
     return pa.table([pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)], schema)
-
-
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) else None

@@ -16,6 +16,7 @@ from metrology.errors import StoreError
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
+from storage.archive.decisions import same_place
 from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
 from storage.panel_spec import judged_by
@@ -44,6 +45,8 @@ class SceneRecord:
         What people decided about its features, and its sign-off.
     standings : tuple of Standing
         How its findings stand.
+    review_head : str
+        Number and checksum of the last entry of the review log.
     """
 
     scene: Row
@@ -55,6 +58,7 @@ class SceneRecord:
     limits: PanelSpec | None
     decisions: tuple[Entry, ...] = ()
     standings: tuple[Standing, ...] = ()
+    review_head: str = ""
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -101,13 +105,13 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         raise StoreError(
             f"{paths.preview}: found a damaged picture, expected a PNG; 'flushline archive check' says more"
         )
-    review = ReviewLog(store.root).read()
-    decisions = tuple(entry for entry in review.entries if entry.scene_id == scene_id)
     with contextlib.closing(store.connect()) as connection:
+        review = ReviewLog(store.root).of_scenes(same_place(connection, scene_id))
+        decisions = tuple(entry for entry in review.entries if entry.scene_id == scene_id)
         how_they_stand = standings(connection, review, scene_id)
     return SceneRecord(
         scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
-        judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand,
+        judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand, str(ReviewLog(store.root).head()),
     )  # fmt: skip
 
 
@@ -128,9 +132,10 @@ def panel_record(store: Store, aircraft_serial: str, panel: str) -> PanelRecord:
 
 def _earlier_work(store: Store, aircraft_serial: str, panel: str, newest: list[str]) -> tuple[Entry, ...]:
     found = _rows(store, "SELECT scene_id FROM scenes WHERE aircraft_serial = ? AND panel = ?", aircraft_serial, panel)
-    earlier = {row["scene_id"] for row in found} - set(newest)
+    scenes = [row["scene_id"] for row in found]
+    earlier = set(scenes) - set(newest)
     with contextlib.closing(store.connect()) as connection:
-        work = open_work(connection, ReviewLog(store.root).read())
+        work = open_work(connection, ReviewLog(store.root).of_scenes(scenes))
     return tuple(entry for (scene_id, _), entry in work.items() if scene_id in earlier)
 
 

@@ -198,6 +198,7 @@ def traceability(record: SceneRecord) -> str:
             ("rig fits", escape(scene["rig_verdict"] or "–")),
             ("epipolar distance", _epipolar(scene)),
             ("versions", escape(versions)),
+            ("review log ends with", f"<code>{escape(record.review_head)}</code>"),
         ]
     )
     settings = escape(json.dumps(manifest.get("settings", {}), indent=1, ensure_ascii=False))

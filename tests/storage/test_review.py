@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from metrology.errors import FlushlineError, OutdatedError, StoreError, UsageError
+from storage import review_keeping
 from storage.review import MAX_COMMENT, Feature, ReviewLog, ShownFinding, ShownScene, station_id
+from storage.review_checking import check_log
 
 SCENE = "A~P~S1~T"
 RIVET = Feature("rivet", "R-07")
@@ -18,8 +20,8 @@ VALUES = {"height_mean_mm": 0.061, "decision": "fail", "panel_spec": "LH-F12 B",
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> ReviewLog:
-    return ReviewLog(tmp_path)
+def log(reviewed_store: Path) -> ReviewLog:
+    return ReviewLog(reviewed_store)
 
 
 def shown(log: ReviewLog, scene: str = SCENE, feature: Feature = RIVET, run: str = "run-1") -> ShownFinding:
@@ -60,46 +62,100 @@ def test_the_last_disposition_counts_and_the_first_stays_on_record(log: ReviewLo
 def test_a_signed_off_scene_is_locked_and_others_are_not(log: ReviewLog) -> None:
     dispose(log)
     log.sign_off("k.ito", shown_scene(log))
-    before = log.path.read_bytes()
+    before = log.head()
     with pytest.raises(UsageError, match=r"signed off by k\.ito"):
         dispose(log)
     with pytest.raises(UsageError, match="signed off"):
         log.sign_off("m.weber", shown_scene(log))
-    assert log.path.read_bytes() == before
+    assert log.head() == before
     dispose(log, scene="A~P~S2~T")
     assert set(log.read().sign_offs()) == {"A~P~S1~T"}
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda lines: [lines[0].replace("rework", "use as is"), *lines[1:]],
-        lambda lines: lines[1:],
-        lambda lines: [lines[0], lines[2]],
-        lambda lines: [lines[1], lines[0], lines[2]],
-        lambda lines: [lines[0], "{not json", lines[2]],
-        lambda lines: [lines[0], json.dumps({**json.loads(lines[1]), "extra": 1}), lines[2]],
-        lambda lines: [lines[0], lines[1], json.dumps({**json.loads(lines[2]), "at": "20261128090000"})],
-        lambda lines: [lines[0], lines[1], json.dumps({**json.loads(lines[2]), "at": 1795000000})],
-    ],
+CHANGES = (
+    lambda lines: [lines[0].replace("rework", "use as is"), *lines[1:]],
+    lambda lines: lines[1:],
+    lambda lines: [lines[0], lines[2]],
+    lambda lines: [lines[1], lines[0], lines[2]],
+    lambda lines: [lines[0], "{not json", lines[2]],
+    lambda lines: [lines[0], json.dumps({**json.loads(lines[1]), "extra": 1}), lines[2]],
+    lambda lines: [lines[0], lines[1], json.dumps({**json.loads(lines[2]), "at": "20261128090000"})],
+    lambda lines: [lines[0], lines[1], json.dumps({**json.loads(lines[2]), "at": 1795000000})],
 )
-def test_a_log_changed_behind_its_back_says_so_and_takes_no_more(log: ReviewLog, change) -> None:
+
+
+def old_log(log: ReviewLog, change=lambda lines: lines) -> Path:
+    """Entries as an earlier version would have left them, in another store."""
+    path = log.path.parents[2] / "old" / "reviews" / "log.jsonl"
+    path.parent.mkdir(parents=True)
+    lines = [entry.document for entry in log.read().entries]
+    path.write_text("\n".join(change(lines)) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_changed_log_of_an_earlier_version_is_read_up_to_there_and_not_taken_over(log: ReviewLog, change) -> None:
     for _ in range(3):
         dispose(log)
-    lines = log.path.read_text().splitlines()
-    log.path.write_text("\n".join(change(lines)) + "\n")
-    assert log.read().problem
+    path = old_log(log, change)
+    before, old = path.read_bytes(), ReviewLog(path.parents[1])
+    assert old.read().problem
+    assert len(old.read().entries) < 3
     with pytest.raises(StoreError, match="nothing more is written"):
-        dispose(log)
+        dispose(old)
+    assert path.read_bytes() == before
+    assert old.read().problem
+
+
+def test_a_log_of_an_earlier_version_is_taken_over_with_its_checksums(log: ReviewLog) -> None:
+    dispose(log)
+    dispose(log, "use as is", scene="A~P~S2~T")
+    log.sign_off("k.ito", shown_scene(log))
+    path = old_log(log)
+    before, old = path.read_bytes(), ReviewLog(path.parents[1])
+    assert old.read() == log.read()
+    assert old.head() == log.head()
+    assert not path.exists()
+    assert path.with_name("log.jsonl.migrated").read_bytes() == before
+    with pytest.raises(UsageError, match="signed off"):
+        dispose(old)
+    dispose(old, scene="A~P~S2~T")
+    assert old.read().problem is None
+    assert check_log(path.parents[1]).problems == ()
+
+
+def test_what_an_earlier_version_writes_beside_the_database_is_told(log: ReviewLog) -> None:
+    dispose(log)
+    path = old_log(log)
+    old = ReviewLog(path.parents[1])
+    content = path.read_bytes()
+    dispose(old)
+    path.write_bytes(content)
+    assert "earlier version wrote beside the database" in str(old.read().problem)
+    with pytest.raises(StoreError, match="let no earlier version"):
+        dispose(old)
+
+
+def test_an_old_log_that_may_not_be_written_is_read_as_it_is(log: ReviewLog, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    dispose(log)
+    path = old_log(log)
+    monkeypatch.setattr(review_keeping, "locked", refuse)
+    assert ReviewLog(path.parents[1]).read() == log.read()
+    assert path.exists()
 
 
 def test_a_write_that_a_crash_cut_short_is_no_entry(log: ReviewLog) -> None:
     dispose(log)
-    with log.path.open("ab") as file:
+    path = old_log(log)
+    with path.open("ab") as file:
         file.write(b'{"format": "flushline-review/1", "number": 2, "who": "a very lo')
-    assert len(log.read().entries) == 1
-    dispose(log, "scrap")
-    review = log.read()
+    old = ReviewLog(path.parents[1])
+    assert len(old.read().entries) == 1
+    dispose(old, "scrap")
+    review = old.read()
     assert review.problem is None
     assert [entry.disposition for entry in review.entries] == ["rework", "scrap"]
 
@@ -109,11 +165,11 @@ def _many(root: Path, station: str) -> None:
         dispose(ReviewLog(root), who="someone", scene=f"A~P~{station}~T")
 
 
-def test_two_people_at_once_lose_nothing(tmp_path: Path) -> None:
+def test_two_people_at_once_lose_nothing(reviewed_store: Path) -> None:
     with ProcessPoolExecutor(2) as people:
-        for done in [people.submit(_many, tmp_path, station) for station in ("S1", "S2")]:
+        for done in [people.submit(_many, reviewed_store, station) for station in ("S1", "S2")]:
             done.result()
-    review = ReviewLog(tmp_path).read()
+    review = ReviewLog(reviewed_store).read()
     assert review.problem is None
     assert [entry.number for entry in review.entries] == list(range(1, 21))
 
@@ -137,10 +193,10 @@ def test_what_makes_no_sense_is_refused(log: ReviewLog, wrong: dict) -> None:
 def test_what_was_decided_since_it_was_shown_is_not_decided_again(log: ReviewLog) -> None:
     seen, other = shown(log), shown(log, feature=Feature("rivet", "R-08"))
     log.dispose("k.ito", [shown(log)], "use as is")
-    before = log.path.read_bytes()
+    before = log.head()
     with pytest.raises(OutdatedError, match=r"R-07: found it decided since it was shown \(use as is by k\.ito at"):
         log.dispose("m.weber", [other, seen], "scrap")
-    assert log.path.read_bytes() == before  # neither of the two
+    assert log.head() == before  # neither of the two
     log.dispose("m.weber", [other], "scrap")
     log.dispose("m.weber", [shown(log)], "scrap")  # who saw the decision may change it
     assert log.read().current()[SCENE, RIVET].disposition == "scrap"
@@ -154,12 +210,12 @@ def _scrap(root: Path, seen: ShownFinding) -> bool:
     return True
 
 
-def test_of_two_people_who_saw_the_same_one_is_first(tmp_path: Path) -> None:
+def test_of_two_people_who_saw_the_same_one_is_first(reviewed_store: Path) -> None:
     with ProcessPoolExecutor(2) as people:
-        seen = shown(ReviewLog(tmp_path))
-        outcomes = [done.result() for done in [people.submit(_scrap, tmp_path, seen) for _ in range(6)]]
+        seen = shown(ReviewLog(reviewed_store))
+        outcomes = [done.result() for done in [people.submit(_scrap, reviewed_store, seen) for _ in range(6)]]
     assert sum(outcomes) == 1
-    assert len(ReviewLog(tmp_path).read().entries) == 1
+    assert len(ReviewLog(reviewed_store).read().entries) == 1
 
 
 def test_a_sign_off_is_for_the_decisions_that_were_shown(log: ReviewLog) -> None:
@@ -215,7 +271,7 @@ def test_a_log_of_an_earlier_version_is_read_and_goes_on(log: ReviewLog) -> None
         lines.append(json.dumps({**old, **more, "number": number, "previous": previous}).encode())
         previous = hashlib.sha256(lines[-1]).hexdigest()
     log.path.parent.mkdir()
-    log.path.write_bytes(b"\n".join(lines) + b"\n")
+    log.path.with_name("log.jsonl").write_bytes(b"\n".join(lines) + b"\n")
     assert log.read().problem is None
     # What was signed off with open work is still to be done, and can be closed.
     assert set(log.read().work()) == {(SCENE, RIVET)}

@@ -55,7 +55,7 @@ def test_files_and_folders_follow_the_umask(
             continue
         assert mode & never == 0, path
         assert mode & files == files, path
-    for lock in (store.layout.lock, store.root / "reviews" / ".lock", store.root / "reviews" / "log.jsonl"):
+    for lock in (store.layout.lock, store.root / "reviews" / ".lock", store.root / "reviews" / "decisions.sqlite"):
         assert stat.S_IMODE(lock.stat().st_mode) == 0o666 & ~mask
 
 

@@ -100,8 +100,7 @@ def test_prune_does_nothing_where_the_log_is_damaged(store: Store) -> None:
     store.publish(small_result())
     run = store.publish(small_result(height_mm=0.1))
     sign(store, run)
-    log = ReviewLog(store.root).path
-    log.write_bytes(log.read_bytes().replace(b"k.ito", b"k;", 1) + b"{}\n")
+    ReviewLog(store.root).path.unlink()
     with pytest.raises(StoreError, match="nothing is removed"):
         maintenance.prune(store.layout)
     assert len(list(store.layout.scene(small_key()).iterdir())) == 2

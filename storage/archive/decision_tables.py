@@ -1,0 +1,67 @@
+"""What people decided as tables for SQL: `decisions`, every entry of the review log, and `dispositions`, the last."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import duckdb
+import pyarrow as pa
+
+from metrology.errors import StoreError
+from storage.archive.work import reviewed_features
+from storage.review import Review, ReviewLog
+
+DECISIONS_COLUMNS = {
+    "number": "counts the entries of the review log",
+    "at": "when it was decided (UTC)",
+    "who": "who decided",
+    "action": "disposition, close or sign-off",
+    "scene_id": "the scene",
+    "run_id": "the run of the scene that was shown",
+    "feature_kind": "rivet or seam station; NULL for a sign-off",
+    "feature_id": "rivet_id, or seam_id@s_mm",
+    "disposition": "use as is, rework, repair, scrap, re-scan",
+    "comment": "what they said",
+    "document": "the whole entry as JSON, with what was shown",
+    "checksum": "SHA-256 of the document, which the next entry names",
+}
+DISPOSITIONS_COLUMNS = {
+    "scene_id": "the scene",
+    "feature_kind": "rivet or seam station",
+    "feature_id": "rivet_id, or seam_id@s_mm",
+    "decided_at": "when the last disposition was recorded (UTC)",
+    "disposition": "use as is, rework, repair, scrap, re-scan",
+    "who": "who decided",
+    "comment": "what they said",
+    "open_work": "whether rework, repair or re-scan was asked for and is not done",
+    "closed_by": "who closed the work, where a person did",
+    "closed_because": "why they closed it",
+}
+_NAMED = re.compile(r"\b(decisions|dispositions)\b", re.IGNORECASE)
+_TYPES = {"number": pa.int64(), "at": pa.timestamp("us", "UTC")}
+
+
+def register_decisions(connection: duckdb.DuckDBPyConnection, root: Path, sql: str) -> None:
+    """Make the tables known to a connection where a query names them; refused where the log cannot be trusted."""
+    named = {name.lower() for name in _NAMED.findall(sql)}
+    if not named:
+        return
+    review = ReviewLog(root).read()
+    if review.problem:
+        raise StoreError(review.problem)
+    if "decisions" in named:
+        connection.register("decisions", decisions(review))
+    if "dispositions" in named:
+        last = reviewed_features(connection, review)
+        connection.register("dispositions", last.select(list(DISPOSITIONS_COLUMNS)))
+
+
+def decisions(review: Review) -> pa.Table:
+    """Every entry, the first one first."""
+    return pa.table(
+        {
+            name: pa.array([getattr(entry, name) for entry in review.entries], _TYPES.get(name, pa.string()))
+            for name in DECISIONS_COLUMNS
+        }
+    )
