@@ -66,10 +66,7 @@ def publish(layout: Layout, runs: Sequence[Path]) -> dict[Path, str]:
     make_folders(layout.generations, layout.root)
     last = newest(layout)
     with _spare(layout) as spare:
-        if last and not _recycled(layout, last, spare):
-            clone(last, spare)
-            allow_writing(spare)
-        with index.connected(spare) as connection:
+        with _copied(layout, last, spare) as connection:
             if bookkeeping.bring_up_to_date(connection):
                 refused, note = index.catch_up(connection, layout), None
             else:
@@ -148,23 +145,41 @@ def _give_place(layout: Layout, made: Path, last: Path | None, note: Note | None
         other.unlink(missing_ok=True)
 
 
-def _recycled(layout: Layout, last: Path, spare: Path) -> bool:
-    """Make the generation before the last equal to it, as a file of its own, if that can be done."""
+@contextlib.contextmanager
+def _copied(layout: Layout, last: Path | None, spare: Path) -> Iterator[duckdb.DuckDBPyConnection]:
+    """A file with what the last generation has, to be changed: the one before it brought up to date, or a copy."""
+    with contextlib.ExitStack() as stack:
+        connection = _recycled(layout, last, spare, stack) if last else None
+        if last and not connection:
+            clone(last, spare)
+            allow_writing(spare)
+        yield connection or stack.enter_context(index.connected(spare))
+
+
+def _recycled(layout: Layout, last: Path, spare: Path, stack: contextlib.ExitStack) -> duckdb.DuckDBPyConnection | None:
+    """Make the generation before the last equal to it, as a file of its own, if that can be done.
+
+    Parameters
+    ----------
+    stack : ExitStack
+        Closes the connection that is returned.
+    """
     note = _read_note(last)
     former = layout.generations / note.before if note else None
     if not (note and former and former.is_file()) or last.stat().st_size < WORTHWHILE_BYTES:
-        return False
+        return None
     former.rename(spare)  # from here on nobody can open it anew
     _note(former).unlink(missing_ok=True)
-    with contextlib.suppress(OSError, StoreError):
+    with contextlib.suppress(OSError, StoreError), contextlib.ExitStack() as opened:
         if _is_closed(spare):
             allow_writing(spare)
-            with index.connected(spare) as connection:
-                index.take(connection, layout, [layout.root / run for run in note.runs])
-                if tuple(index.fingerprint(connection)) == note.fingerprint:
-                    return True
+            connection = opened.enter_context(index.connected(spare))
+            index.take(connection, layout, [layout.root / run for run in note.runs])
+            if tuple(index.fingerprint(connection)) == note.fingerprint:
+                stack.push(opened.pop_all())
+                return connection
     remove_database(spare)
-    return False
+    return None
 
 
 def _news(

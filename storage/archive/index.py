@@ -109,9 +109,16 @@ def fingerprint(connection: duckdb.DuckDBPyConnection) -> list[int]:
 
 @contextlib.contextmanager
 def connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
-    """An index to be changed; what was changed is in the file itself in the end, not in a log beside it."""
+    """An index to be changed; what was changed is in the file itself in the end, not in a log beside it.
+
+    Nobody relies on the file before it is complete, so whoever publishes it brings it onto the disk, once.
+    """
+    config: dict[str, str | bool | int | float | list[str]] = {
+        "storage_compatibility_version": STORAGE_FORMAT,
+        "fsync_mode": "NONE",
+    }
     try:
-        connection = duckdb.connect(str(path), config={"storage_compatibility_version": STORAGE_FORMAT})
+        connection = duckdb.connect(str(path), config=config)
     except duckdb.Error as problem:
         refuse_full_disk(path, problem)
         raise StoreError(
