@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-
-import duckdb
-import pyarrow as pa
+from typing import TYPE_CHECKING
 
 from metrology.errors import StoreError
-from storage.archive.work import reviewed_features
-from storage.review import Review, ReviewLog
+
+if TYPE_CHECKING:
+    import duckdb
+    import pyarrow as pa
+
+    from storage.review import Review
 
 DECISIONS_COLUMNS = {
     "number": "counts the entries of the review log",
@@ -39,7 +41,6 @@ DISPOSITIONS_COLUMNS = {
     "closed_because": "why they closed it",
 }
 _NAMED = re.compile(r"\b(decisions|dispositions)\b", re.IGNORECASE)
-_TYPES = {"number": pa.int64(), "at": pa.timestamp("us", "UTC")}
 
 
 def register_decisions(connection: duckdb.DuckDBPyConnection, root: Path, sql: str) -> None:
@@ -47,6 +48,9 @@ def register_decisions(connection: duckdb.DuckDBPyConnection, root: Path, sql: s
     named = {name.lower() for name in _NAMED.findall(sql)}
     if not named:
         return
+    from storage.archive.work import reviewed_features
+    from storage.review import ReviewLog
+
     review = ReviewLog(root).read()
     if review.problem:
         raise StoreError(review.problem)
@@ -59,9 +63,12 @@ def register_decisions(connection: duckdb.DuckDBPyConnection, root: Path, sql: s
 
 def decisions(review: Review) -> pa.Table:
     """Every entry, the first one first."""
+    import pyarrow as pa
+
+    types = {"number": pa.int64(), "at": pa.timestamp("us", "UTC")}
     return pa.table(
         {
-            name: pa.array([getattr(entry, name) for entry in review.entries], _TYPES.get(name, pa.string()))
+            name: pa.array([getattr(entry, name) for entry in review.entries], types.get(name, pa.string()))
             for name in DECISIONS_COLUMNS
         }
     )

@@ -234,12 +234,14 @@ class Store:
             Folder for what does not fit in memory, given by a process that may write nowhere else; see
             `snapshot.connect`.
         """
-        from storage.archive import bookkeeping, generations, snapshot
+        from storage.archive import bookkeeping, snapshot
 
         layout = self.existing()
         connection = snapshot.connect(layout, spill)
         if spill or bookkeeping.is_known(connection) or not os.access(layout.lock, os.W_OK):
             return connection
+        from storage.archive import generations
+
         connection.close()
         with disk_trouble(self.root, "the index is as it was"), locked(layout.lock):
             for problem in generations.publish(layout, []).values():

@@ -18,10 +18,10 @@ from tasks import steps
 from tests.storage.results import HEIGHT, WIDTH, small_key, small_result, small_rig
 
 
-def write_small_scene(folder: Path, key: SceneKey) -> Path:
+def write_small_scene(folder: Path, key: SceneKey, seed: int = 1) -> Path:
     """A complete scene folder of fringes and noise."""
     code = FringeCode("x", 4, (7, 6, 5))
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     fringes = 30 + 150 * code.patterns(WIDTH, HEIGHT)
     left, right = np.rint(fringes + rng.normal(0, 2, (2, 1, *fringes.shape))).astype(np.uint8)
     write_scene(folder, key, "rig-a", code, [1.0], left, right)

@@ -10,7 +10,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from flows import inbox
@@ -18,12 +17,11 @@ from flows.cli import main
 from flows.inbox_folders import check_is_inbox, put_aside, scene_folders
 from flows.inbox_job import InboxJob
 from metrology.errors import UsageError
-from metrology.fringe import FringeCode
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
-from storage.scene import SceneModel, write_scene
+from storage.scene import SceneModel
 from tests.flows.conftest import write_small_scene
-from tests.storage.results import HEIGHT, WIDTH, small_key
+from tests.storage.results import small_key
 from tests.users import as_user, only_root, open_to_all
 
 
@@ -44,9 +42,7 @@ def stations(job: InboxJob) -> list[str]:
 
 def other_scan(folder: Path, station: str) -> Path:
     """A scan of another moment that was given the same key."""
-    left, right = np.random.default_rng(7).integers(0, 200, (2, 1, 12, HEIGHT, WIDTH), np.uint8)
-    write_scene(folder, small_key(station), "rig-a", FringeCode("x", 4, (7, 6, 5)), [1.0], left, right)
-    return folder
+    return write_small_scene(folder, small_key(station), seed=7)
 
 
 # --- two scans of one name
