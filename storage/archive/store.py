@@ -217,8 +217,8 @@ class Store:
     def connect(self, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
         """A read-only connection to the newest published index that cannot reach other files.
 
-        An index that lacks tables, columns or views of this version is brought up to date first, where that may be
-        done.
+        An index that lacks tables, columns or views of this version is brought up to date first; where that may not
+        be done, what it lacks is NULL.
 
         Parameters
         ----------
@@ -226,11 +226,14 @@ class Store:
             Folder for what does not fit in memory, given by a process that may write nowhere else; see
             `snapshot.connect`.
         """
-        from storage.archive import bookkeeping, generations, snapshot
+        from storage.archive import bookkeeping, generations, older, snapshot
 
         layout = self.existing()
         connection = snapshot.connect(layout, spill)
-        if spill or bookkeeping.is_known(connection) or not os.access(layout.lock, os.W_OK):
+        if bookkeeping.is_known(connection):
+            return connection
+        if spill or not os.access(layout.lock, os.W_OK):
+            older.cover(connection)
             return connection
         connection.close()
         with disk_trouble(self.root, "the index is as it was"), locked(layout.lock):
