@@ -20,8 +20,10 @@ import streamlit as st
 from metrology.errors import StoreError
 from metrology.rig import Rig
 from metrology.tolerance import PanelSpec
+from storage.archive.bookkeeping import is_known
 from storage.archive.bundle import FITS, MANIFEST
 from storage.archive.decisions import shown_finding
+from storage.archive.older import cover
 from storage.archive.store import Store
 from storage.archive.work import Standing, reviewed_features, signed_scenes, standings
 from storage.cloud import StoredCloud
@@ -30,7 +32,7 @@ from storage.fits import StoredFits, read_fits
 from storage.panel_spec import judged_by
 from storage.review import Feature, Review, ReviewLog, ShownFinding
 
-_CACHED_QUERIES, _CACHED_FINDINGS, _CACHED_GENERATIONS = 200, 2000, 2
+_CACHED_QUERIES, _CACHED_FINDINGS, _CACHED_GENERATIONS = 200, 2000, 1
 _CACHED_CLOUDS, _CACHED_SPECIFICATIONS = 2, 500
 
 
@@ -120,16 +122,29 @@ def _connection(root: str, generation: str) -> duckdb.DuckDBPyConnection:
     return Store(Path(root)).connect()
 
 
+@st.cache_resource(max_entries=_CACHED_GENERATIONS, show_spinner=False)
+def _is_of_this_version(root: str, generation: str) -> bool:
+    return is_known(_connection(root, generation))
+
+
+def _cursor(root: str, generation: str) -> duckdb.DuckDBPyConnection:
+    """A connection of one's own to the generation that is open."""
+    cursor = _connection(root, generation).cursor()
+    if not _is_of_this_version(root, generation):
+        cover(cursor)
+    return cursor
+
+
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
 def _rows(root: str, generation: str, sql: str, parameters: tuple[Any, ...]) -> pd.DataFrame:
-    return _fetch(_connection(root, generation).cursor(), sql, parameters)
+    return _fetch(_cursor(root, generation), sql, parameters)
 
 
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
 def _rows_with_review(
     root: str, generation: str, version: tuple[int, ...], sql: str, parameters: tuple[Any, ...]
 ) -> pd.DataFrame:
-    cursor = _connection(root, generation).cursor()
+    cursor = _cursor(root, generation)
     cursor.register("reviewed", _reviewed(root, generation, version))
     cursor.register("signed", signed_scenes(_review(root, version)))
     return _fetch(cursor, sql, parameters)
@@ -137,7 +152,7 @@ def _rows_with_review(
 
 @st.cache_resource(max_entries=4, show_spinner=False)
 def _reviewed(root: str, generation: str, version: tuple[int, ...]) -> pa.Table:
-    cursor = _connection(root, generation).cursor()
+    cursor = _cursor(root, generation)
     try:
         return reviewed_features(cursor, _review(root, version))
     finally:
@@ -148,7 +163,7 @@ def _reviewed(root: str, generation: str, version: tuple[int, ...]) -> pa.Table:
 def _shown(
     root: str, generation: str, version: tuple[int, ...], scene_id: str, feature: Feature
 ) -> ShownFinding | None:
-    cursor = _connection(root, generation).cursor()
+    cursor = _cursor(root, generation)
     try:
         return shown_finding(cursor, _review(root, version), scene_id, feature)
     finally:
@@ -157,7 +172,7 @@ def _shown(
 
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
 def _standings(root: str, generation: str, version: tuple[int, ...], scene_id: str) -> tuple[Standing, ...]:
-    cursor = _connection(root, generation).cursor()
+    cursor = _cursor(root, generation)
     try:
         return standings(cursor, _review(root, version), scene_id)
     finally:

@@ -46,6 +46,12 @@ class Bundles:
             return [self.layout.root / run for run in self._remote.runs()]
         return sorted(run for run in self._here() if (run / MANIFEST).exists())
 
+    def runs_of(self, scene: Path) -> list[Path]:
+        """Complete runs of the scene with this folder, oldest first."""
+        if self.target:
+            return [self.layout.root / run for run in self._remote.runs(self.layout.relative(scene))]
+        return sorted(manifest.parent for manifest in scene.glob(f"*/{MANIFEST}"))
+
     def incomplete(self) -> list[Path]:
         """Folders in place of a run that have no manifest."""
         return sorted(run for run in self._here() if not (run / MANIFEST).is_file())

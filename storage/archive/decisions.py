@@ -97,7 +97,8 @@ def _held(layout: Layout) -> Iterator[duckdb.DuckDBPyConnection | None]:
     if not layout.archive.exists():
         yield None
         return
-    with locked(layout.lock), contextlib.closing(snapshot.connect(layout)) as connection:
+    snapshot.make_usable(layout)
+    with locked(layout.lock), contextlib.closing(snapshot.connect(layout, mend=False)) as connection:
         yield connection
 
 

@@ -113,6 +113,14 @@ def is_noted(generation: Path | None) -> bool:
     return generation is not None and _read_note(generation) is not None
 
 
+def keep_only(layout: Layout, *kept: Path | None) -> None:
+    """Remove all other generations, if these are any; the caller holds the store's lock."""
+    for old in all_of(layout) if any(kept) else ():
+        if old not in kept:
+            remove_database(old)
+            _note(old).unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
 def _spare(layout: Layout) -> Iterator[Path]:
     """A file that becomes the next generation, or is removed."""
@@ -137,10 +145,7 @@ def _give_place(layout: Layout, made: Path, last: Path | None, note: Note | None
     point_to(layout.archive, target)
     if Path(os.path.realpath(layout.archive)) != Path(os.path.realpath(target)):
         raise StoreError(f"{layout.archive}: found it leading elsewhere, expected {target.name}")
-    for old in all_of(layout):
-        if old not in (target, last):
-            remove_database(old)
-            _note(old).unlink(missing_ok=True)
+    keep_only(layout, target, last)
     for other in layout.index.glob("work-*"):  # of versions that kept an index to work in: they make it again, whole
         other.unlink(missing_ok=True)
 
@@ -151,6 +156,7 @@ def _copied(layout: Layout, last: Path | None, spare: Path) -> Iterator[duckdb.D
     with contextlib.ExitStack() as stack:
         connection = _recycled(layout, last, spare, stack) if last else None
         if last and not connection:
+            keep_only(layout, last)  # room for the copy
             clone(last, spare)
             allow_writing(spare)
         yield connection or stack.enter_context(index.connected(spare))

@@ -7,7 +7,7 @@ changes one that is published: the next generation is made beside it (see `gener
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from storage.archive.bundles import Bundles
 from storage.archive.layout import Layout
 from storage.archive.loading import Loader, Outcome, refuse_full_disk
 from storage.archive.signed import by_preference, signed_runs
+from storage.models import leads_inside
 
 # The newest format that released command-line clients of DuckDB 1.4 and later all read.
 STORAGE_FORMAT = "v1.4.0"
@@ -38,9 +39,11 @@ def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[P
             manifests[run] = check_bundle(run, only_tables=True)
         except StoreError as problem:
             refused[run] = str(problem)
+    if not manifests:
+        return refused
     scenes = sorted({manifest.scene_id for manifest in manifests.values()})
-    asked = "SELECT scene_id, run_id FROM scenes WHERE scene_id IN (SELECT unnest(?))"
-    held: dict[str, str] = dict(connection.execute(asked, [scenes]).fetchall())
+    asked = f"SELECT scene_id, run_id FROM scenes WHERE scene_id IN ({', '.join('?' * len(scenes))})"
+    held: dict[str, str] = dict(connection.execute(asked, scenes).fetchall())
     signed = signed_runs(layout.root, sorted(held)) if held else {}
     loader = Loader(connection, layout, held)
     for run, manifest in sorted(manifests.items()):
@@ -54,13 +57,37 @@ def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[P
     return refused
 
 
-def catch_up(connection: duckdb.DuckDBPyConnection, layout: Layout) -> dict[Path, str]:
-    """Let an index show of each scene the run that is to be shown; what cannot be taken is left out and named."""
+def catch_up(
+    connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Iterable[Path] | None = None
+) -> dict[Path, str]:
+    """Let an index show of each scene the run that is to be shown; what cannot be taken is left out and named.
+
+    Parameters
+    ----------
+    runs : iterable of Path, optional
+        All runs of the scenes to be looked at; by default of every scene.
+    """
     held = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
-    return preferred(Loader(connection, layout, held), layout, held).refused
+    return preferred(Loader(connection, layout, held), layout, held, runs=runs).refused
 
 
-def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: bool = True) -> Outcome:
+def stored_meanwhile(
+    connection: duckdb.DuckDBPyConnection, layout: Layout, published: duckdb.DuckDBPyConnection
+) -> list[Path]:
+    """All runs of the scenes of which the published index shows another run than this one."""
+    shown = published.sql("SELECT scene_id, run_id, bundle_path FROM scenes").to_arrow_table()
+    connection.register("shown", shown)
+    asked = "SELECT bundle_path FROM shown ANTI JOIN scenes USING (scene_id, run_id) ORDER BY ALL"
+    paths = [str(path) for (path,) in connection.execute(asked).fetchall()]
+    connection.unregister("shown")
+    bundles = Bundles(layout)
+    scenes = {(layout.root / path).parent for path in paths if leads_inside(path)}
+    return [run for scene in sorted(scenes) if scene.is_relative_to(layout.bundles) for run in bundles.runs_of(scene)]
+
+
+def preferred(
+    loader: Loader, layout: Layout, held: Mapping[str, str], keep: bool = True, runs: Iterable[Path] | None = None
+) -> Outcome:
     """Load of each scene the run that is to be shown.
 
     That is the run that was signed off, else the newest; one that cannot be taken gives way to the next.
@@ -71,10 +98,13 @@ def preferred(loader: Loader, layout: Layout, held: Mapping[str, str], keep: boo
         Runs that are there already, by scene.
     keep : bool
         False looks at the rows only.
+    runs : iterable of Path, optional
+        Those to choose from; by default all of the store.
     """
     bundles = Bundles(layout)
     waiting: dict[Path, list[Path]] = {}  # by scene, the preferred one last
-    for run in reversed(by_preference(bundles.runs(), signed_runs(layout.root))):
+    there = bundles.runs() if runs is None else runs
+    for run in reversed(by_preference(there, signed_runs(layout.root))):
         waiting.setdefault(run.parent, []).append(run)
     outcome = Outcome()
     while waiting:

@@ -12,13 +12,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metrology.errors import FlushlineError, SceneError
 from storage.archive.bundle import MANIFEST, read_manifest
 from storage.archive.bundles import Bundles
 from storage.archive.files import hold
 from storage.archive.layout import Layout
+
+if TYPE_CHECKING:
+    import duckdb
 
 # Of the table scenes.
 _COLUMNS = ("scene_id", "run_id", "config_hash", "rig_hash", "frames_digest", "files_state", "first_stored_at")
@@ -62,24 +65,25 @@ def known_scenes(layout: Layout) -> dict[str, KnownScene]:
     if not layout.archive.exists():
         return {}
     with contextlib.closing(snapshot.connect(layout)) as connection:
-        # An index published by an older version lacks some of the columns.
-        result = connection.execute(f"SELECT COLUMNS('^({'|'.join(_COLUMNS)})$') FROM scenes")
-        names = [column[0] for column in result.description or ()]
-        rows = [dict(zip(names, row, strict=True)) for row in result.fetchall()]
-    return {row.pop("scene_id"): KnownScene(**row) for row in rows}
+        return _from_index(connection)
 
 
 def known_scene(layout: Layout, scene: Path) -> KnownScene | None:
     """What is known of one scene, from its runs' manifests; None where it has no run.
+
+    The caller may hold the store's lock, and then has called `snapshot.make_usable` before it took it.
 
     Parameters
     ----------
     scene : Path
         Folder of the scene's runs.
     """
+    from storage.archive import snapshot
+
     runs = [known for manifest in sorted(scene.glob(f"*/{MANIFEST}")) for known in _from_manifest(manifest.parent)]
-    if not runs and Bundles(layout).target:
-        return known_scenes(layout).get(scene.name)
+    if not runs and Bundles(layout).target and layout.archive.exists():
+        with contextlib.closing(snapshot.connect(layout, mend=False)) as connection:
+            return _from_index(connection, scene.name).get(scene.name)
     if not runs:
         return None
     newest = runs[-1]
@@ -108,6 +112,17 @@ def stored_at(run_id: str) -> datetime | None:
         return datetime.strptime(run_id[:22], "%Y%m%dT%H%M%S.%f").replace(tzinfo=UTC)
     except ValueError:
         return None
+
+
+def _from_index(connection: duckdb.DuckDBPyConnection, scene_id: str | None = None) -> dict[str, KnownScene]:
+    """All scenes of an index, or one."""
+    # An index published by an older version lacks some of the columns.
+    result = connection.execute(
+        f"SELECT COLUMNS('^({'|'.join(_COLUMNS)})$') FROM scenes WHERE $1 IS NULL OR scene_id = $1", [scene_id]
+    )
+    names = [column[0] for column in result.description or ()]
+    rows = [dict(zip(names, row, strict=True)) for row in result.fetchall()]
+    return {row.pop("scene_id"): KnownScene(**row) for row in rows}
 
 
 def _from_manifest(run: Path) -> Iterator[KnownScene]:

@@ -36,13 +36,15 @@ def rebuild(layout: Layout) -> list[str]:
     made = layout.index / ".rebuild.duckdb"
     with disk_trouble(layout.root, "the index is as it was"), locked(layout.index / "rebuild-lock"):
         remove_database(made)
+        with locked(layout.lock):
+            generations.keep_only(layout, generations.newest(layout))  # makes room
         try:
             with index.connected(made) as connection:
                 _start(layout, connection)
                 refused = index.catch_up(connection, layout)
             with locked(layout.lock):
                 with index.connected(made) as connection:
-                    refused |= index.catch_up(connection, layout)
+                    refused |= index.catch_up(connection, layout, _stored_meanwhile(layout, connection))
                 generations.replace(layout, made)
         finally:
             remove_database(made)
@@ -58,6 +60,16 @@ def _start(layout: Layout, connection: duckdb.DuckDBPyConnection) -> None:
         with contextlib.suppress(StoreError):  # lost or damaged: then there is nothing to be kept of it
             former = stack.enter_context(contextlib.closing(snapshot.connect(layout)))
         bookkeeping.start(connection, former)
+
+
+def _stored_meanwhile(layout: Layout, connection: duckdb.DuckDBPyConnection) -> list[Path] | None:
+    """All runs of the scenes that the published index shows otherwise; None where it cannot be read."""
+    published = generations.newest(layout)
+    with contextlib.suppress(StoreError, duckdb.Error, snapshot.LogBesideError), contextlib.ExitStack() as stack:
+        if published:
+            reading = stack.enter_context(contextlib.closing(snapshot.open_generation(published)))
+            return index.stored_meanwhile(connection, layout, reading)
+    return None
 
 
 def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) -> list[Path]:
@@ -78,11 +90,12 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     if problem := ReviewLog(layout.root).read().problem:
         raise StoreError(f"{problem}; nothing is removed until that is cleared up")
     signed, bundles = signed_runs(layout.root), Bundles(layout)
+    shown = _shown(layout)  # before the lock, which mending the index takes
     removed, damaged = [], []
     with locked(layout.lock):
         for left in layout.staging.glob(f"*{_REMOVED}"):  # by a prune that was cut short
             shutil.rmtree(left)
-        protected = {*signed.items(), *_shown(layout).items()}
+        protected = {*signed.items(), *shown.items()}
         scenes: dict[str, list[Path]] = {}
         for run in sorted(bundles.whatever_is_there()):
             scenes.setdefault(run.parent.name, []).append(run)

@@ -35,11 +35,11 @@ class Remote:
         """Whether a run is complete there."""
         return bool(self.filesystem.get_file_info(f"{self.base}/{run}/{MANIFEST}").is_file)
 
-    def runs(self) -> list[str]:
-        """Every complete run, by its path in the store."""
+    def runs(self, below: str = "bundles") -> list[str]:
+        """Every complete run below a folder, by its path in the store."""
         from pyarrow.fs import FileSelector
 
-        place = FileSelector(f"{self.base}/bundles", allow_not_found=True, recursive=True)
+        place = FileSelector(f"{self.base}/{below}", allow_not_found=True, recursive=True)
         manifests = (info.path for info in self.filesystem.get_file_info(place) if info.base_name == MANIFEST)
         return sorted(str(PurePosixPath(path).parent.relative_to(self.base)) for path in manifests)
 

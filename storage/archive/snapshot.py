@@ -30,14 +30,18 @@ _NO_FILES = "SET disabled_filesystems = 'LocalFileSystem'"
 _closing = threading.Lock()
 
 
-def connect(layout: Layout, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
+def connect(layout: Layout, spill: Path | None = None, mend: bool = True) -> duckdb.DuckDBPyConnection:
     """A connection to the newest generation that can neither write nor reach other files; times are in UTC.
+
+    A generation that is no longer of use is published anew, where the store can be written.
 
     Parameters
     ----------
     spill : Path, optional
         Folder for what does not fit in memory. DuckDB then keeps its way to the file system, which lets a query write
         beside the index: only for a process that the kernel keeps from writing elsewhere.
+    mend : bool
+        False for whoever holds the store's lock, as publishing anew takes it.
     """
     if not layout.archive.exists():
         raise StoreError(f"{layout.root}: found no archive.duckdb, expected a store that holds at least one scene")
@@ -49,13 +53,19 @@ def connect(layout: Layout, spill: Path | None = None) -> duckdb.DuckDBPyConnect
             # A generation may be removed between looking the link up and opening it.
             if attempt + 1 < _ATTEMPTS and (not path.exists() or path != Path(os.path.realpath(layout.archive))):
                 continue
-            if attempt + 1 < _ATTEMPTS and _is_spoilt(problem) and os.access(layout.lock, os.W_OK):
+            if mend and attempt + 1 < _ATTEMPTS and _is_spoilt(problem) and os.access(layout.lock, os.W_OK):
                 _publish_anew(layout, path)
                 continue
             raise StoreError(f"{layout.archive}: found {_first_line(problem)}, expected a readable index") from None
     raise StoreError(
         f"{layout.archive}: found it replaced {_ATTEMPTS} times while opening it, expected a quieter store"
     )
+
+
+def make_usable(layout: Layout) -> None:
+    """Publish anew what is published, where it is no longer of use; before the store's lock is taken."""
+    if layout.archive.exists():
+        connect(layout).close()
 
 
 def open_generation(path: Path, spill: Path | None = None) -> duckdb.DuckDBPyConnection:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from storage.archive import snapshot
 from storage.archive.bundle import PATTERN
 from storage.archive.bundles import Bundles
 from storage.archive.files import hold, link_first, locked, make_folders, write_durably
@@ -61,6 +62,8 @@ def staged_run(layout: Layout, scene: Path, pattern: Path, frames_digest: str | 
     frames_digest : str, optional
         Of the run's frames.
     """
+    if Bundles(layout).target:  # what is known of a scene may be in the index alone
+        snapshot.make_usable(layout)
     with locked(layout.lock):  # so that nobody sees the marker before it is locked
         known = known_scene(layout, scene)
         if known:

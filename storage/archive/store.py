@@ -225,8 +225,8 @@ class Store:
     def connect(self, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
         """A read-only connection to the newest published index that cannot reach other files.
 
-        An index that lacks tables, columns or views of this version is brought up to date first, where that may be
-        done.
+        An index that lacks tables, columns or views of this version is brought up to date first; where that may not
+        be done, what it lacks is NULL.
 
         Parameters
         ----------
@@ -234,11 +234,14 @@ class Store:
             Folder for what does not fit in memory, given by a process that may write nowhere else; see
             `snapshot.connect`.
         """
-        from storage.archive import bookkeeping, snapshot
+        from storage.archive import bookkeeping, older, snapshot
 
         layout = self.existing()
         connection = snapshot.connect(layout, spill)
-        if spill or bookkeeping.is_known(connection) or not os.access(layout.lock, os.W_OK):
+        if bookkeeping.is_known(connection):
+            return connection
+        if spill or not os.access(layout.lock, os.W_OK):
+            older.cover(connection)
             return connection
         from storage.archive import generations
 

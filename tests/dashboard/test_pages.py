@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tarfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from storage.archive.views import VIEWS
 from storage.panel_spec import load_panel_spec
 from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
 
+DATA = Path(__file__).resolve().parent.parent / "data"
 Open = Callable[..., AppTest]
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
 
@@ -37,6 +39,19 @@ def clean(page: AppTest) -> AppTest:
 def test_page_shows_a_filled_store(name: str, filled: Path, open_page: Open) -> None:
     page = clean(open_page(name, filled))
     assert PAGES[name][0] in texts(page)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_page_shows_an_old_store_that_may_not_be_changed(
+    name: str, tmp_path: Path, open_page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with tarfile.open(DATA / "store-0.1.0.tar.xz") as tar:
+        tar.extractall(tmp_path, filter="tar")
+    monkeypatch.setattr("storage.archive.store.os.access", lambda path, mode: False)
+    before = sorted((tmp_path / "store" / ".index").rglob("*"))
+    page = clean(open_page(name, tmp_path / "store", scene="MSN-2~LH-F12~S1~20261120T081500Z"))
+    assert PAGES[name][0] in texts(page)
+    assert sorted((tmp_path / "store" / ".index").rglob("*")) == before
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -16,6 +16,8 @@ import pytest
 from flows.cli import main
 from metrology.errors import StoreError
 from storage.archive import Store
+from storage.archive.schema import TABLES
+from storage.archive.views import VIEWS
 from storage.review import ReviewLog
 from storage.saved_queries import SavedQueries
 from tests.storage.results import small_key, small_result
@@ -84,3 +86,24 @@ def test_its_index_is_made_again(old: tuple[Store, dict[str, Any]], capsys: pyte
     assert main(["archive", "check", "--store", str(store.root)]) == 0
     assert "5 runs checked, 0 problems" in capsys.readouterr().out
     check_people(store, held)
+
+
+def test_it_is_read_where_it_may_not_be_changed(
+    old: tuple[Store, dict[str, Any]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    store, held = old
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    before = sorted(store.layout.generations.iterdir())
+    for table in TABLES:  # what the version did not have yet is NULL
+        assert set(store.query(f"FROM {table.name}").column_names) >= {column.name for column in table.columns}
+    for view in VIEWS:
+        store.query(f"FROM {view.name}")
+    assert missing_rows(store, held) == []
+    scene = held["tables"]["scenes"][0]["scene_id"]
+    assert main(["report", scene, "--store", str(store.root), "--out", str(tmp_path / "scene.html")]) == 0
+    assert main(["query", "SELECT rig_verdict FROM scenes", "--store", str(store.root)]) == 0
+    assert "error" not in capsys.readouterr().err
+    assert sorted(store.layout.generations.iterdir()) == before
