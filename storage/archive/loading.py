@@ -142,8 +142,8 @@ class Loader:
             for digest, *values in entered:
                 counts[tuple(values)] += 1
                 digests[tuple(values)] += digest
-            for values, rows in counts.items():
-                yield table, file, rows, digests[values], dict(zip(names, values, strict=True))
+            for alike, rows in counts.items():
+                yield table, file, rows, digests[alike], dict(zip(names, alike, strict=True))
 
     def _arrived(self, runs: Runs) -> dict[Path, int]:
         """Read the rows into tables of their own, and refuse what is not as it should be; returns their digests."""
