@@ -15,6 +15,7 @@ from storage.archive import bookkeeping, generations
 from storage.archive.bundles import Bundles
 from storage.archive.files import disk_trouble, locked, make_folders, next_number, point_to, remove_database, sync
 from storage.archive.layout import Layout
+from storage.archive.loading import refuse_full_disk
 from storage.archive.remote import Remote
 
 _KEPT = 2
@@ -33,8 +34,10 @@ def compact(layout: Layout) -> Path | str:
         try:
             with _reading(layout) as connection:
                 _write(connection, layout, target)
-        except BaseException:
+        except BaseException as problem:
             shutil.rmtree(target, ignore_errors=True)
+            if isinstance(problem, duckdb.Error):
+                refuse_full_disk(layout.index, problem)
             raise
         point_to(layout.parquet, target)
         for old in sorted(layout.index.glob("parquet-*"))[:-_KEPT]:

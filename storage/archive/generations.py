@@ -121,6 +121,19 @@ def keep_only(layout: Layout, *kept: Path | None) -> None:
             _note(old).unlink(missing_ok=True)
 
 
+def is_closed(path: Path) -> bool:
+    """Whether no process has a file open: only then does Linux grant a lease on it. Not known means no."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.fcntl(descriptor, fcntl.F_SETLEASE, fcntl.F_WRLCK)
+        fcntl.fcntl(descriptor, fcntl.F_SETLEASE, fcntl.F_UNLCK)
+    except (OSError, AttributeError):
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
 @contextlib.contextmanager
 def _spare(layout: Layout) -> Iterator[Path]:
     """A file that becomes the next generation, or is removed."""
@@ -177,7 +190,7 @@ def _recycled(layout: Layout, last: Path, spare: Path, stack: contextlib.ExitSta
     former.rename(spare)  # from here on nobody can open it anew
     _note(former).unlink(missing_ok=True)
     with contextlib.suppress(OSError, StoreError), contextlib.ExitStack() as opened:
-        if _is_closed(spare):
+        if is_closed(spare):
             allow_writing(spare)
             connection = opened.enter_context(index.connected(spare))
             index.take(connection, layout, [layout.root / run for run in note.runs])
@@ -208,16 +221,3 @@ def _read_note(generation: Path) -> Note | None:
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return note if Path(note.before).name == note.before else None
-
-
-def _is_closed(path: Path) -> bool:
-    """Whether no process has a file open: only then does Linux grant a lease on it. Not known means no."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.fcntl(descriptor, fcntl.F_SETLEASE, fcntl.F_WRLCK)
-        fcntl.fcntl(descriptor, fcntl.F_SETLEASE, fcntl.F_UNLCK)
-    except (OSError, AttributeError):
-        return False
-    finally:
-        os.close(descriptor)
-    return True

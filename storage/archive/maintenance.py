@@ -19,12 +19,11 @@ from storage.archive.layout import Layout
 from storage.archive.loading import Loader
 from storage.archive.remote import Remote
 from storage.archive.signed import by_preference, signed_runs
+from storage.archive.staging import REMOVED, remove_pruned
 from storage.models import leads_inside
 from storage.review import ReviewLog
 
 __all__ = ["Check", "check", "check_fast", "export", "prune", "rebuild"]
-
-_REMOVED = ".removed"
 
 
 def rebuild(layout: Layout) -> list[str]:
@@ -93,8 +92,7 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     shown = _shown(layout)  # before the lock, which mending the index takes
     removed, damaged = [], []
     with locked(layout.lock):
-        for left in layout.staging.glob(f"*{_REMOVED}"):  # by a prune that was cut short
-            shutil.rmtree(left)
+        remove_pruned(layout)
         protected = {*signed.items(), *shown.items()}
         scenes: dict[str, list[Path]] = {}
         for run in sorted(bundles.whatever_is_there()):
@@ -157,7 +155,7 @@ def _remove(layout: Layout, bundles: Bundles, run: Path) -> None:
     bundles.remove_there(run)
     if run.is_dir():
         # Out of the bundles in one step: a run that is being removed must not look like a damaged one.
-        trash = layout.staging / f"{run.name}{_REMOVED}"
+        trash = layout.staging / f"{run.name}{REMOVED}"
         run.rename(trash)
         shutil.rmtree(trash)
 

@@ -25,6 +25,9 @@ from storage.archive.panels import PatternTaken
 from storage.archive.run_ids import new_run_id
 from storage.models import leads_inside
 
+REMOVED = ".removed"
+"""Ending of runs that are being pruned."""
+
 
 @dataclass(frozen=True)
 class StagedRun:
@@ -105,6 +108,7 @@ def pending(layout: Layout) -> dict[Path, Path]:
 
     The caller holds the store's lock.
     """
+    remove_pruned(layout)
     complete = {}
     for marker in sorted(layout.staging.glob("*.json")):
         run, pattern = _places(layout, marker)
@@ -118,6 +122,12 @@ def pending(layout: Layout) -> dict[Path, Path]:
                 _remove(layout, folder, run, pattern)
             os.close(descriptor)
     return complete
+
+
+def remove_pruned(layout: Layout) -> None:
+    """Remove what a prune that was cut short had begun to; the caller holds the store's lock, as a prune does."""
+    for left in layout.staging.glob(f"*{REMOVED}"):
+        shutil.rmtree(left)
 
 
 def _marker(folder: Path) -> Path:

@@ -34,9 +34,10 @@ from dashboard.scenes import load_features, load_scene_row, requirements, worst_
 from dashboard.trends import QUANTITIES, Subject, capability_of, events, series, spread
 from metrology.errors import StoreError, UsageError
 from metrology.tolerance import Limit
-from storage.archive import Store
+from storage.archive import Store, generations
 from storage.review import Feature, ReviewLog, ShownFinding
 from storage.saved_queries import SavedQueries
+from tests.storage.results import small_key, small_result
 
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
 MOMENT = datetime(2026, 11, 20, 20, 5, tzinfo=UTC)
@@ -289,6 +290,16 @@ def test_findings_are_the_gravest_first_and_shrink_as_they_are_decided(writable:
     assert list(findings(archive, Wanted(state="decided"))["disposition"]) == ["scrap"]
     assert len(findings(archive, Wanted(state="all"))) == len(rows)
     assert len(findings(archive, Wanted(kinds=("rivet",)))) < len(left)
+
+
+def test_what_was_published_before_is_let_go_of(writable: Path) -> None:
+    store = Store(writable)
+    before = Path(Archive(writable).generation)
+    Archive(writable).rows("SELECT 1")
+    assert not generations.is_closed(before)
+    store.publish(small_result(small_key("S9")))
+    assert Archive(writable).rows("SELECT count(*) AS n FROM scenes WHERE station = 'S9'")["n"][0] == 1
+    assert generations.is_closed(before)
 
 
 @pytest.mark.parametrize("feature", [Feature("rivet", "R01"), Feature("seam station", "M1@24.0")])

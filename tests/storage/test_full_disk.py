@@ -7,10 +7,11 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import duckdb
 import pytest
 
 from metrology.errors import StoreError
-from storage.archive import Store, maintenance
+from storage.archive import Store, compaction, maintenance
 from storage.archive.compaction import compact
 from tests.storage.results import small_key, small_result
 
@@ -79,3 +80,18 @@ def test_a_full_disk_is_said_and_all_is_well_once_there_is_room(disk: Disk, kilo
     store.publish(small_result(small_key("LAST"), rivets=RIVETS))
     assert maintenance.check(store.layout) == maintenance.Check(stored + kept + 1, ())
     assert list(store.layout.staging.iterdir()) == []
+
+
+def test_what_duckdb_says_of_a_full_disk_while_compacting_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(small_result())
+
+    def write(*_: object) -> None:
+        raise duckdb.IOException('IO Error: Async write failed: "Could not write file: No space left on device"')
+
+    monkeypatch.setattr(compaction, "_write", write)
+    with pytest.raises(StoreError, match="found the disk full"):
+        compact(store.layout)
+    assert not list(store.layout.index.glob("parquet-*"))

@@ -148,3 +148,13 @@ def test_no_store_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         assert main(["archive", action, "--store", str(tmp_path / "none")]) == 2
         assert "found no such folder, expected a store" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
+
+
+def test_the_next_writer_removes_what_a_killed_prune_left(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(small_result())
+    left = store.layout.staging / "20260101T000000.000000Z-00000000.removed"
+    left.mkdir()
+    (left / "cloud.parquet").write_bytes(b"half")
+    assert store.recover() == 0
+    assert not left.exists()
