@@ -44,7 +44,7 @@ class Bundles:
         """Every complete run of every scene, oldest first within a scene."""
         if self.target:
             return [self.layout.root / run for run in self._remote.runs()]
-        return sorted(run for run in self._here() if (run / MANIFEST).exists())
+        return [run for run in self._here() if os.path.exists(f"{run}/{MANIFEST}")]
 
     def runs_of(self, scene: Path) -> list[Path]:
         """Complete runs of the scene with this folder, oldest first."""
@@ -54,7 +54,7 @@ class Bundles:
 
     def incomplete(self) -> list[Path]:
         """Folders in place of a run that have no manifest."""
-        return sorted(run for run in self._here() if not (run / MANIFEST).is_file())
+        return [run for run in self._here() if not os.path.isfile(f"{run}/{MANIFEST}")]
 
     def whatever_is_there(self) -> set[Path]:
         """Every run, complete or not."""
@@ -112,7 +112,9 @@ class Bundles:
             self._remote.remove(self.layout.relative(run))
 
     def _here(self) -> list[Path]:
-        return [Path(run) for run in _below(str(self.layout.bundles), 4)]
+        """Every run's folder, oldest first within a scene."""
+        folder = str(self.layout.bundles)
+        return [Path(run) for run in sorted(_below(folder, 4))] if os.path.isdir(folder) else []
 
     @cached_property
     def _remote(self) -> Remote:
@@ -131,10 +133,10 @@ class Bundles:
 
 def _below(folder: str, levels: int) -> Iterator[str]:
     """What lies some levels below a folder; a store may have a million of them."""
-    if not levels:
-        yield folder
-    elif os.path.isdir(folder):
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if not entry.name.startswith("."):
-                    yield from _below(entry.path, levels - 1)
+    with os.scandir(folder) as entries:
+        visible = [entry for entry in entries if not entry.name.startswith(".")]
+    for entry in visible:
+        if levels == 1:
+            yield entry.path
+        elif entry.is_dir():  # mostly known from the listing itself
+            yield from _below(entry.path, levels - 1)
