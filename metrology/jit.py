@@ -8,6 +8,8 @@ call each other stay in one file.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import stat
 import sys
@@ -36,7 +38,7 @@ def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     neither: kernels then go into a folder of this user's under the system's folder for temporary files.
     """
     try:
-        return compiler(function)
+        return _saved_in_turn(compiler(function))
     except RuntimeError as problem:
         if "cannot cache" not in str(problem):
             raise
@@ -49,7 +51,28 @@ def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     # Processes that are started from here find it, and need not say it again.
     os.environ["NUMBA_CACHE_DIR"] = folder
     numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
-    return compiler(function)
+    return _saved_in_turn(compiler(function))
+
+
+def _saved_in_turn(dispatcher: Any) -> Any:
+    """Let processes that compile a kernel at the same time save it one after the other.
+
+    Numba reads the kernel's index, chooses the next file name and writes both: two processes that compile for
+    different types would choose the same name, and one type's code would be taken for the other's.
+    """
+    file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if file is None:
+        return dispatcher
+    save = file.save
+
+    def save_in_turn(key: Any, data: Any) -> None:
+        with open(f"{file._index_path}.lock", "ab") as lock:
+            with contextlib.suppress(OSError):  # some network file systems have no locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            save(key, data)
+
+    file.save = save_in_turn
+    return dispatcher
 
 
 def _temporary_cache() -> str:

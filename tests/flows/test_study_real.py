@@ -14,18 +14,16 @@ from flows.simulate import simulate_folders
 from flows.study.planes import Plane, read_planes
 from metrology.errors import SpecError
 from simulator.spec import parse_spec
-from tests.flows.test_study_run import SIMULATION
+from tests.flows.test_study_run import PLACEMENTS, SEAM, SIMULATION
 
 PLANES = 'format = "flushline-planes/1"\n[[planes]]\nid = "plate"\nregion_px = [5, 10, 60, 200]\n'
 
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scans from each of two placements, with their rig."""
+    """A scan from each of two placements, with their rig."""
     folder = tmp_path_factory.mktemp("captured")
-    scenes, _ = simulate_folders(
-        parse_spec(SIMULATION.replace("seed = 3\n", "seed = 3\nrepeats = 2\n", 1), "x"), folder
-    )
+    scenes, _ = simulate_folders(parse_spec(SIMULATION + SEAM + PLACEMENTS, "x"), folder)
     for scene in scenes:
         (scene / "truth.json").unlink()
     return folder
@@ -52,13 +50,13 @@ def test_repeatability_and_flatness(captured: Path, tmp_path: Path) -> None:
     found = rows(out / "tables" / "rivets-a-small-s1.csv")
     assert len(found) == 2
     for row in found:
-        assert row["scans"] == "4"  # both placements have the station of the scene
+        assert row["scans"] == "2"  # both placements have the station of the scene
         assert 0 < float(row["sd, mm"]) < 0.01
     seams = rows(out / "tables" / "seams-a-small-s1.csv")
     assert {row["quantity"] for row in seams} == {"step", "width"}
     assert np.median([float(row["sd, mm"]) for row in seams if row["quantity"] == "step" and row["sd, mm"]]) < 0.01
     flat = rows(out / "tables" / "planes.csv")
-    assert len(flat) == 4
+    assert len(flat) == 2
     for row in flat:
         assert int(row["points"]) > 5000
         assert 5 < float(row["rms, µm"]) < 40
@@ -73,10 +71,16 @@ def test_repeatability_and_flatness(captured: Path, tmp_path: Path) -> None:
 def test_a_broken_scene_does_not_stop_the_others(
     captured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.rmtree(sorted(captured.glob("*/left"))[0])
-    assert main(["study", "real", str(captured), "--out", str(tmp_path / "out")]) == 1
+    shutil.copytree(next(captured.glob("*/left")).parent, captured / "broken")
+    shutil.rmtree(captured / "broken" / "left")
+    scene = captured / "broken" / "scene.json"
+    scene.write_text(scene.read_text().replace("2026-11-20", "2026-11-21"))  # a scan of another day
+    settings = tmp_path / "settings.toml"
+    settings.write_text('[seams]\nedges = "points"\n')  # sooner done
+    command = ["study", "real", str(captured), "--out", str(tmp_path / "out"), "--settings", str(settings)]
+    assert main(command) == 1
     assert capsys.readouterr().err.count("error:") == 1
-    assert rows(tmp_path / "out" / "tables" / "rivets-a-small-s1.csv")[0]["scans"] == "3"
+    assert rows(tmp_path / "out" / "tables" / "rivets-a-small-s1.csv")[0]["scans"] == "2"
 
 
 def test_bad_input_is_named(captured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

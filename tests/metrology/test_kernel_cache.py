@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numba
 import pytest
@@ -56,3 +59,38 @@ def test_other_problems_are_not_hidden() -> None:
 
     with pytest.raises(RuntimeError, match="no such target"):
         cached(fail, len)
+
+
+class Index:
+    """As numba keeps a kernel's files: which name holds the code for which types."""
+
+    def __init__(self, folder: Path) -> None:
+        self._index_path = str(folder / "f.nbi")
+        self.saved: list[str] = []
+
+    def save(self, key: str, data: bytes) -> None:
+        self.saved.append(key)
+
+
+def test_processes_save_a_kernel_one_after_the_other(tmp_path: Path) -> None:
+    index = Index(tmp_path)
+    cached(lambda _: SimpleNamespace(_cache=SimpleNamespace(_cache_file=index)), len)
+    with open(f"{index._index_path}.lock", "ab") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        saving = threading.Thread(target=index.save, args=("float64", b"code"))
+        saving.start()
+        saving.join(0.2)
+        assert index.saved == []
+    saving.join(10)
+    assert index.saved == ["float64"]
+
+
+def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def twice(x: float) -> float:
+        return 2 * x
+
+    assert cached(numba.njit(cache=True), twice)(1.5) == 3.0
+    names = [path.suffix for path in tmp_path.rglob("*") if path.is_file()]
+    assert sorted(names) == [".lock", ".nbc", ".nbi"]
