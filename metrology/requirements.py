@@ -61,6 +61,8 @@ def station_requirements(station: SeamStation, spec: PanelSpec) -> list[Requirem
         required += [
             Requirement("step (wind direction unknown)", "mm", amount, u95, limit) for limit in (into, out) if limit
         ]
+    if station.joint == "lap":
+        return required  # it has no gap
     return [*required, Requirement("width", "mm", station.width_mm, station.width_u95_mm, zone.width_mm)]
 
 

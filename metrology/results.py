@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 Severity = Literal["green", "blue", "red"]
 Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "no limit"]
+# A gap between two sheets, open or filled with sealant; or the edge of one sheet on another: a step without a gap.
+Joint = Literal["butt", "butt sealed", "lap"]
 
 # From a standard deviation to U95: two-sided 95 % of a normal distribution.
 COVERAGE_95 = 1.96
@@ -123,6 +125,7 @@ class SeamLine:
     width_px: NDArray[np.float64]
     confidence: float
     relief: bool
+    joint: Joint | None = None
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,7 @@ class SeamStation:
     y_panel_mm: float | None = None
     z_panel_mm: float | None = None
     zone: str | None = None
+    joint: Joint | None = None
 
 
 @dataclass(frozen=True)

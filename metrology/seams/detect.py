@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
 from metrology.seams.image_line import ImageLine
+from metrology.seams.laps import with_laps
 from metrology.seams.lines import detect_lines
 from metrology.seams.places import head_mask, panel_mask
 from metrology.seams.relief import MOST_PIECES, Relief, examine_relief
@@ -57,16 +59,12 @@ def detect_seams(
     for line in detect_lines(reconstruction.left.texture, settings.lines, hidden, worth):
         relief = examine_relief(line.centre_px, float(np.median(line.width_px)), reconstruction, usable, settings)
         if relief.is_seam:
-            seams.append((line, _confidence(line, relief)))
+            seams.append((SeamLine("", line.centre_px, line.width_px, _confidence(line, relief), True), relief))
         elif relief.between_skins and _is_shown(line):
-            others.append((line, _SHOWN_CONFIDENCE))
-    seams.sort(key=lambda found: tuple(found[0].centre_px.mean(axis=0)))
-    numbered = [(line, confidence, True) for line, confidence in seams]
-    numbered += [(line, confidence, False) for line, confidence in others]
-    return [
-        SeamLine(f"S{number:02d}", line.centre_px, line.width_px, confidence, relief)
-        for number, (line, confidence, relief) in enumerate(numbered, start=1)
-    ]
+            others.append(SeamLine("", line.centre_px, line.width_px, _SHOWN_CONFIDENCE, False))
+    found = with_laps(seams, reconstruction, usable, settings)
+    found.sort(key=lambda line: tuple(line.centre_px.mean(axis=0)))
+    return [replace(line, seam_id=f"S{number:02d}") for number, line in enumerate([*found, *others], start=1)]
 
 
 def _is_shown(line: RoughLine | ImageLine) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrology.cloud import Reconstruction
+from metrology.results import Joint
 from metrology.seams.gap import Gap, GapEdge
 from metrology.seams.gap_fit import fit_gap
 from metrology.seams.gap_floor import floor_depth, possible_floors
@@ -26,8 +27,8 @@ def image_edges(
     reconstruction: Reconstruction,
     half_length: float,
     chamfer_deg: float,
-) -> list[Gap | str]:
-    """The gap at every station, or why it is not known.
+) -> tuple[list[Gap | str], Joint | None]:
+    """The gap at every station, or why it is not known; and the joint's type.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def image_edges(
     projector, views = reconstruction.rig.projector, both_views(reconstruction)
     profiles = collect(sections, half_widths, views, projector, half_length, slope)
     if profiles is None:
-        return gaps
+        return gaps, None
     fit = fit_gap(profiles, possible_floors(floor_depth(sections, half_widths, reconstruction, half_length)))
     depths = fit.chamfer_slope * fit.chamfers_mm
     for row, station in enumerate(profiles.stations):
@@ -57,4 +58,4 @@ def image_edges(
         a = GapEdge(float(fit.borders[row, 0] + fit.chamfers_mm[0] + shift[0]), float(depths[0]))
         b = GapEdge(float(fit.borders[row, 1] - fit.chamfers_mm[1] + shift[1]), float(depths[1]))
         gaps[station] = Gap(a, b, float(np.hypot(fit.sigma_own_mm[row], fit.sigma_common_mm)))
-    return gaps
+    return gaps, "butt sealed" if fit.sealed else "butt"

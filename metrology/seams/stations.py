@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from metrology.cloud import Reconstruction
 from metrology.fits import FittedStation, SectionFit
 from metrology.plausibility import plausible_station
-from metrology.results import COVERAGE_95, RivetDetection, SeamLine, SeamStation
+from metrology.results import COVERAGE_95, Joint, RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
 from metrology.seams.leaning import steadied
@@ -29,6 +29,8 @@ Mask = NDArray[np.bool_]
 
 # "Under … mm" says something of a gap up to here.
 _WIDEST_BOUND_MM = 1.0
+# Why a lap joint has no width.
+_NO_GAP = "lap joint: no gap"
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
 
@@ -106,17 +108,21 @@ def measure_seams(
         if track is not None:
             courses = [coarse_course(other) for other in others]
             ground = _Ground(reconstruction, clear, heads, courses, is_upright(seam.centre_px), settings)
-            stations += _measure_seam(seam.seam_id, track, ground)
+            stations += _measure_seam(seam, track, ground)
     return stations
 
 
-def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStation]:
+def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamStation]:
     settings, reconstruction = ground.settings, ground.reconstruction
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
     stations = [_place(track, float(s), ground) for s in places]
     sections = _sections(stations, places, settings.half_length_mm)
     half_widths = [station.half_width_mm for station in stations]
-    if settings.edges == "points":
+    joint: Joint | None = seam.joint
+    gaps: list[Gap | str]
+    if joint == "lap":
+        gaps = [_NO_GAP] * len(stations)
+    elif settings.edges == "points":
         gaps = point_edges(
             sections,
             reconstruction,
@@ -127,9 +133,9 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
             np.deg2rad(settings.merge_angle_deg),
         )
     else:
-        gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
+        gaps, joint = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
     rows = [
-        _row(seam_id, station, section, gap, ground)
+        replace(_row(seam.seam_id, station, section, gap, ground), joint=joint)
         for station, section, gap in zip(stations, sections, gaps, strict=True)
     ]
     rows = _with_unevenness(rows, settings.station_step_mm, settings.half_length_mm)

@@ -193,6 +193,7 @@ step_mm DOUBLE height of side B minus side A, mm; A is the side at smaller u (se
 step_u95_mm DOUBLE expanded uncertainty (95 %) of step_mm, mm
 width_mm DOUBLE width of the gap between the ideal edges, mm
 width_u95_mm DOUBLE expanded uncertainty (95 %) of width_mm, mm
+joint VARCHAR butt (a gap), butt sealed, or lap (the edge of one sheet on another: a step, no gap); NULL where not told
 n_left INTEGER points used on side A
 n_right INTEGER points used on side B
 step_into_wind_mm DOUBLE step that the air runs against (positive) or falls from (negative), mm; NULL without an airflow
