@@ -112,11 +112,12 @@ def measure_seams(
 
 def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStation]:
     settings, reconstruction = ground.settings, ground.reconstruction
+    projector = reconstruction.rig.projector
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
     stations = [_place(track, float(s), ground) for s in places]
     sections = _sections(stations, places, settings.half_length_mm)
     half_widths = [station.half_width_mm for station in stations]
-    if settings.edges == "points":
+    if settings.edges == "points" or projector is None:  # the grey-level model needs to know where the light is
         gaps = point_edges(
             sections,
             reconstruction,
@@ -127,7 +128,9 @@ def _measure_seam(seam_id: str, track: Track, ground: _Ground) -> list[SeamStati
             np.deg2rad(settings.merge_angle_deg),
         )
     else:
-        gaps = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
+        gaps = image_edges(
+            sections, half_widths, reconstruction, projector, settings.half_length_mm, settings.chamfer_deg
+        )
     rows = [
         _row(seam_id, station, section, gap, ground)
         for station, section, gap in zip(stations, sections, gaps, strict=True)
