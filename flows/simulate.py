@@ -44,7 +44,7 @@ def simulate_capture(spec: SimulationSpec, out: Path, on_progress: Callable[[flo
     """Render the calibration capture of a specification into a folder of `out`, and return that folder."""
     folder = out / CAPTURE_FOLDER
     capture = simulate_calibration(spec, progress=on_progress)
-    device = capture.rig.projector
+    device = capture.rig.with_projector()
     projector: dict[str, Any] = {"width": device.width, "height": device.height}
     if capture.dots:
         projector["dots"] = capture.dots.as_dict()

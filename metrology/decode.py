@@ -12,9 +12,10 @@ from metrology.cloud import DecodedView
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from metrology.gray import continue_orders, stripe_positions
+from metrology.gray_edges import decode_stripes
 from metrology.jit import over_rows
 from metrology.noise import NoiseModel, estimate_noise
-from metrology.phase import COARSE, HETERODYNE, LATTICE, decode_rows
+from metrology.phase import COARSE, HETERODYNE, LATTICE, StepTables, decode_rows
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.saturation import saturation_level
 from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice
@@ -53,6 +54,8 @@ def decode_phase(
     fringes = np.ascontiguousarray(frames[:, : code.fringe_frames])
     saturation = settings.saturation or saturation_level(frames, fringes)
     noise = noise or estimate_noise(fringes, code, saturation)
+    if not code.counts:
+        return decode_stripes(frames, code, projector_size, exposures, settings, saturation)
     height, width = frames.shape[2:]
     view = DecodedView(
         coordinate=np.empty((height, width), np.float32),
@@ -69,8 +72,12 @@ def decode_phase(
         coarse = stripe_positions(
             stripes, code.gray, _mean_level(fringes, exposures, saturation), exposures, saturation
         )
-    steps = 2 * np.pi * np.arange(code.steps) / code.steps
-    trigonometry = (np.cos(steps).astype(np.float32), np.sin(steps).astype(np.float32))
+    steps = StepTables(
+        first=np.concatenate([[0], np.cumsum(code.step_counts)]).astype(np.int64),
+        cosines=np.cos(code.step_angles).astype(np.float32),
+        sines=np.sin(code.step_angles).astype(np.float32),
+        offsets=code.offset_turns.astype(np.float32),
+    )
     sensor = (float(saturation), noise.read_variance, noise.gain)
     unwrap = _unwrap_arguments(code, settings)
     limits = _limits(code, settings, saturation)
@@ -78,11 +85,11 @@ def decode_phase(
     size = np.float32(projector_size)
 
     def decode(first: int, end: int) -> None:
-        decode_rows(fringes, times, *trigonometry, sensor, unwrap, coarse, limits, size, first, end, out)
+        decode_rows(fringes, times, steps, sensor, unwrap, coarse, limits, size, first, end, out)
 
     over_rows(decode, height, settings.threads)
     if code.gray:
-        continue_orders(view.coordinate, min(code.counts), code.gray, projector_size, code.axis)
+        continue_orders(view.coordinate, min(code.counts), code.gray, projector_size)
     return view
 
 

@@ -65,12 +65,15 @@ def check_axis(rig: Rig, axis: Axis) -> None:
     """Refuse fringes that run along the rig's epipolar lines: equal coordinate would then pick out no single point.
 
     Looks at a plane facing the left camera where the viewing directions come closest: how much of the projector
-    coordinate's change over the right image lies along the epipolar line.
+    coordinate's change over the right image lies along the epipolar line. Without a calibrated projector only the
+    points can tell.
 
     Raises
     ------
     RigError
     """
+    if rig.projector is None:
+        return
     middle = _middle_of_view(rig)
     step = 1e-3 * middle[2]
     steps = np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]])

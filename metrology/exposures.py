@@ -69,9 +69,11 @@ def _first_mismatch(
     samples: NDArray, code: FringeCode, exposures: Sequence[float], limit: float
 ) -> _Mismatch | Literal["none", "unseen"]:
     """The first two exposures that are not as bright as stated; "unseen" where no two can be compared."""
-    stack = samples[:, : code.fringe_frames].reshape(len(exposures), len(code.counts), code.steps, -1)
-    phasors = np.tensordot(np.exp(-2j * np.pi * np.arange(code.steps) / code.steps), stack, (0, 2)) * 2 / code.steps
-    clipped = np.asarray((stack >= limit).any(2))
+    stack = samples[:, : code.fringe_frames].reshape(len(exposures), code.fringe_frames, -1)
+    of = [np.flatnonzero(code.count_of == k) for k in range(len(code.counts))]
+    turning = np.exp(-1j * code.step_angles)
+    phasors = np.stack([np.tensordot(turning[own], stack[:, own], (0, 1)) * 2 / len(own) for own in of], 1)
+    clipped = np.stack([(stack[:, own] >= limit).any(1) for own in of], 1)
     seen_any = False
     for short, long in pairwise(np.argsort(exposures)):
         usable = (np.abs(phasors[short]) > _LEAST_AMPLITUDE * limit) & ~clipped[short] & ~clipped[long]

@@ -218,7 +218,7 @@ def frame_deviations(
     brightness = np.abs(_per_band(np.where(lit, fit.errors, 0), rows, bands)) / level
     fringes = np.zeros_like(brightness)
     for index, k in enumerate(fit.used):
-        own = fit.shows // code.steps == k
+        own = code.count_of[fit.shows] == k
         if not own.any() or code.counts[k] < least_count:
             continue
         phasor = np.where(lit, fit.phasors[index], 0)

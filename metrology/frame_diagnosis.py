@@ -146,7 +146,7 @@ def _without_fringes(sample: FrameSample, exposure: int) -> FrameDiagnosis | Non
         return None
     amplitude = np.median(fit.amplitude[:, lit], axis=1)
     faint = [k for k in fit.used if amplitude[fit.used.index(k)] < FAINT_COUNT * amplitude.max()]
-    frames = [p for p in range(code.fringe_frames) if p // code.steps in faint]
+    frames = [p for p in range(code.fringe_frames) if code.count_of[p] in faint]
     described = _described(sample, exposure, tuple(frames), None)
     return FrameDiagnosis(described) if described else None
 

@@ -159,10 +159,10 @@ def _row_misfit(sample: FrameSample, exposure: int, frame: int, left_out: Sequen
     rows = len(sample.rows)
     unknown = np.full(rows, np.nan)
     fitted = _fit_without(sample, exposure, left_out)
-    if fitted is None or frame // sample.code.steps not in fitted[0].used:
+    if fitted is None or sample.code.count_of[frame] not in fitted[0].used:
         return unknown
     fit, _, lit = fitted
-    error = sample.frames(exposure)[frame] - fit.mean - fit.pattern(frame, sample.code.steps)
+    error = sample.frames(exposure)[frame] - fit.mean - fit.pattern(frame, sample.code)
     alone = SinusoidFit(fit.mean, fit.phasors, fit.used, error[None], np.array([frame]))
     deviation = frame_deviations(alone, sample.code, lit, rows, np.arange(rows), 1)[0]
     return np.where(lit.reshape(rows, -1).sum(1) >= _LEAST_PIXELS, deviation, np.nan)
@@ -189,8 +189,8 @@ def _likeness(
     levels = part.frames(exposure)
     mean = fit.mean[lit]
     pictures = {int(p): levels[p][lit] - mean for p in kept}
-    if frame // code.steps in fit.used:
-        pictures[frame] = fit.pattern(frame, code.steps)[lit]
+    if code.count_of[frame] in fit.used:
+        pictures[frame] = fit.pattern(frame, code)[lit]
     factor = float(levels[frame][lit] @ mean / (mean @ mean))
     varied = levels[frame][lit] - factor * mean
     explained = {p: _explained(varied, mean, picture) for p, picture in pictures.items()}

@@ -9,11 +9,13 @@ from metrology.fringe import Axis
 from metrology.rig import Device
 
 
-def expected_gradient(camera: Device, projector: Device, axis: Axis) -> Array:
+def expected_gradient(camera: Device, projector: Device | None, axis: Axis) -> Array | None:
     """(2,) direction in the image (u, v) along which the projector coordinate rises, for a skin that faces the camera.
 
-    The skin is where both optical axes pass each other closest; only the direction counts.
+    The skin is where both optical axes pass each other closest; only the direction counts. None without a projector.
     """
+    if projector is None:
+        return None
     centre = np.array([camera.width, camera.height]) / 2
     ray, beam = camera.rays(centre), projector.rays(np.array([projector.width, projector.height]) / 2)
     between = projector.centre - camera.centre

@@ -45,9 +45,10 @@ def frame_orders(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
 
 
 def _candidates(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
-    yield from _of_steps(code, exposures)
-    yield from _of_names(code, exposures)
-    yield from _of_counts(code, exposures)
+    if isinstance(code.steps, int):  # what follows takes blocks of as many frames for counts
+        yield from _of_steps(code, code.steps, exposures)
+        yield from _of_names(code, code.steps, exposures)
+        yield from _of_counts(code, code.steps, exposures)
     yield from _shifted(code, exposures)
     yield from _exchanged(code, exposures)
 
@@ -58,9 +59,7 @@ def _each_exposure(what: str, shows: list[int], code: FringeCode, exposures: int
     return FrameOrder(what, tuple(e * code.frames + p if p >= 0 else -1 for e in range(exposures) for p in whole))
 
 
-def _of_steps(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
-    n = code.steps
-
+def _of_steps(code: FringeCode, n: int, exposures: int) -> Iterator[FrameOrder]:
     def every(step: list[int]) -> list[int]:
         return [k * n + s for k in range(len(code.counts)) for s in step]
 
@@ -83,7 +82,7 @@ def _of_steps(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
         )
 
 
-def _of_names(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
+def _of_names(code: FringeCode, steps: int, exposures: int) -> Iterator[FrameOrder]:
     names = "if they are read in the order of their numbers: they are listed as text is sorted (1, 10, 11, 2)"
     total = exposures * code.frames
     for size in (total, code.frames, code.fringe_frames):
@@ -96,10 +95,8 @@ def _of_names(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
             else:
                 yield _each_exposure(names, shows, code, exposures)
     for first in (1, 0):
-        step = sorted(range(code.steps), key=lambda i, first=first: str(i + first))  # type: ignore[misc]
-        yield _each_exposure(
-            names, [k * code.steps + s for k in range(len(code.counts)) for s in step], code, exposures
-        )
+        step = sorted(range(steps), key=lambda i, first=first: str(i + first))  # type: ignore[misc]
+        yield _each_exposure(names, [k * steps + s for k in range(len(code.counts)) for s in step], code, exposures)
     yield FrameOrder("if they are read in reverse order, the last one first", tuple(range(total))[::-1])
     yield _each_exposure(
         "if they are read in reverse order, the last one first", list(range(code.fringe_frames))[::-1], code, exposures
@@ -108,8 +105,8 @@ def _of_names(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
     yield FrameOrder("with all exposures of a frame one after the other", tuple(interleaved))
 
 
-def _of_counts(code: FringeCode, exposures: int) -> Iterator[FrameOrder]:
-    n, k = code.steps, len(code.counts)
+def _of_counts(code: FringeCode, n: int, exposures: int) -> Iterator[FrameOrder]:
+    k = len(code.counts)
     by_step = [i % k * n + i // k for i in range(n * k)]
     yield _each_exposure("with all counts of a step one after the other", by_step, code, exposures)
     if code.gray:

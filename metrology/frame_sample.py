@@ -101,10 +101,11 @@ class SinusoidFit:
         """(counts used, n) B."""
         return np.abs(self.phasors)
 
-    def pattern(self, index: int, steps: int) -> Float32:
+    def pattern(self, index: int, code: FringeCode) -> Float32:
         """(n,) what pattern `index` adds to the mean level, from its count's phasor."""
-        count, step = divmod(index, steps)
-        turned = self.phasors[self.used.index(count)] * np.complex64(np.exp(2j * np.pi * step / steps))
+        turned = self.phasors[self.used.index(code.count_of[index])] * np.complex64(
+            np.exp(1j * code.step_angles[index])
+        )
         return np.ascontiguousarray(turned.real)
 
 
@@ -133,26 +134,26 @@ def sample_frames(
 
 
 @lru_cache(maxsize=512)
-def _solver(shows: tuple[int, ...], steps: int, counts: int) -> tuple[tuple[int, ...], Array, Array] | None:
+def _solver(shows: tuple[int, ...], code: FringeCode) -> tuple[tuple[int, ...], Array, Array] | None:
     """Counts with a phasor, the solver (1 + 2·used, frames) of their fit, and errors (frames, frames) from levels.
 
     None where no count has frames enough.
     """
-    patterns = np.array(shows)
-    step = 2 * np.pi * (patterns % steps) / steps
-    used = tuple(k for k in range(counts) if len(set(patterns[patterns // steps == k])) >= 2)
+    patterns = np.array(shows, np.int64)
+    step, count = code.step_angles[patterns], code.count_of[patterns]
+    used = tuple(k for k in range(len(code.counts)) if len(set(patterns[count == k])) >= 2)
     design = [np.ones(len(shows))]
     for k in used:
-        own = patterns // steps == k
+        own = count == k
         design += [own * np.cos(step), own * -np.sin(step)]
-    matrix = np.column_stack(design)[np.isin(patterns // steps, used)] if used else np.empty((0, 1))
+    matrix = np.column_stack(design)[np.isin(count, used)] if used else np.empty((0, 1))
     if not used or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
         return None
     solver = np.zeros((matrix.shape[1], len(shows)))
-    solver[:, np.isin(patterns // steps, used)] = np.linalg.pinv(matrix)
+    solver[:, np.isin(count, used)] = np.linalg.pinv(matrix)
     residual = np.eye(len(shows)) - np.column_stack(design) @ solver
     own = np.diag(residual)
-    told = np.isin(patterns // steps, used) & (own > 1e-6)
+    told = np.isin(count, used) & (own > 1e-6)
     return used, solver, np.where(told[:, None], residual / np.where(told, own, 1.0)[:, None], 0.0)
 
 
@@ -171,7 +172,7 @@ def fit_sinusoids(levels: Float32, shows: Sequence[int], code: FringeCode) -> Si
     SinusoidFit or None
         None where these frames do not determine it.
     """
-    solved = _solver(tuple(int(p) for p in shows), code.steps, len(code.counts))
+    solved = _solver(tuple(int(p) for p in shows), code)
     if solved is None:
         return None
     used, solver, errors = solved
@@ -207,8 +208,12 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     amplitude = fit.amplitude
     largest = amplitude.max(0)
     faint = amplitude.min(0) < FAINT_COUNT * largest
-    sigma = noise.sigma(np.maximum(fit.mean, 0)) * np.sqrt(2 / code.steps) / (2 * np.pi * np.maximum(largest, 1e-6))
-    turns = np.angle(fit.phasors).astype(np.float64) / (2 * np.pi)
+    sigma = (
+        noise.sigma(np.maximum(fit.mean, 0))
+        * np.sqrt(2 / min(code.step_counts))
+        / (2 * np.pi * np.maximum(largest, 1e-6))
+    )
+    turns = np.angle(fit.phasors).astype(np.float64) / (2 * np.pi) - code.offset_turns[list(fit.used), None]
     counts = tuple(code.counts[k] for k in fit.used)
     drift = 0.0
     if coarse is not None and code.gray is not None:

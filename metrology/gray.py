@@ -46,11 +46,11 @@ def stripe_positions(
     position = np.empty((height, width), np.float32)
     level = np.ascontiguousarray(reference, np.float32)
     times = np.array(exposures, float)
-    _read_stripes(frames, gray.bits, gray.inverse, gray.stripes, level, times, float(saturation), position)
+    _read_stripes(frames, gray.bits, gray.inverse, gray.stripes, gray.shift, level, times, float(saturation), position)
     return position
 
 
-def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode, size: int, axis: str) -> None:
+def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode, size: int) -> None:
     """Mend, in place, fringe orders beside phase wraps where the stripes are too wide to settle them.
 
     Parameters
@@ -62,17 +62,25 @@ def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode,
     gray : GrayCode
     size : int
         Projector pixels along the fringe axis.
-    axis : "x" or "y"
     """
     if gray.stripes >= _SURE_STRIPES_PER_FRINGE * count:
         return
-    lines = coordinate if axis == "x" else np.ascontiguousarray(coordinate.T)
-    _continue_along(lines, np.float32(size / count))
-    coordinate[:] = lines if axis == "x" else lines.T
+    along_rows = runs_along_rows(coordinate)
+    lines = coordinate if along_rows else np.ascontiguousarray(coordinate.T)
+    # The borders that may be off lie `shift` stripes beyond the wraps.
+    _continue_along(lines, np.float32(size / count), np.float32(gray.shift * count / gray.stripes))
+    coordinate[:] = lines if along_rows else lines.T
+
+
+def runs_along_rows(coordinate: NDArray[np.float32]) -> bool:
+    """Whether a coordinate (h, w) changes more along an image's rows than along its columns; cameras may be turned."""
+    steps = [np.abs(np.diff(coordinate[::8], axis=1)), np.abs(np.diff(coordinate[:, ::8], axis=0))]
+    along, down = (float(np.mean(step[np.isfinite(step)])) if np.isfinite(step).any() else 0.0 for step in steps)
+    return along >= down
 
 
 @kernel
-def _read_stripes(frames, bits, inverse, stripes, reference, exposures, saturation, position):  # type: ignore[no-untyped-def]
+def _read_stripes(frames, bits, inverse, stripes, shift, reference, exposures, saturation, position):  # type: ignore[no-untyped-def]
     height, width = position.shape
     per_bit = 2 if inverse else 1
     for y in range(height):
@@ -89,18 +97,18 @@ def _read_stripes(frames, bits, inverse, stripes, reference, exposures, saturati
                         best = value - other
                 previous ^= 1 if best > 0.0 else 0
                 number = 2 * number + previous
-            position[y, x] = (min(number, stripes - 1) + 0.5) / stripes
+            position[y, x] = (min(number, stripes - 1) + 0.5 + shift) / stripes
 
 
 @kernel
-def _continue_along(coordinate, fringe):  # type: ignore[no-untyped-def]
+def _continue_along(coordinate, fringe, border):  # type: ignore[no-untyped-def]
     """Per line: pixels near a phase wrap continue from the sure pixel before them, else from the one after."""
     lines, length = coordinate.shape
     reach = int(2 * fringe) + 1
     settled = np.empty(length, np.bool_)
     for i in range(lines):
         for j in range(length):
-            share = (coordinate[i, j] + 0.5) / fringe
+            share = (coordinate[i, j] + 0.5) / fringe - border
             share -= np.floor(share)
             settled[j] = _SURE_SHARE < share < 1.0 - _SURE_SHARE
         for turn in range(2):

@@ -100,11 +100,16 @@ def find_mix_up(
 
 
 def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
-    """How far the projector is from where a scan's points tell, px; infinite where they are too few to tell."""
+    """How far the projector, or texture without one, is from where a scan's points tell, px; infinite where they are
+    too few to tell.
+    """
     reconstruction = triangulate(_thinned(scan.left, _EVERY), _thinned(scan.right, _EVERY), _thinned_rig(scan.rig))
     decoded = min(float(np.isfinite(view.coordinate).mean()) for view in (scan.left, scan.right))
     if reconstruction.valid.mean() < _LEAST_MATCHED * decoded:
         return np.inf
+    if scan.rig.projector is None:
+        drift = epipolar_health(reconstruction, (), axis, settings).epipolar_drift_px
+        return np.inf if drift is None else _EVERY * drift
     rms = projector_rms(reconstruction, axis, replace(settings, block_px=max(16, settings.block_px // _EVERY)))
     return np.inf if rms is None else rms
 

@@ -72,7 +72,7 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
     """
     # Neighbours along a fringe: the pixel below for axis x, the one beside for axis y.
     beside = np.array([1, 0] if code.axis == "x" else [0, 1])
-    steps = 2 * np.pi * np.arange(code.steps) / code.steps
+    first = np.concatenate([[0], np.cumsum(code.step_counts)]).astype(np.int64)
     stride = max(2, frames.shape[2] // _PAIRS_OF_ROWS)
     counts = np.zeros(_BINS)
     squares = np.zeros(_BINS)
@@ -80,8 +80,8 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
     limit = np.full(_BINS, np.inf)
     for _ in range(2):
         counts[:] = squares[:] = levels[:] = 0
-        arguments = (np.cos(steps), np.sin(steps), float(saturation), stride, beside, limit)
-        _bin_residuals(frames, len(code.counts), *arguments, counts, squares, levels)
+        arguments = (np.cos(code.step_angles), np.sin(code.step_angles), float(saturation), stride, beside, limit)
+        _bin_residuals(frames, first, *arguments, counts, squares, levels)
         with np.errstate(invalid="ignore", divide="ignore"):
             limit = np.where(counts > 0, _CLIP * squares / counts, np.inf)
     used = counts >= _LEAST_PIXELS_PER_BIN
@@ -112,20 +112,21 @@ def _fit_line(level: NDArray, variance: NDArray, weight: NDArray) -> NoiseModel:
 
 
 @kernel
-def _bin_residuals(frames, n_counts, cosines, sines, saturation, stride, beside, limit, counts, squares, levels):  # type: ignore[no-untyped-def]
+def _bin_residuals(frames, first, cosines, sines, saturation, stride, beside, limit, counts, squares, levels):  # type: ignore[no-untyped-def]
     """Sum squared residual differences of pixels and those `beside` them (rows, columns) into bins of mean level.
 
     Each entry of `squares` adds an unbiased estimate of the variance of one sample.
     """
     exposures, _, height, width = frames.shape
-    n = cosines.size
+    n_counts = first.size - 1
     bins = counts.size
-    difference = np.empty(n)
+    difference = np.empty(cosines.size)
     for e in range(exposures):
         for row in range(0, height - beside[0], stride):
             for x in range(0, width - beside[1], _COLUMN_STRIDE):
                 previous = 0.0
                 for k in range(n_counts):
+                    begin, n = first[k], first[k + 1] - first[k]
                     mean = 0.0
                     c = 0.0
                     s = 0.0
@@ -133,13 +134,13 @@ def _bin_residuals(frames, n_counts, cosines, sines, saturation, stride, beside,
                     peak = 0.0
                     trough = saturation
                     for j in range(n):
-                        value = float(frames[e, k * n + j, row, x])
-                        other = float(frames[e, k * n + j, row + beside[0], x + beside[1]])
+                        value = float(frames[e, begin + j, row, x])
+                        other = float(frames[e, begin + j, row + beside[0], x + beside[1]])
                         d = value - other
                         difference[j] = d
                         mean += d
-                        c += d * cosines[j]
-                        s += d * sines[j]
+                        c += d * cosines[begin + j]
+                        s += d * sines[begin + j]
                         level += value + other
                         peak = max(peak, max(value, other))
                         trough = min(trough, min(value, other))
@@ -154,7 +155,7 @@ def _bin_residuals(frames, n_counts, cosines, sines, saturation, stride, beside,
                         s *= 2.0 / n
                         total = 0.0
                         for j in range(n):
-                            rest = difference[j] - mean - c * cosines[j] - s * sines[j]
+                            rest = difference[j] - mean - c * cosines[begin + j] - s * sines[begin + j]
                             total += rest * rest
                         variance = total / (2.0 * (n - 3))
                     elif n_counts > 1:

@@ -12,8 +12,11 @@ the exposure at hand.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag
 from metrology.jit import kernel
@@ -24,6 +27,26 @@ _ORDER_RESIDUAL = int(PixelFlag.ORDER_RESIDUAL)
 _SATURATED_SAMPLES = int(PixelFlag.SATURATED_SAMPLES)
 
 LATTICE, HETERODYNE, COARSE = range(3)
+
+
+class StepTables(NamedTuple):
+    """What the frames of every count show.
+
+    Attributes
+    ----------
+    first : (n + 1,) int64
+        First frame of each of n counts, and the end of the last one.
+    cosines, sines : (fringe frames,) float32
+        Of the phase steps.
+    offsets : (n,) float32
+        Phase offset of each count, turns.
+    """
+
+    first: NDArray[np.int64]
+    cosines: NDArray[np.float32]
+    sines: NDArray[np.float32]
+    offsets: NDArray[np.float32]
+
 
 # Pixels per chunk: with three counts the 33 slots take 33 kB. Sizes and indices are unsigned: a negative index would
 # count from the end, and to look for one keeps the compiler from using vectors.
@@ -178,9 +201,8 @@ def _decode_usual(frames, exposure, sensor, counts, lattice, limits, size, first
 
 
 @kernel
-def _sums(frames, first_frame, row, left, m, cosines, sines, w, block):  # type: ignore[no-untyped-def]
+def _sums(frames, first_frame, n, row, left, m, cosines, sines, w, block):  # type: ignore[no-untyped-def]
     """Phasor (×N/2), sum and largest sample of one count of one exposure into a block of the scratch array."""
-    n = cosines.size
     right = left + int(m)
     if n == 4:
         i1 = frames[first_frame, row, left:right]
@@ -199,8 +221,8 @@ def _sums(frames, first_frame, row, left, m, cosines, sines, w, block):  # type:
         return
     for j in range(n):
         samples = frames[first_frame + j, row, left:right]
-        cosine = cosines[j]
-        sine = sines[j]
+        cosine = cosines[first_frame + j]
+        sine = sines[first_frame + j]
         # The first step starts the sums.
         keep = _F0 if j == 0 else _F1
         if j == 0:
@@ -214,7 +236,7 @@ def _sums(frames, first_frame, row, left, m, cosines, sines, w, block):  # type:
 
 
 @kernel
-def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s, info):  # type: ignore[no-untyped-def]
+def _add_unsaturated(frames, begin, end, row, x, exposures, cosines, sines, sensor, c, s, info):  # type: ignore[no-untyped-def]
     """Add to one pixel's phasor the unsaturated samples of those exposures that have saturated ones as well.
 
     Each exposure has an offset of its own. Takes the phasor (c, s) and its information 1/var from the whole exposures
@@ -222,7 +244,7 @@ def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s,
     0 where the samples do not determine the phasor.
     """
     saturation, read, gain = sensor
-    n = cosines.size
+    n = end - begin
     m00 = info
     m01 = 0.0
     m11 = info
@@ -234,8 +256,8 @@ def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s,
         mean = 0.0
         mean_c = 0.0
         mean_s = 0.0
-        for j in range(n):
-            value = float(frames[e, k * n + j, row, x])
+        for j in range(begin, end):
+            value = float(frames[e, j, row, x])
             if value < saturation:
                 used += 1
                 mean += value
@@ -247,8 +269,8 @@ def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s,
         mean_c /= used
         mean_s /= used
         weight = time / (read + gain * mean)
-        for j in range(n):
-            value = float(frames[e, k * n + j, row, x])
+        for j in range(begin, end):
+            value = float(frames[e, j, row, x])
             if value < saturation:
                 dc = cosines[j] - mean_c
                 ds = -sines[j] - mean_s
@@ -269,15 +291,12 @@ def _add_unsaturated(frames, k, row, x, exposures, cosines, sines, sensor, c, s,
 
 
 @kernel
-def _fit_exposures(frames, row, left, m, n_counts, exposures, cosines, sines, sensor, w):  # type: ignore[no-untyped-def]
+def _fit_exposures(frames, row, left, m, n_counts, exposures, steps, sensor, w):  # type: ignore[no-untyped-def]
     """Phasors, their information 1/var and the mean level of a chunk; True if a sample of it is saturated.
 
     A count's exposures are added by inverse variance, those left out in which one of its samples is saturated.
     """
     saturation, read, gain = sensor
-    n = cosines.size
-    step_info = np.float32(0.5 * n)
-    per_sample = np.float32(1.0 / n)
     limit = np.float32(saturation)
     read32 = np.float32(read)
     gain32 = np.float32(gain)
@@ -286,11 +305,14 @@ def _fit_exposures(frames, row, left, m, n_counts, exposures, cosines, sines, se
     some_partial = 0
     for k in range(n_counts):
         block = _FRONT + _U(k) * _BLOCK
+        n = steps.first[k + 1] - steps.first[k]
+        step_info = np.float32(0.5 * n)
+        per_sample = np.float32(1.0 / n)
         for e in range(exposures.size):
             time = np.float32(exposures[e])
             inverse_time = _F1 / time
             scale = inverse_time / step_info
-            _sums(frames[e], k * n, row, left, m, cosines, sines, w, spare)
+            _sums(frames[e], steps.first[k], n, row, left, m, steps.cosines, steps.sines, w, spare)
             for x in range(m):
                 mean = w[spare + _SUM + x] * per_sample
                 good = w[spare + _PEAK + x] < limit
@@ -317,7 +339,7 @@ def _fit_exposures(frames, row, left, m, n_counts, exposures, cosines, sines, se
 
 
 @kernel
-def _mend_saturated(frames, row, left, m, n_counts, exposures, cosines, sines, sensor, w, flags):  # type: ignore[no-untyped-def]
+def _mend_saturated(frames, row, left, m, n_counts, exposures, steps, sensor, w, flags):  # type: ignore[no-untyped-def]
     """Use what unsaturated samples there are beside saturated ones, and set the flags."""
     for x in range(m):
         if w[_PARTIAL + x] == _F0:
@@ -328,7 +350,8 @@ def _mend_saturated(frames, row, left, m, n_counts, exposures, cosines, sines, s
         for k in range(n_counts):
             block = _FRONT + _U(k) * _BLOCK
             solved = _add_unsaturated(
-                frames, k, row, left + int(x), exposures, cosines, sines, sensor,
+                frames, steps.first[k], steps.first[k + 1], row, left + int(x), exposures,
+                steps.cosines, steps.sines, sensor,
                 float(w[block + _C + x]), float(w[block + _S + x]), float(w[block + _INFO + x]),
             )  # fmt: skip
             w[block + _C + x] = solved[0]
@@ -349,12 +372,14 @@ def _clipped_texture(frames, row, x, exposures):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _wrap(m, n, w):  # type: ignore[no-untyped-def]
-    """Wrapped phases in turns (paper eq 4) from the phasors."""
+def _wrap(m, n, offsets, w):  # type: ignore[no-untyped-def]
+    """Wrapped phases in turns (paper eq 4) from the phasors, less the code's phase offsets."""
     for k in range(n):
         block = _FRONT + _U(k) * _BLOCK
+        offset = offsets[k]
         for x in range(m):
-            w[block + _Q + x] = _turns(w[block + _S + x], w[block + _C + x])
+            q = _turns(w[block + _S + x], w[block + _C + x]) - offset
+            w[block + _Q + x] = q - np.floor(q)
 
 
 @kernel
@@ -496,14 +521,14 @@ def _store(m, w, slot, target):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, coarse, limits, size, first, end, out):  # type: ignore[no-untyped-def]
+def decode_rows(frames, exposures, steps, sensor, unwrap, coarse, limits, size, first, end, out):  # type: ignore[no-untyped-def]
     """Decode rows first … end − 1.
 
     Parameters
     ----------
-    frames : (exposures, n·steps, h, w) uint8 or uint16
+    frames : (exposures, fringe frames, h, w) uint8 or uint16
     exposures : (exposures,) float64, relative exposure times
-    cosines, sines : (steps,) float32 of the phase steps
+    steps : StepTables
     sensor : (saturation, read variance, gain), floats in grey levels
     unwrap : (method, counts, beats, order, basis, to_lattice, gram), arrays float32 but for order, int64;
         method is LATTICE, HETERODYNE or COARSE
@@ -520,7 +545,10 @@ def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, coarse, limit
     n = counts.size
     w = np.zeros(_FRONT + _U(n + 1) * _BLOCK, np.float32)
     to_do = np.ones(end, np.bool_)
-    if n == 3 and cosines.size == 4 and exposures.size == 1 and method == LATTICE:
+    four = True
+    for k in range(n):
+        four = four and steps.first[k + 1] - steps.first[k] == 4 and steps.offsets[k] == _F0
+    if n == 3 and four and exposures.size == 1 and method == LATTICE:
         _decode_usual(frames[0], exposures[0], sensor, counts, lattice, limits, size, first, end, out, to_do)
     for row in range(first, end):
         if not to_do[row]:
@@ -530,9 +558,9 @@ def decode_rows(frames, exposures, cosines, sines, sensor, unwrap, coarse, limit
             m = _U(right - left)
             bits = flags[row, left:right]
             bits[:] = 0
-            if _fit_exposures(frames, row, left, m, n, exposures, cosines, sines, sensor, w):
-                _mend_saturated(frames, row, left, m, n, exposures, cosines, sines, sensor, w, bits)
-            _wrap(m, n, w)
+            if _fit_exposures(frames, row, left, m, n, exposures, steps, sensor, w):
+                _mend_saturated(frames, row, left, m, n, exposures, steps, sensor, w, bits)
+            _wrap(m, n, steps.offsets, w)
             if method == LATTICE:
                 _unwrap_lattice(m, n, lattice, w)
             elif method == HETERODYNE:

@@ -16,7 +16,9 @@ from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Device, Rig
 from metrology.stereo import match
 
-__all__ = ["ReconstructionSettings", "check_axis", "decode", "reconstruct", "triangulate"]
+__all__ = ["ReconstructionSettings", "check_axis", "coordinate_size", "decode", "reconstruct", "triangulate"]
+
+_USUAL_PERIOD_PX = 16
 
 
 def reconstruct(
@@ -47,10 +49,19 @@ def reconstruct(
         Where frames or fringes do not fit the rig.
     """
     check_axis(rig, code.axis)
-    size = code.size(rig.projector.width, rig.projector.height)
+    size = coordinate_size(rig, code)
     left = decode(left_frames, code, size, exposures, settings)
     right = decode(right_frames, code, size, exposures, settings)
     return triangulate(left, right, rig, settings)
+
+
+def coordinate_size(rig: Rig, code: FringeCode) -> int:
+    """W, in projector pixels: what the counts are counted over; a usual size where nothing tells the projector's."""
+    if code.size_px is not None:
+        return code.size_px
+    if rig.projector is None:
+        return _USUAL_PERIOD_PX * max(code.counts or (code.gray.stripes if code.gray else 1,))
+    return code.size(rig.projector.width, rig.projector.height)
 
 
 def decode(
@@ -73,7 +84,7 @@ def decode(
     """
     settings = settings or ReconstructionSettings()
     view = decode_phase(frames, code, projector_size, exposures, settings)
-    return flag_neighbourhoods(view, code.fringe_frames, settings)
+    return flag_neighbourhoods(view, code.fringe_frames or code.frames, settings)
 
 
 def triangulate(

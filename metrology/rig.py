@@ -1,4 +1,4 @@
-"""The rig: two cameras and a projector as pinhole devices with lens distortion, all in the left camera's frame.
+"""The rig: two cameras and mostly a projector as pinhole devices with lens distortion, in the left camera's frame.
 
 Frame: the left camera's, millimetres, x right, y down, z forward; `x_dev = R x_left + t`. Pixels are raw (distorted)
 with centres at integers, as in OpenCV.
@@ -141,14 +141,15 @@ class Device:
 class Rig:
     """Two cameras and a projector with the id of the calibration they came from.
 
-    `extra` holds what else a rig file said (residuals, covariance …), untouched.
+    The projector is None where it is not calibrated: two cameras measure without it. `extra` holds what else a rig file
+    said (residuals, covariance …), untouched.
     """
 
     id: str
     calibrated_at: str
     left: Device
     right: Device
-    projector: Device
+    projector: Device | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -158,3 +159,15 @@ class Rig:
             )
         if np.linalg.norm(self.right.centre) < 1e-6:
             raise RigError("right camera: found no baseline to the left one, expected different centres")
+
+    def with_projector(self) -> Device:
+        """The projector; RigError where none is calibrated."""
+        if self.projector is None:
+            raise RigError(f"rig {self.id!r}: found no calibrated projector, expected one: flushline rig fit-projector")
+        return self.projector
+
+    @property
+    def devices(self) -> dict[str, Device]:
+        """The devices that there are: left, right and, where it is calibrated, projector."""
+        devices = {"left": self.left, "right": self.right}
+        return devices if self.projector is None else devices | {"projector": self.projector}

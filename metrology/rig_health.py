@@ -10,7 +10,8 @@ Two observables, which between them see every way that one device can move or zo
 
 What counts is the systematic part, which averaging does not remove; it is compared with what noise and the
 calibration's own uncertainty allow, and never allowed more than an absolute limit. Each sees what the other is blind
-to, so a rig that one of them cannot judge is unjudged.
+to, so a rig that one of them cannot judge is unjudged. A rig without a calibrated projector is judged by the first
+alone: nothing then tells a yaw between its cameras.
 """
 
 from __future__ import annotations
@@ -133,7 +134,9 @@ def epipolar_health(
     allowed = _calibration_sigma(reconstruction.rig)
     epipolar = _across(reconstruction, _patch_centres(reconstruction, rivets, settings), settings)
     projector = _third_view(reconstruction, axis, settings)
-    findings = [_judge(_EPIPOLAR, epipolar, allowed[0], settings), _judge(_PROJECTOR, projector, allowed[1], settings)]
+    findings = [_judge(_EPIPOLAR, epipolar, allowed[0], settings)]
+    if reconstruction.rig.projector:
+        findings.append(_judge(_PROJECTOR, projector, allowed[1], settings))
     verdict = max((found for found, _ in findings), key=_ORDER.index)
     reason = "; ".join(text for _, text in findings if text) or None
     if reason and verdict in _ADVICE:
@@ -263,13 +266,16 @@ def _epipolar(offsets: TextureOffsets, rig: Rig, floor: float) -> _Deviation | N
 
 
 def _third_view(reconstruction: Reconstruction, axis: Axis, settings: HealthSettings) -> _Deviation | None:
+    device = reconstruction.rig.projector
+    if device is None:
+        return None
     sample = np.s_[::_STRIDE, ::_STRIDE]
     points = reconstruction.points[sample]
     good = np.isfinite(points[..., 2]) & (reconstruction.flags[sample] == 0)
     v, u = np.nonzero(good)
     if len(v) == 0:
         return None
-    projected = reconstruction.rig.projector.project(points[good])[:, 0 if axis == "x" else 1]
+    projected = device.project(points[good])[:, 0 if axis == "x" else 1]
     off = reconstruction.left.coordinate[sample][good] - projected
     side = max(1, settings.block_px // _STRIDE)
     block = (v // side) * (good.shape[1] // side + 1) + u // side

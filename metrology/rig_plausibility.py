@@ -51,8 +51,7 @@ class _Misplaced:
 
 def check_rig(rig: Rig) -> None:
     """RigError that names the device, what was found and expected, and what it most likely is."""
-    devices: dict[str, Device] = {"left": rig.left, "right": rig.right, "projector": rig.projector}
-    for name, device in devices.items():
+    for name, device in rig.devices.items():
         try:
             check_device(device, projector=name == "projector")
         except RigError as problem:
@@ -70,13 +69,12 @@ def _misplaced(rig: Rig) -> _Misplaced | None:
 
 def _distance(rig: Rig) -> _Misplaced | None:
     """Devices that stand within each other, or farther apart than any frame is long."""
-    pairs: list[tuple[Moving, Device, str]] = [
-        ("right", rig.left, "left camera"),
-        ("projector", rig.left, "left camera"),
-        ("projector", rig.right, "right camera"),
-    ]
-    for name, other, named in pairs:
-        apart = float(np.linalg.norm(getattr(rig, name).centre - other.centre))
+    pairs: list[tuple[Moving, Device, Device, str]] = [("right", rig.right, rig.left, "left camera")]
+    if rig.projector:
+        pairs += [("projector", rig.projector, rig.left, "left camera")]
+        pairs += [("projector", rig.projector, rig.right, "right camera")]
+    for name, device, other, named in pairs:
+        apart = float(np.linalg.norm(device.centre - other.centre))
         if not LEAST_APART_MM <= apart <= LARGEST_APART_MM:
             expected = f"{LEAST_APART_MM:g} to {LARGEST_APART_MM:g} mm"
             return _Misplaced(name, f"its centre {apart:.4g} mm from the {named}'s (t)", expected)
@@ -110,6 +108,8 @@ def _shared_field(rig: Rig) -> _Misplaced | None:
             f"{LEAST_WORKING_MM:g} to {LARGEST_WORKING_MM:g} mm and {LEAST_MM_PER_PX:g} to {LARGEST_MM_PER_PX:g} mm a "
             "pixel",
         )
+    if rig.projector is None:
+        return None
     lit = (seen & _sees(rig.projector, rig.left, distances)).mean(1)[fitting & usual] / shared[fitting & usual]
     if lit.max() < _LEAST_LIT:
         found = f"it lighting {lit.max():.0%} of what both cameras see"
@@ -137,7 +137,7 @@ def _sees(device: Device, left: Device, distances: Array) -> NDArray[np.bool_]:
 
 def _likely(rig: Rig, misplaced: _Misplaced) -> str:
     """The convention in which the rig would be a sound one, as the end of a message."""
-    device: Device = getattr(rig, misplaced.device)
+    device = rig.devices[misplaced.device]
     fitting = []
     for said, changed in _conventions(device):
         right = misplaced.device == "right"

@@ -157,8 +157,9 @@ def board_poses(rig: Rig, board: PrintedBoard, settings: CaptureSettings, rng: n
 
 def _enough_light(rig: Rig, corners: Floats) -> bool:
     """Whether the projector's field covers the board but for a margin."""
-    uv = rig.projector.project(corners)
-    return bool((uv > -80).all() and (uv < np.array([rig.projector.width, rig.projector.height]) + 80).all())
+    projector = rig.with_projector()
+    uv = projector.project(corners)
+    return bool((uv > -80).all() and (uv < np.array([projector.width, projector.height]) + 80).all())
 
 
 def render_calibration(
@@ -181,7 +182,7 @@ def render_calibration(
     else:
         dots = dots or DotGrid()
     # Blurring the projected images takes longer than looking at them: once for all poses.
-    shown = _shown(rig.projector, dots if fringe is None else None, fringe, settings.projector)
+    shown = _shown(rig.with_projector(), dots if fringe is None else None, fringe, settings.projector)
     poses = []
     for k, pose in enumerate(board_poses(rig, board, settings, rng)):
         poses.append(_shoot(rig, board, shown, settings, pose, rng))
@@ -233,11 +234,11 @@ def _shoot(
     rig: Rig, board: PrintedBoard, shown: dict[str, Float32 | Stripes], settings: CaptureSettings, pose: Pose,
     rng: np.random.Generator,
 ) -> BoardPose:  # fmt: skip
-    distance = float(np.linalg.norm(rig.projector.centre - aim_frame(rig)[1]))
+    distance = float(np.linalg.norm(rig.with_projector().centre - aim_frame(rig)[1]))
     frames: dict[str, dict[str, Picture]] = {}
     for side in ("left", "right"):
         camera: Device = getattr(rig, side)
-        hits = view_board(board, pose.R, pose.t, camera, rig.projector, settings.brightness, distance,
+        hits = view_board(board, pose.R, pose.t, camera, rig.with_projector(), settings.brightness, distance,
                           settings.ambient, settings.blur_px, settings.samples)  # fmt: skip
         frames[side] = {
             name: _capture(receive_stripes(hits, light) if isinstance(light, Stripes) else receive_image(hits, light),

@@ -130,19 +130,18 @@ def warmed(rig: Rig, kelvin: float, expansion_per_k: float = 23e-6) -> Rig:
     return replace(
         rig,
         right=replace(rig.right, t=rig.right.t * grow),
-        projector=replace(rig.projector, t=rig.projector.t * grow),
+        projector=replace(rig.with_projector(), t=rig.with_projector().t * grow),
     )
 
 
 def _device_of(rig: Rig, device: str) -> Device:
     if device not in ("right", "projector"):
         raise SpecError(f"device: found {device!r}, expected 'right' or 'projector' (the left camera is the rig frame)")
-    found: Device = getattr(rig, device)
-    return found
+    return rig.with_projector() if device == "projector" else rig.devices[device]
 
 
 def _with(rig: Rig, device: str, new: Device) -> Rig:
-    devices = {"left": rig.left, "right": rig.right, "projector": rig.projector} | {device: new}
+    devices = rig.devices | {device: new}
     return replace(rig, left=devices["left"], right=devices["right"], projector=devices["projector"])
 
 

@@ -112,18 +112,19 @@ def _view(
     spec: SimulationSpec, rig: Rig, side: str, pose: Pose, relief: Relief, reflectance: ReflectanceMap,
     progress: Callable[[float], None],
 ) -> Hits:  # fmt: skip
+    lamp = rig.with_projector()
     light = Light(
-        spec.light.brightness, float(np.linalg.norm(rig.projector.centre - aim_frame(rig)[1])), spec.light.ambient,
+        spec.light.brightness, float(np.linalg.norm(lamp.centre - aim_frame(rig)[1])), spec.light.ambient,
         spec.panel.surface.specular, spec.panel.surface.roughness, spec.panel.background_reflectance,
         spec.light.wall_reflectance,
     )  # fmt: skip
-    camera, projector = moved(getattr(rig, side), pose.R, pose.t), moved(rig.projector, pose.R, pose.t)
+    camera, projector = moved(getattr(rig, side), pose.R, pose.t), moved(lamp, pose.R, pose.t)
     return trace(relief, reflectance, light, camera, projector, spec.camera.blur_px, spec.camera.samples, progress)
 
 
 def fringe_light(spec: SimulationSpec, stage: Stage, rng: np.random.Generator) -> dict[str, Float32]:
     """Light on both cameras in all fringe frames, (frames, h, w) grey levels at exposure 1, with the disturbances."""
-    projector = stage.rig.projector
+    projector = stage.rig.with_projector()
     stripes = project_stripes(spec.fringe, projector.width, projector.height, spec.projector)
     shifts = rng.normal(0, 1, spec.fringe.frames) * spec.disturbances.vibration_px
     drift = np.linspace(-0.5, 0.5, spec.fringe.frames) * spec.disturbances.ambient_drift

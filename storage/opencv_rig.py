@@ -62,7 +62,7 @@ def load_opencv_rig(
     unit : str
         Of the translations: mm, cm, m or in.
     projector : Device, optional
-        Where the files hold none.
+        Where the files hold none; a rig may do without.
     """
     if unit not in MM_PER_UNIT:
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}")
@@ -82,7 +82,7 @@ def load_opencv_rig(
         scale, size = MM_PER_UNIT[unit], size or told or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
         right = _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
-        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or _required(projector, named))
+        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)
         check_rig(rig)
         return rig
     except RigError as problem:
@@ -98,15 +98,18 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     values: dict[str, Array] = {
         "size": np.array([[rig.left.width, rig.left.height]], float),
-        "size3": np.array([[rig.projector.width, rig.projector.height]], float),
         "R": rig.right.R,
         "T": rig.right.t[:, None],
-        "R3": rig.projector.R,
-        "T3": rig.projector.t[:, None],
     }
+    if rig.projector:
+        values |= {
+            "size3": np.array([[rig.projector.width, rig.projector.height]], float),
+            "R3": rig.projector.R,
+            "T3": rig.projector.t[:, None],
+        }
     if (rig.right.width, rig.right.height) != (rig.left.width, rig.left.height):
         raise RigError(f"{path}: found cameras of two image sizes, expected one: OpenCV's stereo files have but one")
-    for number, device in enumerate((rig.left, rig.right, rig.projector), start=1):
+    for number, device in enumerate(rig.devices.values(), start=1):
         values[f"M{number}"] = device.K
         values[f"D{number}"] = device.distortion[None] if device.distortion.size else np.zeros((1, 4))
     partial = path.with_name(f".partial-{path.name}")
@@ -194,9 +197,3 @@ def _projector(found: Mapping[str, Array], scale: float) -> Device | None:
     if missing or size is None:
         raise RigError(f"found a projector without {', '.join(missing) or 'its size'}, expected it whole")
     return _device("projector", size, found["M3"], found["D3"], found["R3"], found["T3"] * scale)
-
-
-def _required(projector: Device | None, named: str) -> Device:
-    if projector is None:
-        raise RigError(f"{named}: found no projector, expected one: take it from another rig file")
-    return projector

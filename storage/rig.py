@@ -58,7 +58,7 @@ class RigModel(_OpenModel):
     calibrated_at: UtcTime
     units: Literal["mm"]
     cameras: CamerasModel
-    projector: DeviceModel
+    projector: DeviceModel | None = None
 
 
 def load_rig(path: Path) -> Rig:
@@ -76,7 +76,8 @@ def rig_from_document(document: Mapping[str, Any], path: Path) -> Rig:
     """
     check_format(document, FORMAT, path, RigError)
     model = validate(RigModel, document, path, RigError)
-    devices = {"left": model.cameras.left, "right": model.cameras.right, "projector": model.projector}
+    devices = {"left": model.cameras.left, "right": model.cameras.right}
+    devices |= {"projector": model.projector} if model.projector else {}
     try:
         return Rig(
             id=model.id,
@@ -96,8 +97,9 @@ def rig_document(rig: Rig) -> dict[str, Any]:
         "calibrated_at": rig.calibrated_at,
         "units": "mm",
         "cameras": {"left": _device_document(rig.left), "right": _device_document(rig.right)},
-        "projector": _device_document(rig.projector),
     }
+    if rig.projector:
+        document["projector"] = _device_document(rig.projector)
     return _merged(rig.extra, document)
 
 

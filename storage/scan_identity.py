@@ -24,10 +24,13 @@ def frames_digest(code: FringeCode, exposures: Sequence[float], left: Sequence[i
     Parameters
     ----------
     left, right : sequence of int
-        Checksums of each camera's frame files, exposure-major, in the order of the manifest.
+        Checksums of each camera's frame files, exposure-major, in the order of the code.
     """
     gray = [code.gray.stripes, code.gray.inverse] if code.gray else None
-    shown = [code.axis, code.steps, list(code.counts), gray]
+    shown: list[object] = [code.axis, code.steps, list(code.counts), gray]
+    others = [list(code.phase_offsets_rad), code.size_px, code.gray and [code.gray.references, code.gray.shift]]
+    if others not in ([[], None, None], [[], None, [False, 0.0]]):  # scans that had no such keys keep their names
+        shown.append(others)
     return _name([shown, [float(exposure) for exposure in exposures], list(left), list(right)])
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, model_validator
 
 from metrology.errors import SceneError
 from metrology.exposures import MAX_RATIO, relative_exposures
@@ -29,7 +30,19 @@ MANIFEST = "scene.json"
 MAX_MANIFEST_BYTES = 2**20
 MAX_EXPOSURES, MAX_FRAMES = 64, 4096
 Camera = Literal["left", "right"]
+Item = TypeVar("Item")
 CAMERAS: tuple[Camera, ...] = ("left", "right")
+
+
+def _steps(value: object) -> int | tuple[int, ...]:
+    """One number for all counts, or one per count."""
+    listed = value if isinstance(value, list | tuple) else [value]
+    if not all(isinstance(one, int) and not isinstance(one, bool) for one in listed):
+        raise ValueError("a valid integer" if listed[:1] == [value] else "valid integers")
+    return tuple(listed) if listed is value else listed[0]
+
+
+Steps = Annotated[int | tuple[int, ...], PlainValidator(_steps)]
 
 
 class GrayModel(StrictModel):
@@ -37,21 +50,54 @@ class GrayModel(StrictModel):
 
     stripes: WholeNumber
     inverse: bool = False
+    references: bool = False
+    first: Literal["msb", "lsb"] = "msb"
+    shift: float = 0.0
 
 
 class FringeModel(StrictModel):
     """`fringe` of scene.json."""
 
     axis: Literal["x", "y"]
-    steps: WholeNumber
-    counts: tuple[WholeNumber, ...]
+    steps: Steps = 0
+    counts: tuple[WholeNumber, ...] = ()
+    periods_px: tuple[WholeNumber, ...] = ()
+    size_px: WholeNumber | None = None
+    direction: Literal[1, -1] = 1
+    phase_offset_rad: tuple[float, ...] | float = 0.0
     gray: GrayModel | None = None
 
     @property
     def code(self) -> FringeCode:
-        """What the projector showed."""
-        gray = GrayCode(self.gray.stripes, self.gray.inverse) if self.gray else None
-        return FringeCode(self.axis, self.steps, self.counts, gray)
+        """What the projector showed, its frames in Flushline's order."""
+        gray = (
+            GrayCode(self.gray.stripes, self.gray.inverse, self.gray.references, self.gray.shift) if self.gray else None
+        )
+        counts, size, offset = self.counts, self.size_px, self.phase_offset_rad
+        if self.periods_px:
+            if counts or size is not None or min(self.periods_px) < 1:
+                raise SceneError(
+                    "fringe: found periods_px with counts, size_px or periods below 1, expected them alone"
+                )
+            size = math.lcm(*self.periods_px)
+            counts = tuple(size // period for period in self.periods_px)
+        offsets = offset if isinstance(offset, tuple) else (offset,) * len(counts)
+        return FringeCode(self.axis, self.steps, counts, gray, offsets, size)
+
+    def ordered(self, frames: Sequence[Item]) -> tuple[Item, ...]:
+        """One exposure's frames, listed as they were shown, in Flushline's order: steps forward, bits from the top."""
+        code = self.code
+        order: list[int] = []
+        for k, steps in enumerate(code.step_counts):
+            first = sum(code.step_counts[:k])
+            order += [first + (self.direction * step) % steps for step in range(steps)]
+        if code.gray:
+            per_bit = 2 if code.gray.inverse else 1
+            bits = list(range(code.gray.bits))
+            for bit in bits if self.gray and self.gray.first == "msb" else bits[::-1]:
+                order += [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+            order += range(code.fringe_frames + code.gray.stripe_frames, code.frames)
+        return tuple(frames[place] for place in order)
 
 
 Exposures = Annotated[
@@ -106,8 +152,7 @@ class SceneModel(StrictModel):
                 if len(frames) != code.frames:
                     raise ValueError(
                         f"found {len(frames)} frames in frames.{camera}.{index}, expected {code.frames} "
-                        f"({len(code.counts)} counts × {code.steps} steps"
-                        + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
+                        f"({_told(code)}" + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
                     )
         seen: set[str] = set()
         for path in (path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames):
@@ -170,12 +215,8 @@ class Scene:
 
     def check_fits(self, rig: Rig) -> None:
         """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
-        size, finest = self.code.size(rig.projector.width, rig.projector.height), max(self.code.counts)
-        if 2 * finest > size:  # fewer than two pixels per fringe: a coarser one would show (Nyquist)
-            raise SceneError(
-                f"{self.folder / MANIFEST}: found {finest} fringes, expected at most {size // 2} across the {size} "
-                f"pixels of the projector of rig {rig.id!r}"
-            )
+        if rig.projector:
+            self._check_projector(rig.projector, rig.id)
         for camera, header in (("left", self.left_header), ("right", self.right_header)):
             device: Device = getattr(rig, camera)
             if (header.width, header.height) != (device.width, device.height):
@@ -184,6 +225,15 @@ class Scene:
                     f"expected {device.width}×{device.height} as the {camera} camera of rig {rig.id!r} has"
                     f"{self._likely_mix_up(rig)}"
                 )
+
+    def _check_projector(self, projector: Device, rig_id: str) -> None:
+        size = self.code.size_px or self.code.size(projector.width, projector.height)
+        finest = max(self.code.counts, default=0)
+        if 2 * finest > size:  # fewer than two pixels per fringe: a coarser one would show (Nyquist)
+            raise SceneError(
+                f"{self.folder / MANIFEST}: found {finest} fringes, expected at most {size // 2} across the {size} "
+                f"pixels of the projector of rig {rig_id!r}"
+            )
 
     def _likely_mix_up(self, rig: Rig) -> str:
         """What the frames' sizes tell of how they came not to fit a rig."""
@@ -201,7 +251,9 @@ def load_scene(folder: Path) -> Scene:
     manifest = folder / MANIFEST
     model = load_manifest(manifest)
     paths = {
-        camera: tuple(folder / path for frames in getattr(model.frames, camera) for path in frames)
+        camera: tuple(
+            folder / path for frames in getattr(model.frames, camera) for path in model.fringe.ordered(frames)
+        )
         for camera in CAMERAS
     }
     state = files_state(manifest, model)  # before anything is read: what changes from now on shows
@@ -248,7 +300,11 @@ def files_state(manifest: Path, model: SceneModel) -> str:
 def digest_of_files(manifest: Path, model: SceneModel) -> str:
     """The digest that an inspection of the folder would give, see `storage.scan_identity`; nothing is decoded."""
     left, right = (
-        [file_checksum(manifest.parent / path, SceneError) for paths in getattr(model.frames, camera) for path in paths]
+        [
+            file_checksum(manifest.parent / path, SceneError)
+            for paths in getattr(model.frames, camera)
+            for path in model.fringe.ordered(paths)
+        ]
         for camera in CAMERAS
     )
     return scan_identity.frames_digest(model.fringe.code, model.exposures, left, right)
@@ -273,14 +329,12 @@ def write_scene(
     truth : dict, optional
         Written to truth.json beside it.
     """
-    shown = [f"c{count}_s{step}" for count in range(len(code.counts)) for step in range(code.steps)]
+    shown = [f"c{count}_s{step}" for count, step in zip(code.count_of, code.step_of, strict=True)]
     shown += [f"gray{k}" for k in range(code.gray.frames if code.gray else 0)]
     names: dict[str, list[list[str]]] = {
         camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in CAMERAS
     }
-    fringe: dict[str, Any] = {"axis": code.axis, "steps": code.steps, "counts": list(code.counts)}
-    if code.gray:
-        fringe["gray"] = {"stripes": code.gray.stripes, "inverse": code.gray.inverse}
+    fringe = fringe_document(code)
     document = {
         "format": FORMAT,
         "aircraft_serial": key.aircraft_serial,
@@ -304,6 +358,28 @@ def write_scene(
     if truth is not None:
         (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     manifest.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def fringe_document(code: FringeCode) -> dict[str, Any]:
+    """`fringe` of scene.json for frames in Flushline's order; what is usual is left out."""
+    steps = list(code.steps) if isinstance(code.steps, tuple) else code.steps
+    document: dict[str, Any] = {"axis": code.axis, "steps": steps, "counts": list(code.counts)}
+    if code.phase_offsets_rad:
+        document["phase_offset_rad"] = list(code.phase_offsets_rad)
+    if code.size_px is not None:
+        document["size_px"] = code.size_px
+    if gray := code.gray:
+        document["gray"] = {"stripes": gray.stripes, "inverse": gray.inverse}
+        document["gray"] |= {"references": True} if gray.references else {}
+        document["gray"] |= {"shift": gray.shift} if gray.shift else {}
+    return document
+
+
+def _told(code: FringeCode) -> str:
+    """How many frames the fringes take, in words."""
+    if isinstance(code.steps, int):
+        return f"{len(code.counts)} counts × {code.steps} steps"
+    return " + ".join(map(str, code.step_counts)) + " steps"
 
 
 def _common_header(paths: Sequence[Path]) -> FrameHeader:

@@ -9,7 +9,7 @@ import numpy as np
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.errors import FlushlineError, RigError, SceneError
 from metrology.mix_ups import find_mix_up
-from metrology.reconstruct import reconstruct
+from metrology.reconstruct import coordinate_size, reconstruct
 from metrology.rig import Rig
 from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
 from storage.scene import Scene, load_scene
@@ -40,14 +40,15 @@ def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) 
 def doubtful(health: RigHealth) -> bool:
     """Whether mixed up frames could be why: the rig does not fit or hardly, or points are too few to tell."""
     off = health.projector_rms_px
-    return health.verdict == "refused" or off is None or (health.verdict == "warning" and off > _HARDLY_PX)
+    if off is None:
+        return health.verdict != "ok"
+    return health.verdict == "refused" or (health.verdict == "warning" and off > _HARDLY_PX)
 
 
 def mixed_up(scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None) -> SceneError | None:
     """What is to be said where a mix-up of the frames explains that they do not fit the rig."""
     rig = reconstruction.rig
-    size = scene.code.size(rig.projector.width, rig.projector.height)
-    found = find_mix_up(reconstruction, scene.code.axis, size, settings)
+    found = find_mix_up(reconstruction, scene.code.axis, coordinate_size(rig, scene.code), settings)
     if found is None:
         return None
     return SceneError(

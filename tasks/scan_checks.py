@@ -55,6 +55,9 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     """
     noise = view.noise or NoiseModel(1.0, 0.0)
     sample = sample_frames(frames, scene.code, noise)
+    if not scene.code.counts:
+        _refuse_odd_stripes(camera, sample, scene)
+        return CheckedFrames(camera, sample, (), None)
     found = tuple(frame_consistency(sample, exposure) for exposure in range(len(frames)))
     seen = sum(judged.judged for judged in found) > 0
     if seen and not any(judged.odd for judged in found):
@@ -83,9 +86,10 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
                 f"of the {camera} camera fit {order.what}" for camera, order in zip(cameras, orders, strict=True)
             )
         )
+        steps = " and ".join(map(str, dict.fromkeys(scene.code.step_counts)))
         raise SceneError(
             f"{scene.folder}: found that the frames {told}; expected the order in which they were shown: "
-            f"counts {', '.join(map(str, scene.code.counts))} of {scene.code.steps} steps, as scene.json says"
+            f"counts {', '.join(map(str, scene.code.counts))} of {steps} steps, as scene.json says"
         )
     named = [view for view in views if view.diagnosis and view.diagnosis.faults]
     if named:
@@ -93,6 +97,8 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
     # Gray code and fringes of a sound scan never contradict each other, and no flag counts where they do.
     limit = checks.contradictory_warning_fraction if scene.code.gray else checks.max_contradictory_fraction
     for view in views:
+        if not view.found:
+            continue
         worst = max(view.found, key=lambda judged: judged.contradictory)
         if worst.contradictory > limit:
             raise SceneError(
@@ -133,6 +139,39 @@ def _refuse_shared_pictures(scene: Scene, left: CheckedFrames, right: CheckedFra
             )
 
 
+# Frame and inverse add up to the same for every bit.
+_ODD_SUM = 0.15
+_LEAST_LIT, _LIT = 200, 0.1
+
+
+def _refuse_odd_stripes(camera: Camera, sample: FrameSample, scene: Scene) -> None:
+    """Refuse frames of Gray code alone that repeat one another or are not each a pattern and its inverse."""
+    gray, paths = scene.code.gray, scene.left if camera == "left" else scene.right
+    assert gray is not None
+    for exposure in range(len(sample.levels)):
+        levels, first = sample.frames(exposure), exposure * scene.code.frames
+        for frame in range(1, gray.stripe_frames):
+            same = [other for other in range(frame) if np.array_equal(levels[frame], levels[other])]
+            if same and np.ptp(levels[frame]) > 0:
+                other = _short(scene, camera, first + same[0])
+                raise SceneError(f"{paths[first + frame]}: found the same picture as {other}, expected another bit's")
+        if not gray.inverse or gray.bits < 3:
+            continue
+        sums = levels[: gray.stripe_frames : 2] + levels[1 : gray.stripe_frames : 2]
+        usual = np.median(sums, axis=0)
+        lit = (np.abs(levels[0] - levels[1]) > _LIT * sample.saturation) & (levels.max(0) < sample.saturation)
+        if lit.sum() < _LEAST_LIT:
+            continue
+        off = np.median(np.abs(sums - usual)[:, lit] / usual[lit], axis=1)
+        if off.max() > _ODD_SUM:
+            bit = 2 * int(np.argmax(off))
+            names = " and ".join(_short(scene, camera, first + frame) for frame in (bit, bit + 1))
+            raise SceneError(
+                f"{scene.folder}: found that {names} are no pattern and its inverse, expected frames of one scan in "
+                "the order that scene.json says"
+            )
+
+
 def _faults(scene: Scene, view: CheckedFrames) -> str:
     """The frames of a camera that do not fit, each with what it looks like."""
     diagnosis = view.diagnosis or FrameDiagnosis()
@@ -151,13 +190,14 @@ def _faults(scene: Scene, view: CheckedFrames) -> str:
 
 
 def _expected(scene: Scene, fault: FrameFault) -> str:
-    count, step = divmod(fault.frame % scene.code.frames, scene.code.steps)
+    frame = fault.frame % scene.code.frames
+    count, step = scene.code.count_of[frame], scene.code.step_of[frame]
     exposure = f" at exposure {fault.frame // scene.code.frames + 1}" if len(scene.exposures) > 1 else ""
     return f"step {step + 1} of count {scene.code.counts[count]}{exposure}"
 
 
 def _look(scene: Scene, camera: Camera, fault: FrameFault) -> str:
-    count = scene.code.counts[fault.frame % scene.code.frames // scene.code.steps]
+    count = scene.code.counts[scene.code.count_of[fault.frame % scene.code.frames]]
     other = "" if fault.other is None else _short(scene, camera, fault.other)
     look = {
         "same": f"the same picture as {other}",

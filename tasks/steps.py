@@ -88,7 +88,7 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     """Frames to organised cloud; the right camera's frames are read while the left one's are decoded."""
     scene, rig = loaded.scene, loaded.rig
     reconstruct.check_axis(rig, scene.code.axis)
-    size = scene.code.size(rig.projector.width, rig.projector.height)
+    size = reconstruct.coordinate_size(rig, scene.code)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
         left_stack = _read(scene, "left", readers)
@@ -281,6 +281,12 @@ def assemble(
     ]
     if health.verdict in ("warning", "unjudged"):
         warnings.append(f"rig {loaded.rig.id}: {health.reason}")
+    if loaded.rig.projector is None:
+        warnings.append(
+            f"rig {loaded.rig.id} has no calibrated projector: the overlay is drawn over the left camera's picture, "
+            "gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be "
+            "noticed; find the projector with flushline rig fit-projector"
+        )
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
     elif spec.limits.panel != key.panel:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from flows.code_options import add_code_options
+
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
     """Add `patterns`."""
@@ -27,8 +29,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     )
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--axis", choices=("x", "y"), default="x", help="x: fringes change along columns (default)")
-    parser.add_argument("--steps", type=int, default=4, help="phase steps per count (default 4)")
-    parser.add_argument("--counts", type=int, nargs="+", default=(70, 64, 59), help="fringes across (default 70 64 59)")
+    parser.add_argument("--steps", type=int, nargs="+", default=(4,), help="phase steps, or one number per count")
+    parser.add_argument("--counts", type=int, nargs="*", default=(70, 64, 59), help="fringes across (default 70 64 59)")
+    add_code_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -46,7 +49,7 @@ def _recommend(options: argparse.Namespace) -> int:
     noise, modulation = options.recommend
     size = options.size[0 if options.axis == "x" else 1]
     table = Table("counts", "σ [projector px]", "wrong orders", "margin [rad]", "heterodyne")
-    for choice in recommend_counts(size, noise, modulation, steps=options.steps, counts=len(options.counts)):
+    for choice in recommend_counts(size, noise, modulation, steps=options.steps[0], counts=len(options.counts)):
         table.add_row(
             " ".join(map(str, choice.counts)),
             f"{choice.sigma_px:.4f}",
@@ -59,22 +62,29 @@ def _recommend(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace) -> int:
+    import json
+
     import numpy as np
 
+    from flows.code_options import frame_names, fringe_model
     from metrology.errors import UsageError
-    from metrology.fringe import FringeCode
     from storage.frames import write_frame
 
     width, height = options.size
     if not (0 < width <= 16384 and 0 < height <= 16384):
         raise UsageError(f"--size: found {width} {height}, expected 1 to 16384 pixels each")
-    code = FringeCode(options.axis, options.steps, tuple(options.counts))
+    shown = fringe_model(options)
+    code = shown.code
     frames = np.rint(255 * code.patterns(width, height)).astype(np.uint8)
     options.out.mkdir(parents=True, exist_ok=True)
-    names = [f"{options.axis}_count{n:03d}_step{i + 1}.png" for n in code.counts for i in range(code.steps)]
-    for name, frame in zip(names, frames, strict=True):
-        write_frame(options.out / name, frame)
+    names = frame_names(code)
+    listed = np.argsort(shown.ordered(range(code.frames)))  # as it is shown, from Flushline's own order
+    for place, frame in enumerate(listed):
+        number = f"{place:03d}_" if shown.direction < 0 or (shown.gray and shown.gray.first == "lsb") else ""
+        write_frame(options.out / f"{number}{names[frame]}.png", frames[frame])
+    document = shown.model_dump(mode="json", exclude_defaults=True)
+    (options.out / "fringe.json").write_text(json.dumps(document), encoding="utf-8")
     for name, level in (("white.png", 255), ("black.png", 0)):
         write_frame(options.out / name, np.full((height, width), level, np.uint8))
-    print(f"{len(names)} fringe patterns, white and black in {options.out}")
+    print(f"{len(names)} patterns, white and black in {options.out}; fringe.json there says what scene.json is to say")
     return 0

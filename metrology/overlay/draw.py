@@ -25,7 +25,7 @@ from metrology.overlay.marks import (
     seam_marks,
 )
 from metrology.overlay.paint import paint, paint_svg, text_size
-from metrology.overlay.skin_map import map_skin
+from metrology.overlay.skin_map import map_skin, screen
 from metrology.results import Decision, Rivet, SeamStation, Severity
 from metrology.skin_normal import skin_normal
 from metrology.verdicts import DECISIONS
@@ -113,7 +113,7 @@ def draw_overlay(
     title: Sequence[str],
     settings: OverlaySettings | None = None,
 ) -> Overlay:
-    """Draw the verdicts of one scene for the projector.
+    """Draw the verdicts of one scene for the projector, or over the left image where the rig has none.
 
     Parameters
     ----------
@@ -125,7 +125,9 @@ def draw_overlay(
         Lines above the legend: station, date.
     """
     settings = settings or OverlaySettings()
-    projector = reconstruction.rig.projector
+    projector = screen(reconstruction.rig)
+    if reconstruction.rig.projector is None:
+        title = [*title, "LEFT CAMERA - NOT FOR PROJECTION"]
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)
     text_px = settings.text_height_mm * skin.px_per_mm
@@ -198,7 +200,7 @@ def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
     normal = skin_normal(reconstruction.points, rivet.u_px, rivet.v_px, rivet.major_px)
     towards_rig = np.array([0.0, 0.0, -1.0])
     rig = reconstruction.rig
-    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, rig.projector.project)
+    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, screen(rig).project)
 
 
 def _rivet_text(rivet: Rivet) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
-from metrology.rig import Device
+from metrology.rig import Device, Rig
 
 Array = NDArray[np.float64]
 
@@ -60,13 +60,18 @@ def map_skin(reconstruction: Reconstruction) -> SkinMap:
         raise UsageError("overlay: found no measured point in the scene, expected a reconstructed skin")
     valid[valid] = _on_panel(grid[valid])
     grid[~valid] = np.nan
-    projector = reconstruction.rig.projector
+    projector = screen(reconstruction.rig)
     pixels = np.full((*valid.shape, 2), np.nan)
     pixels[valid] = projector.project(grid[valid])
     scale = _scale(grid, pixels, projector)
     # Cells no finer than the samples of a coarse camera.
     cell = max(_CELL_PX, 1.2 * _STRIDE * scale * float(np.median(grid[valid][:, 2])) / reconstruction.rig.left.K[1, 1])
     return SkinMap(scale, _angle(pixels), cell, _coverage(pixels[valid], projector, cell))
+
+
+def screen(rig: Rig) -> Device:
+    """The device that an overlay is drawn for: the projector, or the left camera where none is calibrated."""
+    return rig.projector or rig.left
 
 
 def _on_panel(points: Array) -> NDArray[np.bool_]:

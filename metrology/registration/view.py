@@ -13,9 +13,9 @@ _MARGIN_PX = 10.0
 
 
 def in_view(rig: Rig, points: Array, radius_mm: float | Array = 0.0) -> NDArray[np.bool_]:
-    """Which places (n, 3) of the rig frame both cameras see and the projector lights, with `radius_mm` around them."""
+    """Which places (n, 3) of the rig frame all devices of a rig have in their field, with `radius_mm` around them."""
     seen = np.ones(len(points), bool)
-    for device in (rig.left, rig.right, rig.projector):
+    for device in rig.devices.values():
         depth = (points @ device.R.T + device.t)[:, 2]
         ahead = depth > 0
         pixels = device.project(np.where(ahead[:, None], points, device.centre + device.R[2]))

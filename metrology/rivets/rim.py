@@ -76,6 +76,8 @@ def head_circle(
         Centre of the head's edge; the radius reaches to the middle of the dark line, as it would show on a flush head.
     """
     rig = reconstruction.rig
+    if rig.projector is None:  # where the light comes from tells the rim's shadow
+        return None
     origin = np.array([start.x, start.y, head_height])
     slopes = np.array([_slope(device, frame, origin) for device in (rig.left, rig.right, rig.projector)])
     height = head_height - skin_height

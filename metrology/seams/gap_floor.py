@@ -52,7 +52,7 @@ def floor_depth(
         ε_d, mm.
     """
     rig, valid = reconstruction.rig, reconstruction.valid
-    left, centres = rig.left, np.stack([rig.left.centre, rig.right.centre, rig.projector.centre])
+    left, centres = rig.left, np.stack([device.centre for device in rig.devices.values()])
     depths = []
     for section, half in zip(sections, half_widths, strict=True):
         if section is None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from metrology.cloud import Reconstruction
 from metrology.results import Joint
+from metrology.rig import Device
 from metrology.seams.gap import Gap, GapEdge
 from metrology.seams.gap_fit import fit_gap
 from metrology.seams.gap_floor import floor_depth, possible_floors
@@ -25,6 +26,7 @@ def image_edges(
     sections: Sequence[Section | None],
     half_widths: Sequence[float],
     reconstruction: Reconstruction,
+    projector: Device,
     half_length: float,
     chamfer_deg: float,
 ) -> tuple[list[Gap | str], Joint | None]:
@@ -37,6 +39,8 @@ def image_edges(
     half_widths : sequence of float
         Half the width of the line as detected, mm.
     reconstruction : Reconstruction
+    projector : Device
+        The lamp.
     half_length : float
         ε_d, mm.
     chamfer_deg : float
@@ -44,7 +48,7 @@ def image_edges(
     """
     gaps: list[Gap | str] = ["edges not seen by a camera"] * len(sections)
     slope = float(np.tan(np.deg2rad(chamfer_deg)))
-    projector, views = reconstruction.rig.projector, both_views(reconstruction)
+    views = both_views(reconstruction)
     profiles = collect(sections, half_widths, views, projector, half_length, slope)
     if profiles is None:
         return gaps, None

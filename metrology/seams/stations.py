@@ -114,6 +114,7 @@ def measure_seams(
 
 def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamStation]:
     settings, reconstruction = ground.settings, ground.reconstruction
+    projector = reconstruction.rig.projector
     places = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
     stations = [_place(track, float(s), ground) for s in places]
     sections = _sections(stations, places, settings.half_length_mm)
@@ -122,7 +123,7 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     gaps: list[Gap | str]
     if joint == "lap":
         gaps = [_NO_GAP] * len(stations)
-    elif settings.edges == "points":
+    elif settings.edges == "points" or projector is None:  # the grey-level model needs to know where the light is
         gaps = point_edges(
             sections,
             reconstruction,
@@ -133,7 +134,9 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
             np.deg2rad(settings.merge_angle_deg),
         )
     else:
-        gaps, joint = image_edges(sections, half_widths, reconstruction, settings.half_length_mm, settings.chamfer_deg)
+        gaps, joint = image_edges(
+            sections, half_widths, reconstruction, projector, settings.half_length_mm, settings.chamfer_deg
+        )
     rows = [
         replace(_row(seam.seam_id, station, section, gap, ground), joint=joint)
         for station, section, gap in zip(stations, sections, gaps, strict=True)

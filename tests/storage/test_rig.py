@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from threading import Barrier
 from typing import Any
@@ -25,6 +26,16 @@ def test_a_rig_survives_the_file_with_its_extra_keys(tmp_path: Path, rig: Rig) -
     assert np.array_equal(again.right.t, rig.right.t)
     document = json.loads((tmp_path / "rig.json").read_text())
     assert document["cameras"]["left"]["serial"] == "C-17"
+
+
+def test_a_rig_without_a_projector_stays_one(tmp_path: Path, rig: Rig) -> None:
+    save_rig(replace(rig, projector=None), tmp_path / "rig.json")
+    assert "projector" not in json.loads((tmp_path / "rig.json").read_text())
+    again = load_rig(tmp_path / "rig.json")
+    assert again.projector is None
+    assert list(again.devices) == ["left", "right"]
+    with pytest.raises(RigError, match="no calibrated projector"):
+        again.with_projector()
 
 
 def test_many_write_the_same_rig_at_once(tmp_path: Path, rig: Rig) -> None:
@@ -51,7 +62,7 @@ def test_many_write_the_same_rig_at_once(tmp_path: Path, rig: Rig) -> None:
         (lambda d: d.update(calibrated_at="20261102073000"), 'calibrated_at: found "20261102073000", expected an ISO'),
         (lambda d: d.update(calibrated_at=1793604600), "time with its zone as text"),
         (lambda d: d.update(calibrated_at="2026-11-02"), "time with its zone"),
-        (lambda d: d.pop("projector"), "no key 'projector'"),
+        (lambda d: d["cameras"].pop("right"), "no key 'cameras.right'"),
         (lambda d: d["cameras"]["left"]["K"].pop(), "cameras.left.K"),
         (lambda d: d["cameras"]["left"]["K"][0].__setitem__(0, float("nan")), "NaN"),
         (
