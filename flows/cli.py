@@ -26,6 +26,7 @@ COMMANDS = (
     "report",
     "panel",
     "query",
+    "export",
     "run",
     "serve",
     "archive",

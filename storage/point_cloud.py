@@ -1,4 +1,4 @@
-"""Clouds for other programs: PLY through Open3D, which is imported only here (it takes seconds)."""
+"""Clouds for other programs: PLY and PCD through Open3D, which is imported only here (it takes seconds)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from metrology.errors import StoreError
 from storage.cloud import StoredCloud
 
 
-def write_ply(path: Path, cloud: StoredCloud, texture: NDArray[np.uint8]) -> int:
-    """Write the points (mm, grey as the left camera saw them) as binary PLY.
+def write_point_cloud(path: Path, cloud: StoredCloud, texture: NDArray[np.uint8]) -> int:
+    """Write the points (mm, grey as the left camera saw them) as PLY or PCD (binary), by the ending of the name.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def write_ply(path: Path, cloud: StoredCloud, texture: NDArray[np.uint8]) -> int
     points = open3d.t.geometry.PointCloud(cloud.points[valid])
     points.point.colors = np.repeat(texture[valid][:, None], 3, axis=1)
     if not open3d.t.io.write_point_cloud(str(path), points):
-        raise StoreError(f"{path}: found it not writable, expected a place for a PLY file")
+        raise StoreError(f"{path}: found it not writable, expected a place for a cloud")
     return int(valid.sum())
 
 

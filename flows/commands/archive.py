@@ -163,13 +163,13 @@ def ply(options: argparse.Namespace) -> int:
     from metrology.errors import StoreError
     from storage.archive import Store
     from storage.cloud import read_cloud
-    from storage.point_cloud import write_ply
+    from storage.point_cloud import write_point_cloud
 
     paths = Store(options.store).paths(options.scene_id)
     texture = cv2.imread(str(paths.preview), cv2.IMREAD_GRAYSCALE)
     if texture is None:
         raise StoreError(f"{paths.preview}: found no readable picture, expected the scene's preview")
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    points = write_ply(options.out, read_cloud(paths.cloud), texture.astype(np.uint8))
+    points = write_point_cloud(options.out, read_cloud(paths.cloud), texture.astype(np.uint8))
     print(f"{points} points in {options.out}")
     return 0

@@ -1,0 +1,218 @@
+"""What is exported: a scene, or the newest scans of a panel's stations, as characteristics with values and limits."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+from uuid import UUID, uuid5
+
+from metrology.errors import StoreError
+from metrology.limits import Limit, PanelSpec
+from metrology.panel import Placement
+from metrology.results import Decision
+from metrology.verdicts import DECISIONS, gravity
+from storage.archive.bundle import MANIFEST
+from storage.archive.store import Store
+from storage.documents import read_json
+from storage.export.kinds import KINDS, Kind, Quantity, Row, limit_for
+from storage.panel_spec import judged_by
+
+NAMESPACE = UUID("6f1c7a52-7a41-5e0e-9a35-0f1d8a1f6f10")
+"""Of every UUID that Flushline gives: the same thing has the same one in every export."""
+
+
+def stable_uuid(*parts: object) -> UUID:
+    """The UUID of a thing, from the words that name it."""
+    return uuid5(NAMESPACE, "\x1f".join(map(str, parts)))
+
+
+@dataclass(frozen=True)
+class ExportedScene:
+    """A scene with what its files say.
+
+    Attributes
+    ----------
+    row : mapping
+        Its row of the table scenes.
+    limits : PanelSpec or None
+        As it was judged by; None where this version cannot read them.
+    placement : Placement or None
+        Rig frame to the panel's frame; None where the scene was not recognised by a specification's pattern.
+    features : mapping of str to tuple of rows
+        By the name of the kind, in the order of their ids.
+    """
+
+    row: Row
+    limits: PanelSpec | None
+    placement: Placement | None
+    features: Mapping[str, tuple[Row, ...]]
+
+    @property
+    def scene_id(self) -> str:
+        """Its id."""
+        return str(self.row["scene_id"])
+
+
+@dataclass(frozen=True)
+class Characteristic:
+    """One quantity of one feature of a scene, numbered within what is exported.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    kind, quantity : Kind, Quantity
+    feature : str
+        Id within the scene.
+    row : mapping
+        The feature's row.
+    scene : ExportedScene
+    value, u95 : float or None
+        None where it was not measured.
+    limit : Limit or None
+    decision : Decision
+        Of this quantity alone.
+    """
+
+    number: int
+    kind: Kind
+    quantity: Quantity
+    feature: str
+    row: Row
+    scene: ExportedScene
+    value: float | None
+    u95: float | None
+    limit: Limit | None
+    decision: Decision
+
+    @property
+    def uuid(self) -> UUID:
+        """Names the characteristic of the panel's design; the same on every aircraft and in every export."""
+        scene = self.scene.row
+        return stable_uuid("characteristic", scene["panel"], scene["station"], *self.path)
+
+    @property
+    def path(self) -> tuple[str, str, str]:
+        """Kind, feature, quantity."""
+        return self.kind.name, self.feature, self.quantity.name
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A scene, or the newest scans of a panel's stations.
+
+    Attributes
+    ----------
+    name : str
+        Begins the names of its files.
+    aircraft_serial, panel : str
+    scenes : tuple of ExportedScene
+    """
+
+    name: str
+    aircraft_serial: str
+    panel: str
+    scenes: tuple[ExportedScene, ...]
+
+    @cached_property
+    def characteristics(self) -> tuple[Characteristic, ...]:
+        """Every quantity of every feature: scene by scene, kind by kind."""
+        numbered = enumerate((c for scene in self.scenes for c in _measured(scene)), 1)
+        return tuple(Characteristic(number, *parts) for number, parts in numbered)
+
+    @property
+    def features(self) -> Iterator[Row]:
+        """The rows of all features."""
+        return (row for scene in self.scenes for rows in scene.features.values() for row in rows)
+
+    @property
+    def decision(self) -> str:
+        """The gravest decision of its features; "not measured" where there is none."""
+        return min((row["decision"] for row in self.features), key=gravity, default="not measured")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How often each decision occurs."""
+        found = [row["decision"] for row in self.features]
+        return {decision: found.count(decision) for decision in DECISIONS if decision in found}
+
+
+def scene_subject(store: Store, scene_id: str) -> Subject:
+    """A scene's current run."""
+    found = _subjects(store, "SELECT * FROM scenes WHERE scene_id = ?", [scene_id])
+    for scene in found:
+        return Subject(scene.scene_id, scene.row["aircraft_serial"], scene.row["panel"], (scene,))
+    raise StoreError(f"{store.root}: found no scene {scene_id!r}, expected a scene_id of the table scenes")
+
+
+def panel_subject(store: Store, aircraft_serial: str, panel: str) -> Subject:
+    """The newest scan of each station of a panel."""
+    query = "SELECT * FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? ORDER BY station"
+    scenes = tuple(_subjects(store, query, [aircraft_serial, panel]))
+    if not scenes:
+        raise StoreError(f"{store.root}: found no scene of {aircraft_serial} {panel}, expected at least one")
+    return Subject(f"{aircraft_serial}~{panel}", aircraft_serial, panel, scenes)
+
+
+def panels_of(store: Store, aircraft_serial: str) -> list[str]:
+    """The panels of an aircraft."""
+    with contextlib.closing(store.connect()) as connection:
+        found = connection.execute(
+            "SELECT DISTINCT panel FROM scenes WHERE aircraft_serial = ? ORDER BY panel", [aircraft_serial]
+        ).fetchall()
+    if not found:
+        raise StoreError(f"{store.root}: found no scene of aircraft {aircraft_serial!r}, expected at least one")
+    return [panel for (panel,) in found]
+
+
+def _subjects(store: Store, sql: str, values: list[str]) -> Iterator[ExportedScene]:
+    with contextlib.closing(store.connect()) as connection:
+        scenes = _rows(connection, sql, values)
+        names = [scene["scene_id"] for scene in scenes]
+        features = {
+            kind.name: _rows(
+                connection,
+                f"SELECT * FROM {kind.table} WHERE list_contains(?, scene_id) ORDER BY {', '.join(kind.id_columns)}",
+                [names],
+            )
+            for kind in KINDS
+        }
+    for scene in scenes:
+        path = store.file(f"{scene['bundle_path']}/{MANIFEST}")
+        manifest = read_json(path, StoreError)
+        own = {
+            name: tuple(row for row in rows if row["scene_id"] == scene["scene_id"]) for name, rows in features.items()
+        }
+        yield ExportedScene(scene, judged_by(manifest, path), _placement(manifest, scene), own)
+
+
+def _placement(manifest: Mapping[str, Any], scene: Row) -> Placement | None:
+    """Where the panel's frame is that of a specification, and not of the scan that the station enrolled."""
+    spec, found = manifest.get("panel_spec") or {}, (manifest.get("registration") or {}).get("placement")
+    common = bool(spec.get("rivets") or spec.get("seams")) and spec.get("panel") == scene["panel"]
+    return Placement(found["R"], found["t_mm"]) if found and common else None
+
+
+def _rows(connection: Any, sql: str, values: list[Any]) -> list[dict[str, Any]]:
+    result = connection.execute(sql, values)
+    names = [column[0] for column in result.description]
+    return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
+
+
+def _measured(scene: ExportedScene) -> Iterator[tuple[Any, ...]]:
+    for kind in KINDS:
+        for row in scene.features[kind.name]:
+            for quantity in kind.quantities:
+                value, u95 = row[quantity.column], row[quantity.u95_column]
+                limit = limit_for(quantity, row, scene.limits)
+                decision = _decision(value, u95, limit)
+                yield kind, quantity, kind.id_of(row), row, scene, value, u95, limit, decision
+
+
+def _decision(value: float | None, u95: float | None, limit: Limit | None) -> Decision:
+    if value is None or (limit is not None and u95 is None):
+        return "not measured"
+    return limit.decision(value, u95 or 0.0) if limit else "no limit"
