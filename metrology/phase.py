@@ -137,7 +137,11 @@ def _numbers_of_three(lattice):  # type: ignore[no-untyped-def]
 
 @kernel
 def _decode_usual(frames, exposure, sensor, counts, lattice, limits, size, first, end, out, mend):  # type: ignore[no-untyped-def]
-    """Three counts of four steps, one exposure; `mend` (h,) becomes True for rows with a saturated sample."""
+    """Three counts of four steps, one exposure; `mend` (h,) becomes True for rows with a saturated sample.
+
+    A sample is ``I_i = r [a cos(φ + (i−1)π/2) + b + b₁]`` (paper eqs 2 and 3), so that per count
+    ``φ = atan2(I₄ − I₂, I₁ − I₃)`` (eq 4), whatever reflectivity r and ambient light b₁ are.
+    """
     saturation, read, gain = sensor
     snr2, least2, chi2, far2, torn2 = limits
     coordinates, sigmas, modulations, textures, flagses = out
@@ -166,6 +170,7 @@ def _decode_usual(frames, exposure, sensor, counts, lattice, limits, size, first
             peak = max(max(max(i1, i2), max(i3, i4)), max(max(j1, j2), max(j3, j4)))
             peak = max(peak, max(max(k1, k2), max(k3, k4)))
             mean = np.float32((i1 + i2 + i3 + i4) + (j1 + j2 + j3 + j4) + (k1 + k2 + k3 + k4)) * per_sample
+            # Numerator and denominator of eq 4, for each count; `_turns` is its arc tangent.
             ca, sa = np.float32(i1 - i3), np.float32(i4 - i2)
             cb, sb = np.float32(j1 - j3), np.float32(j4 - j2)
             cc, sc = np.float32(k1 - k3), np.float32(k4 - k2)

@@ -96,7 +96,7 @@ class Device:
         return padded
 
     def project(self, points: ArrayLike) -> Array:
-        """Raw pixels of points.
+        """Raw pixels of points: R x + t into the device's frame (for the projector paper eq 14), then through the lens.
 
         Parameters
         ----------

@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 from dashboard.figures.base import escape, figure
 from dashboard.habits import Habits
 from dashboard.palette import COUNTS, DECISION_COLOURS, MISSING
+from storage.templates import rendered
 
 _MOST_AIRCRAFT = 25
 
@@ -75,10 +76,13 @@ def panel_matrix(
 def decision_bar(counts: Mapping[str, int], habits: Habits) -> str:
     """All findings in one bar of HTML, from grave to harmless; a chart of its own would cost the page a redraw."""
     total = max(1, sum(counts.values()))
-    parts = "".join(
-        f'<div style="flex:{count};background:{DECISION_COLOURS[decision]}" '
-        f'title="{decision}: {habits.whole(count)} ({habits.percent(count / total)})"></div>'
+    parts = [
+        {
+            "count": count,
+            "colour": DECISION_COLOURS[decision],
+            "words": f"{decision}: {habits.whole(count)} ({habits.percent(count / total)})",
+        }
         for decision, count in counts.items()
         if count
-    )
-    return f'<div style="display:flex;height:30px;width:100%">{parts}</div>'
+    ]
+    return rendered("dashboard", "decision_bar.html", parts=parts)

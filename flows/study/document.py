@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from storage.spreadsheet import harmless
@@ -56,12 +57,28 @@ class Table:
             writer.writerow(["" if isinstance(v, float) and math.isnan(v) else harmless(v) for v in row])
         return text.getvalue()
 
+    @property
+    def cells(self) -> list[list[str]]:
+        """Rows as people read them."""
+        return [[c.text(v) for c, v in zip(self.columns, row, strict=True)] for row in self.rows]
+
+    @property
+    def numeric(self) -> list[int]:
+        """Columns of numbers."""
+        return [k for k, column in enumerate(self.columns) if column.digits is not None]
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """The heads that several columns share, each with the number of its columns; none where no column has one."""
+        if not any(column.group for column in self.columns):
+            return []
+        return [(name, len(list(columns))) for name, columns in groupby(self.columns, key=lambda column: column.group)]
+
     def markdown(self) -> str:
         """As a Markdown table."""
         heads = [column.full_name for column in self.columns]
         rule = ["---" if column.digits is None else "---:" for column in self.columns]
-        body = [[c.text(v) for c, v in zip(self.columns, row, strict=True)] for row in self.rows]
-        lines = [[cell.replace("|", "\\|") for cell in line] for line in [heads, rule, *body]]
+        lines = [[cell.replace("|", "\\|") for cell in line] for line in [heads, rule, *self.cells]]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -173,8 +173,8 @@ def _strange_views(name: DeviceName, zhang: SingleDevice, views: Mapping[int, Pl
 def _relative(name: DeviceName, of: SingleDevice, left: SingleDevice) -> tuple[Device, dict[int, str]]:
     """Pose of a device in the left camera's frame, with the poses of the board that contradict it.
 
-    Each pose of the board that both devices saw gives R = R_p R_c⁻¹ (eq. 15) and t = t_p − R_p R_c⁻¹ t_c (eq. 16), so
-    that p_p = R p_c + t (eq. 14); the largest group of poses that agree counts.
+    Each pose of the board that both devices saw gives R = R_p R_c⁻¹ (eq 15) and t = t_p − R_p R_c⁻¹ t_c (eq 16), so
+    that p_p = R p_c + t (eq 14); the largest group of poses that agree counts.
     """
     common = sorted(set(of.rotations) & set(left.rotations))
     turns = {p: of.rotations[p] @ left.rotations[p].T for p in common}

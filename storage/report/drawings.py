@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import Any
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from metrology.results import Severity
@@ -16,13 +16,14 @@ from metrology.tolerance import Limit
 from metrology.verdicts import SEVERITIES, Symbol
 from storage.report.markup import data_uri
 from storage.report.verdicts import COLOURS
+from storage.templates import part
 
 Row = Mapping[str, Any]
 
 _PICTURE_WIDTH = 1200  # px of the picture in the page; the camera's own resolution is in the bundle
 _JPEG_QUALITY = 82
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 1100, 230, 62, 34
-_BROKEN = "2 4"  # the rim of a head that was not judged
+_BROKEN = (2.0, 4.0)  # dash and space of the rim of a head that was not judged
 _ARM = 0.3  # half the width of a cross's arms
 _CORNERS: dict[Symbol, list[tuple[float, float]]] = {
     "diamond": [(0, -1), (1, 0), (0, 1), (-1, 0)],
@@ -35,56 +36,47 @@ _CORNERS: dict[Symbol, list[tuple[float, float]]] = {
 _SIZE: dict[Symbol, float] = {"disc": 4.5, "diamond": 6.5, "cross": 5.5, "ring": 4.5}
 
 
-def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> str:
+def _drawn(what: str, *values: object) -> Markup:
+    return part("storage.report", "drawings.html", what, *values)
+
+
+def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> Markup:
     """What the left camera sees, with each rivet's rim, name and symbol, and the symbols of seam stations."""
     height, width = preview.shape
     small = cv2.resize(preview, (_PICTURE_WIDTH, round(height * _PICTURE_WIDTH / width)), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     unit = width / _PICTURE_WIDTH
-    marks = [_station_mark(station, unit) for station in stations]
+    marks = [_station_mark(station, station["u_px"], station["v_px"], unit) for station in stations]
     marks += [_rivet_mark(rivet, unit) for rivet in rivets]
-    return (
-        f'<svg viewBox="-0.5 -0.5 {width} {height}" xmlns="http://www.w3.org/2000/svg" role="img">'
-        f'<image href="{data_uri(jpeg.tobytes(), "jpeg")}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>'
-        f"{''.join(marks)}</svg>"
-    )
+    return _drawn("picture", width, height, data_uri(jpeg.tobytes(), "jpeg"), marks)
 
 
-def _rivet_mark(rivet: Row, unit: float) -> str:
+def _rivet_mark(rivet: Row, unit: float) -> Markup:
     look = SEVERITIES[rivet["severity"]]
     width = (5.0 if look.symbol == "cross" else 3.0) * unit
-    u, v, angle = rivet["u_px"], rivet["v_px"], rivet["angle_deg"]
-    broken = _BROKEN if look.symbol == "ring" else ""
-    dashes = f' stroke-dasharray="{" ".join(str(float(d) * unit) for d in broken.split())}"' if broken else ""
-    size = 15 * unit
-    ellipse = (
-        f'<ellipse cx="{u:.1f}" cy="{v:.1f}" rx="{rivet["major_px"] / 2 + 4 * unit:.1f}" '
-        f'ry="{rivet["minor_px"] / 2 + 4 * unit:.1f}" transform="rotate({angle:.1f} {u:.1f} {v:.1f})" fill="none" '
-    )
+    broken = [dash * unit for dash in _BROKEN] if look.symbol == "ring" else []
+    u, v = rivet["u_px"], rivet["v_px"]
     return (
-        f'{ellipse}stroke="#fff" stroke-width="{width + 2.4 * unit:.1f}"/>'
-        f'{ellipse}stroke="{look.paper}" stroke-width="{width:.1f}"{dashes}><title>{_title(rivet)}</title></ellipse>'
-        f"{_placed(u, v, unit, rivet['severity'], _title(rivet))}"
-        f'<text x="{u + rivet["major_px"] / 2 + 7 * unit:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" '
-        f'font-family="sans-serif" fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">'
-        f"{escape(rivet['rivet_id'])}</text>"
+        _drawn("rim", rivet, unit, look.paper, width, broken, _title(rivet))
+        + _placed(u, v, unit, rivet["severity"], _title(rivet))
+        + _drawn("name", u + rivet["major_px"] / 2 + 7 * unit, v, unit, rivet["rivet_id"])
     )
 
 
-def _station_mark(station: Row, unit: float) -> str:
-    title = escape(f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}")
-    return _placed(station["u_px"], station["v_px"], 0.6 * unit, station["severity"], title)
+def _station_mark(station: Row, x: float, y: float, unit: float) -> Markup:
+    title = f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}"
+    return _placed(x, y, 0.6 * unit, station["severity"], title)
 
 
-def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> str:
+def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> Markup:
     """A symbol at a place of a drawing that has units of its own."""
-    return f'<g transform="translate({x:.2f} {y:.2f}) scale({scale:.4f})">{_symbol(0, 0, severity, title)}</g>'
+    return _drawn("placed", x, y, scale, _symbol(0, 0, severity, title))
 
 
 def _title(rivet: Row) -> str:
     height = rivet["height_mean_mm"]
     value = "not measured" if height is None else f"{height:+.4f} mm"
-    return escape(f"{rivet['rivet_id']}: {value}, {rivet['decision']}")
+    return f"{rivet['rivet_id']}: {value}, {rivet['decision']}"
 
 
 class _Axes:
@@ -101,18 +93,10 @@ class _Axes:
     def y(self, value: float) -> float:
         return 12 + (self.y1 - value) / (self.y1 - self.y0) * (_HEIGHT - _BOTTOM - 12)
 
-    def frame(self, label: str) -> str:
-        lines = []
-        for tick in _ticks(self.y0, self.y1):
-            y = self.y(tick)
-            lines.append(
-                f'<line x1="{_LEFT}" x2="{_WIDTH - 12}" y1="{y:.1f}" y2="{y:.1f}" stroke="#e3e7eb"/>'
-                f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:.10g}</text>'
-            )
-        lines.append(
-            f'<text transform="translate(13 {(_HEIGHT - _BOTTOM) / 2 + 40:.0f}) rotate(-90)">{escape(label)}</text>'
-        )
-        return "".join(lines)
+    def frame(self, label: str) -> list[Markup]:
+        ends = _LEFT, _WIDTH - 12
+        lines = [_drawn("tick", *ends, self.y(tick), f"{tick:.10g}") for tick in _ticks(self.y0, self.y1)]
+        return [*lines, _drawn("axis_title", (_HEIGHT - _BOTTOM) / 2 + 40, label)]
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -121,14 +105,11 @@ def _ticks(low: float, high: float) -> list[float]:
     return [round(float(t), 10) for t in np.arange(np.ceil(low / step) * step, high, step)]
 
 
-def _svg(content: str) -> str:
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" xmlns="http://www.w3.org/2000/svg" role="img" '
-        f'font-family="sans-serif" font-size="12" fill="#5b6875">{content}</svg>'
-    )
+def _chart(marks: Sequence[Markup]) -> Markup:
+    return _drawn("chart", _WIDTH, _HEIGHT, marks)
 
 
-def _limit_lines(axes: _Axes, places: Sequence[tuple[float, float]], limits: Sequence[Limit | None]) -> str:
+def _limit_lines(axes: _Axes, places: Sequence[tuple[float, float]], limits: Sequence[Limit | None]) -> list[Markup]:
     """The limits of features that stand one beside the other, each over its own stretch of x; equal ones run on."""
     lines = []
     for kind, (colour, dash) in enumerate((*[(COLOURS["blue"], "8 4")] * 2, *[(COLOURS["red"], "2 3")] * 2)):
@@ -138,11 +119,8 @@ def _limit_lines(axes: _Axes, places: Sequence[tuple[float, float]], limits: Seq
                 continue
             members = list(run)
             x1, x2, y = axes.x(places[members[0]][0]), axes.x(places[members[-1]][1]), axes.y(value)
-            lines.append(
-                f'<line x1="{x1:.1f}" x2="{x2:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
-                f'stroke="{colour}" stroke-dasharray="{dash}"><title>limit {value:g}</title></line>'
-            )
-    return "".join(lines)
+            lines.append(_drawn("limit", x1, x2, y, colour, dash, f"{value:g}"))
+    return lines
 
 
 def _span(values: Sequence[float], limits: Sequence[Limit | None]) -> tuple[float, float]:
@@ -154,68 +132,62 @@ def _span(values: Sequence[float], limits: Sequence[Limit | None]) -> tuple[floa
     return min([low, *inside]), max([high, *inside])
 
 
-def heights_chart(rivets: Sequence[Row], limits: Sequence[Limit | None]) -> str:
+def heights_chart(rivets: Sequence[Row], limits: Sequence[Limit | None]) -> Markup:
     """Height of each rivet with its U95, and its own limits; "" where nothing was measured."""
-    shown = [r for r in rivets if r["height_mean_mm"] is not None]
-    if not shown:
-        return ""
-    values = [r["height_mean_mm"] for r in shown]
+    values = [r["height_mean_mm"] for r in rivets if r["height_mean_mm"] is not None]
+    if not values:
+        return Markup()
     axes = _Axes((0, len(rivets) + 1), _span([*values, 0.0], limits))
     places = [(k - 0.5, k + 0.5) for k in range(1, len(rivets) + 1)]
-    marks = [axes.frame("height, mm"), _limit_lines(axes, places, limits)]
+    marks = [*axes.frame("height, mm"), *_limit_lines(axes, places, limits)]
     every = max(1, len(rivets) // 40)
     for k, rivet in enumerate(rivets, 1):
         x = axes.x(k)
-        if k % every == 0 or every == 1:
-            marks.append(
-                f'<text transform="translate({x + 4:.1f} {_HEIGHT - _BOTTOM + 10}) rotate(-60)" text-anchor="end" '
-                f'font-size="10">{escape(rivet["rivet_id"])}</text>'
-            )
+        if k % every == 0:
+            marks.append(_drawn("label", x + 4, _HEIGHT - _BOTTOM + 10, rivet["rivet_id"]))
         if rivet["height_mean_mm"] is None:
-            marks.append(f'<text x="{x:.1f}" y="{axes.y(0):.1f}" text-anchor="middle">?</text>')
+            marks.append(_drawn("text", x, axes.y(0), "middle", "?"))
             continue
         y, u95 = rivet["height_mean_mm"], rivet["height_u95_mm"] or 0.0
-        marks.append(
-            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{axes.y(y - u95):.1f}" y2="{axes.y(y + u95):.1f}" stroke="#1c2733"/>'
-            + _symbol(x, axes.y(y), rivet["severity"], _title(rivet))
-        )
-    return _svg("".join(marks))
+        marks.append(_drawn("u95", x, axes.y(y - u95), axes.y(y + u95)))
+        marks.append(_symbol(x, axes.y(y), rivet["severity"], _title(rivet)))
+    return _chart(marks)
 
 
-def _symbol(x: float, y: float, severity: Severity | None, title: str) -> str:
+def _symbol(x: float, y: float, severity: Severity | None, title: str) -> Markup:
     """The severity's symbol, with a white edge on whatever lies under it."""
     look = SEVERITIES[severity]
-    r, said = _SIZE[look.symbol], f"<title>{title}</title>"
+    r = _SIZE[look.symbol]
     if look.symbol in _CORNERS:
-        corners = " ".join(f"{x + r * a:.1f},{y + r * b:.1f}" for a, b in _CORNERS[look.symbol])
-        return f'<polygon points="{corners}" fill="{look.paper}" stroke="#fff">{said}</polygon>'
+        return _drawn("polygon", _points((x + r * a, y + r * b) for a, b in _CORNERS[look.symbol]), look.paper, title)
     fill, edge, width = (look.paper, "#fff", 1) if look.symbol == "disc" else ("#fff", look.paper, 2)
-    style = f'fill="{fill}" stroke="{edge}" stroke-width="{width}"'
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" {style}>{said}</circle>'
+    return _drawn("circle", x, y, r, fill, edge, width, title)
 
 
-def seam_chart(stations: Sequence[Row], quantity: str, limits: Sequence[Limit | None]) -> str:
+def _points(places: Iterable[tuple[float, float]]) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+
+
+def seam_chart(stations: Sequence[Row], quantity: str, limits: Sequence[Limit | None]) -> Markup:
     """Step or width along a seam with its U95 band and each place's limits; "" where nothing was measured."""
     name = f"{quantity}_mm"
-    shown = [s for s in stations if s[name] is not None]
-    if not shown:
-        return ""
-    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span([s[name] for s in shown], limits))
-    marks = [axes.frame(f"{quantity}, mm"), _limit_lines(axes, _stretches(stations), limits)]
+    values = [s[name] for s in stations if s[name] is not None]
+    if not values:
+        return Markup()
+    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span(values, limits))
+    marks = [*axes.frame(f"{quantity}, mm"), *_limit_lines(axes, _stretches(stations), limits)]
     for measured, run in groupby(stations, key=lambda s: s[name] is not None):
         if not measured:
             continue
         piece = list(run)
         upper = [(axes.x(s["s_mm"]), axes.y(s[name] + (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
         lower = [(axes.x(s["s_mm"]), axes.y(s[name] - (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
-        band = " ".join(f"{x:.1f},{y:.1f}" for x, y in [*upper, *reversed(lower)])
-        line = " ".join(f"{axes.x(s['s_mm']):.1f},{axes.y(s[name]):.1f}" for s in piece)
-        marks.append(f'<polygon points="{band}" fill="#1c2733" fill-opacity="0.12"/>')
-        marks.append(f'<polyline points="{line}" fill="none" stroke="#1c2733" stroke-width="1.5"/>')
-    for tick in _ticks(axes.x0, axes.x1):
-        marks.append(f'<text x="{axes.x(tick):.1f}" y="{_HEIGHT - 14}" text-anchor="middle">{tick:g}</text>')
-    marks.append(f'<text x="{_WIDTH - 12}" y="{_HEIGHT - 1}" text-anchor="end">mm along the seam</text>')
-    return _svg("".join(marks))
+        marks.append(_drawn("band", _points([*upper, *reversed(lower)])))
+        marks.append(_drawn("profile", _points((axes.x(s["s_mm"]), axes.y(s[name])) for s in piece)))
+    ticks = _ticks(axes.x0, axes.x1)
+    marks += [_drawn("text", axes.x(tick), _HEIGHT - 14, "middle", f"{tick:g}") for tick in ticks]
+    marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", "mm along the seam"))
+    return _chart(marks)
 
 
 def _stretches(stations: Sequence[Row]) -> list[tuple[float, float]]:
@@ -225,23 +197,21 @@ def _stretches(stations: Sequence[Row]) -> list[tuple[float, float]]:
     return list(pairwise(middles))
 
 
-def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> str:
+def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> Markup:
     """The panel from outside: rivets and seam stations in panel coordinates; "" where none has any."""
     places = [(f["x_panel_mm"], f["y_panel_mm"]) for f in (*rivets, *stations) if f["x_panel_mm"] is not None]
     if not places:
-        return ""
+        return Markup()
     (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
     unit = max(x1 - x0, y1 - y0) / 1000
-    marks = []
-    for station in stations:
-        if station["x_panel_mm"] is not None:
-            title = escape(f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}")
-            marks.append(_placed(station["x_panel_mm"], -station["y_panel_mm"], 0.6 * unit, station["severity"], title))
-    for rivet in rivets:
-        if rivet["x_panel_mm"] is not None:
-            place = rivet["x_panel_mm"], -rivet["y_panel_mm"]
-            marks.append(_placed(*place, unit, rivet["severity"], _title(rivet)))
-    return (
-        f'<svg viewBox="{x0:.1f} {-y1:.1f} {x1 - x0:.1f} {y1 - y0:.1f}" xmlns="http://www.w3.org/2000/svg" role="img" '
-        f'style="border:1px solid #d7dde3;max-height:520px;width:100%">{"".join(marks)}</svg>'
-    )
+    marks = [
+        _station_mark(station, station["x_panel_mm"], -station["y_panel_mm"], unit)
+        for station in stations
+        if station["x_panel_mm"] is not None
+    ]
+    marks += [
+        _placed(rivet["x_panel_mm"], -rivet["y_panel_mm"], unit, rivet["severity"], _title(rivet))
+        for rivet in rivets
+        if rivet["x_panel_mm"] is not None
+    ]
+    return _drawn("map", x0, -y1, x1 - x0, y1 - y0, marks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 
 from storage.archive import Store
@@ -28,15 +27,15 @@ def write_overlays(store: Store, record: PanelRecord, folder: Path) -> Path:
         drawing = store.paths(scene.scene["scene_id"]).overlay.with_suffix(".svg")
         (folder / f"{station}.png").write_bytes(scene.overlay_png)
         (folder / f"{station}.svg").write_bytes(drawing.read_bytes())
-        outside = scene.manifest.get("outside_overlay") or []
-        note = f"<br>beyond the picture: {escape(', '.join(outside))}" if outside else ""
         cards.append(
-            f'<figure><a href="{station}.png"><img src="{station}.png" alt="overlay of station {station}"></a>'
-            f"<figcaption><b>{station}</b> {badge(gravest(scene.features))} captured "
-            f'{moment(scene.scene["captured_at"])} · <a href="{station}.svg">SVG</a>{note}</figcaption></figure>'
+            {
+                "station": station,
+                "verdict": badge(gravest(scene.features)),
+                "captured": moment(scene.scene["captured_at"]),
+                "outside": scene.manifest.get("outside_overlay") or [],
+            }
         )
-    title = f"Overlays of {record.aircraft_serial} {record.panel}"
-    text = page(title, [f"<h1>{escape(title)}</h1>", '<div class="pair">', *cards, "</div>"])
     index = folder / INDEX
-    index.write_text(text, encoding="utf-8")
+    title = f"Overlays of {record.aircraft_serial} {record.panel}"
+    index.write_text(page("overlays.html", title, cards=cards), encoding="utf-8")
     return index

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from html import escape
+from typing import Any
+
+from markupsafe import Markup
 
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
-from storage.report.markup import badge, data_uri, figure, moment, page, table
+from storage.report.markup import badge, figure, link, moment, page, png_figure, table
 from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
     decisions_table,
@@ -24,44 +26,36 @@ from storage.report.verdicts import KEY, gravest, needs_attention
 
 def panel_page(record: PanelRecord) -> str:
     """One HTML page; it needs nothing else."""
-    title = f"{record.aircraft_serial} {record.panel}"
-    parts = [
-        f"<h1>Inspection of {escape(title)}</h1>",
-        f'<p class="sub">the newest scan of each of {len(record.scenes)} stations</p>',
-        verdict(record.features),
-        "<h2>Stations</h2>",
-        _stations(record),
-        *_maps(record),
-        "<h2>Needs attention</h2>",
-        _attention(record),
-    ]
-    if record.earlier_work:
-        parts += ["<h2>Open work of earlier scans</h2>", entries_table(record.earlier_work, where=True)]
-    for scene in record.scenes:
-        parts += _station(scene)
-    parts.append("<h2>Limits</h2>")
-    parts += [limits_table(spec) for spec in _specifications(record)]
-    parts.append("<h2>Traceability</h2>")
-    for scene in record.scenes:
-        parts += [f"<h3>Station {escape(scene.scene['station'])}</h3>", traceability(scene)]
-    return page(f"Inspection {title}", parts)
+    name = f"{record.aircraft_serial} {record.panel}"
+    return page(
+        "panel.html",
+        f"Inspection {name}",
+        name=name,
+        verdict=verdict(record.features),
+        overview=_overview(record),
+        map=_map(record),
+        attention=_attention(record),
+        earlier_work=entries_table(record.earlier_work, where=True) if record.earlier_work else "",
+        stations=[_station(scene) for scene in record.scenes],
+        limits=[limits_table(spec) for spec in _specifications(record)],
+    )
 
 
 def _anchor(scene: SceneRecord) -> str:
-    return f"station-{escape(scene.scene['station'])}"
+    return f"station-{scene.scene['station']}"
 
 
-def _stations(record: PanelRecord) -> str:
+def _overview(record: PanelRecord) -> Markup:
     rows = [
         [
-            f'<a href="#{_anchor(s)}">{escape(s.scene["station"])}</a>',
+            link(_anchor(s), s.scene["station"]),
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
             str(len(s.rivets)),
             str(len({station["seam_id"] for station in s.stations})),
             str(sum(needs_attention(feature) for feature in s.features)),
-            escape(said(s.standings)),
-            escape("; ".join(s.scene["warnings"] or ())),
+            said(s.standings),
+            "; ".join(s.scene["warnings"] or ()),
         ]
         for s in record.scenes
     ]
@@ -69,43 +63,36 @@ def _stations(record: PanelRecord) -> str:
     return table(heads, rows, [3, 4, 5])
 
 
-def _maps(record: PanelRecord) -> list[str]:
+def _map(record: PanelRecord) -> str:
     """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
     placed = [scene for scene in record.scenes if scene.has_common_frame]
     drawing = panel_map(
         [rivet for scene in placed for rivet in scene.rivets],
         [station for scene in placed for station in scene.stations],
     )
-    if not drawing:
-        return []
-    return ["<h2>Map</h2>", figure(drawing, f"In panel coordinates. {KEY}.")]
+    return figure(drawing, f"In panel coordinates. {KEY}.") if drawing else ""
 
 
-def _attention(record: PanelRecord) -> str:
+def _attention(record: PanelRecord) -> list[Markup]:
     rivets = [rivet for scene in record.scenes for rivet in scene.rivets if needs_attention(rivet)]
     stations = [station for scene in record.scenes for station in scene.stations if needs_attention(station)]
-    if not rivets and not stations:
-        return "<p>Nothing.</p>"
-    return (rivet_table(rivets, where=True) if rivets else "") + (
-        station_table(stations, where=True) if stations else ""
-    )
+    tables = [rivet_table(rivets, where=True)] if rivets else []
+    return tables + ([station_table(stations, where=True)] if stations else [])
 
 
-def _station(scene: SceneRecord) -> list[str]:
-    parts = [
-        f'<h2 id="{_anchor(scene)}">Station {escape(scene.scene["station"])}</h2>',
-        verdict(scene.features),
-        '<div class="pair">',
-        figure(marked_picture(scene.preview, scene.rivets, scene.stations), "Left camera."),
-        figure(f'<img src="{data_uri(scene.overlay_png, "png")}" alt="overlay">', "The overlay."),
-        "</div>",
-    ]
-    if scene.rivets:
-        parts.append(rivet_table(scene.rivets))
-    parts += seams(scene.stations, scene.limits)
-    if decided := decisions_table(scene):
-        parts += ["<h3>Decisions of people</h3>", decided]
-    return parts
+def _station(scene: SceneRecord) -> dict[str, Any]:
+    """What the template says of one station."""
+    return {
+        "anchor": _anchor(scene),
+        "name": scene.scene["station"],
+        "verdict": verdict(scene.features),
+        "picture": figure(marked_picture(scene.preview, scene.rivets, scene.stations), "Left camera."),
+        "overlay": png_figure(scene.overlay_png, "overlay", "The overlay."),
+        "rivets": rivet_table(scene.rivets) if scene.rivets else "",
+        "seams": seams(scene.stations, scene.limits),
+        "decisions": decisions_table(scene),
+        "traceability": traceability(scene),
+    }
 
 
 def _specifications(record: PanelRecord) -> list[PanelSpec | None]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from html import escape
-
 from storage.report.drawings import heights_chart, marked_picture
-from storage.report.markup import data_uri, figure, moment, page
+from storage.report.markup import figure, moment, page, png_figure
 from storage.report.record import SceneRecord
 from storage.report.sections import (
     decisions_table,
@@ -19,33 +17,28 @@ from storage.report.sections import (
 from storage.report.verdicts import KEY
 
 _MARKS = f"Rims and symbols: {KEY}."
+_HEIGHTS = "Heights with their U95; dashed: the limits that each was judged by."
 
 
 def scene_page(record: SceneRecord) -> str:
     """One HTML page with pictures, tables, verdicts and what they rest on; it needs nothing else."""
     scene = record.scene
-    title = f"{scene['aircraft_serial']} {scene['panel']} {scene['station']}"
-    parts = [
-        f"<h1>Inspection of {escape(title)}</h1>",
-        f'<p class="sub">captured {moment(scene["captured_at"])}</p>',
-        verdict(record.features),
-        *(f'<div class="warning">{escape(text)}</div>' for text in scene["warnings"] or ()),
-        '<div class="pair">',
-        figure(marked_picture(record.preview, record.rivets, record.stations), f"Left camera. {_MARKS}"),
-        figure(
-            f'<img src="{data_uri(record.overlay_png, "png")}" alt="overlay">',
-            "The overlay, as the projector shows it.",
-        ),
-        "</div>",
-    ]
-    if record.rivets:
-        parts.append("<h2>Rivets</h2>")
-        if chart := heights_chart(record.rivets, feature_limits(record.rivets, "height_mm", record.limits)):
-            parts.append(figure(chart, "Heights with their U95; dashed: the limits that each was judged by."))
-        parts.append(rivet_table(record.rivets))
-    if record.stations:
-        parts += ["<h2>Seams</h2>", *seams(record.stations, record.limits)]
-    if decided := decisions_table(record):
-        parts += ["<h2>Decisions of people</h2>", decided]
-    parts += ["<h2>Limits</h2>", limits_table(record.limits), "<h2>Traceability</h2>", traceability(record)]
-    return page(f"Inspection {title}", parts)
+    name = f"{scene['aircraft_serial']} {scene['panel']} {scene['station']}"
+    picture = marked_picture(record.preview, record.rivets, record.stations)
+    chart = heights_chart(record.rivets, feature_limits(record.rivets, "height_mm", record.limits))
+    return page(
+        "scene.html",
+        f"Inspection {name}",
+        name=name,
+        captured=moment(scene["captured_at"]),
+        verdict=verdict(record.features),
+        warnings=scene["warnings"] or (),
+        picture=figure(picture, f"Left camera. {_MARKS}"),
+        overlay=png_figure(record.overlay_png, "overlay", "The overlay, as the projector shows it."),
+        heights=figure(chart, _HEIGHTS) if chart else "",
+        rivets=rivet_table(record.rivets) if record.rivets else "",
+        seams=seams(record.stations, record.limits),
+        decisions=decisions_table(record),
+        limits=limits_table(record.limits),
+        traceability=traceability(record),
+    )

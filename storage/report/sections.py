@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from html import escape
 from itertools import groupby
 from typing import Any
+
+from markupsafe import Markup
 
 from metrology.requirements import Downstream, downstream_of, limit_of
 from metrology.results import SeamStation
@@ -15,7 +16,7 @@ from metrology.tolerance import RULE, Limit, PanelSpec, Zone
 from storage.archive.rows import result_of
 from storage.archive.work import OPEN_WORK, said
 from storage.report.drawings import seam_chart
-from storage.report.markup import badge, facts, figure, moment, number, table, with_u95
+from storage.report.markup import badge, code, facts, figure, moment, number, section, table, with_u95
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
 from storage.review import Entry
@@ -32,29 +33,29 @@ QUANTITIES = {
 }
 
 
-def verdict(features: Sequence[Row]) -> str:
+def verdict(features: Sequence[Row]) -> Markup:
     """The gravest decision, and how often each occurs."""
-    return f"<p>{badge(gravest(features), big=True)} &ensp; {' '.join(badge(d, n) for d, n in counted(features))}</p>"
+    return section("verdict", badge(gravest(features), big=True), [badge(d, n) for d, n in counted(features)])
 
 
 def why(feature: Row) -> str:
     """The reason for anything short of a pass; the decision rule is said once, beside the limits."""
-    return escape((feature["reason"] or "").replace(f"; {RULE}", ""))
+    return (feature["reason"] or "").replace(f"; {RULE}", "")
 
 
-def rivet_table(rivets: Sequence[Row], where: bool = False) -> str:
+def rivet_table(rivets: Sequence[Row], where: bool = False) -> Markup:
     """All rivets; with the station they were seen from where `where`."""
     heads = ["rivet", "diameter mm", "height mm", "min … max mm", "tilt °", "zone", "verdict", "why"]
     rows = [
         [
-            escape(r["rivet_id"]),
+            r["rivet_id"],
             number(r["diameter_mm"], 2),
             with_u95(r["height_mean_mm"], r["height_u95_mm"], 4, sign=True),
             "–"
             if r["height_min_mm"] is None
             else f"{number(r['height_min_mm'], 3, True)} … {number(r['height_max_mm'], 3, True)}",
             with_u95(r["tilt_deg"], r["tilt_u95_deg"], 2),
-            escape(r["zone"] or "–"),
+            r["zone"] or "–",
             badge(r["decision"]),
             why(r),
         ]
@@ -63,21 +64,21 @@ def rivet_table(rivets: Sequence[Row], where: bool = False) -> str:
     numeric = [1, 2, 3, 4]
     if where:
         heads, numeric = ["station", *heads], [k + 1 for k in numeric]
-        rows = [[escape(r["station"]), *row] for r, row in zip(rivets, rows, strict=True)]
+        rows = [[r["station"], *row] for r, row in zip(rivets, rows, strict=True)]
     return table(heads, rows, numeric)
 
 
-def station_table(stations: Sequence[Row], where: bool = False) -> str:
+def station_table(stations: Sequence[Row], where: bool = False) -> Markup:
     """Positions along seams."""
     heads = ["seam", "at mm", "step mm", "into the wind mm", "gap mm", "zone", "verdict", "why"]
     rows = [
         [
-            escape(s["seam_id"]),
+            s["seam_id"],
             number(s["s_mm"], 0),
             with_u95(s["step_mm"], s["step_u95_mm"], 3, sign=True),
             number(s["step_into_wind_mm"], 3, sign=True),
             with_u95(s["width_mm"], s["width_u95_mm"], 3),
-            escape(s["zone"] or "–"),
+            s["zone"] or "–",
             badge(s["decision"]),
             why(s),
         ]
@@ -86,26 +87,23 @@ def station_table(stations: Sequence[Row], where: bool = False) -> str:
     numeric = [1, 2, 3, 4]
     if where:
         heads, numeric = ["station", *heads], [k + 1 for k in numeric]
-        rows = [[escape(s["station"]), *row] for s, row in zip(stations, rows, strict=True)]
+        rows = [[s["station"], *row] for s, row in zip(stations, rows, strict=True)]
     return table(heads, rows, numeric)
 
 
-def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
+def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[Markup]:
     """Each seam with its profile, a summary, and the positions that need attention."""
     parts = []
     for seam_id, group in groupby(stations, key=lambda s: s["seam_id"]):
         course = list(group)
-        parts.append(f"<h3>Seam {escape(seam_id)}</h3>{verdict(course)}{_summary(course)}")
+        charts = []
         for quantity in ("step", "width"):
             if chart := seam_chart(course, quantity, feature_limits(course, f"{quantity}_mm", limits)):
                 said = f"{quantity} along seam {seam_id}; grey: U95; dashed: the limits judged by"
-                parts.append(figure(chart, said + (" (zone and wind)" if quantity == "step" else "")))
+                charts.append(figure(chart, said + (" (zone and wind)" if quantity == "step" else "")))
         attention = [s for s in course if needs_attention(s)]
-        if attention:
-            parts.append(f"<details open><summary>{len(attention)} positions need attention</summary>")
-            parts.append(f"{station_table(attention)}</details>")
-        parts.append('<details class="hide-in-print"><summary>all positions</summary>')
-        parts.append(f"{station_table(course)}</details>")
+        tables = station_table(attention), len(attention), station_table(course)
+        parts.append(section("seam", seam_id, verdict(course), _summary(course), charts, *tables))
     return parts
 
 
@@ -117,7 +115,7 @@ def feature_limits(features: Sequence[Row], quantity: str, spec: PanelSpec | Non
     return [limit_of(spec.zone(f["zone"]), quantity, sign) for f, sign in zip(features, signs, strict=True)]
 
 
-def _summary(stations: Sequence[Row]) -> str:
+def _summary(stations: Sequence[Row]) -> Markup:
     rows = []
     for quantity, name in (("step", "step mm"), ("width", "gap mm")):
         values = [s[f"{quantity}_mm"] for s in stations if s[f"{quantity}_mm"] is not None]
@@ -125,84 +123,74 @@ def _summary(stations: Sequence[Row]) -> str:
             sign = quantity == "step"
             numbers = (min(values), sum(values) / len(values), max(values))
             rows.append([name, *(number(value, 3, sign) for value in numbers), f"{len(values)} of {len(stations)}"])
-    return table(["", "least", "mean", "most", "measured at"], rows, [1, 2, 3, 4]) if rows else ""
+    return table(["", "least", "mean", "most", "measured at"], rows, [1, 2, 3, 4]) if rows else Markup()
 
 
-def limits_table(spec: PanelSpec | None) -> str:
+def limits_table(spec: PanelSpec | None) -> Markup:
     """Every limit with where it comes from."""
-    if spec is None:
-        return "<p>The limits of this run cannot be read by this version; the bundle's manifest holds them.</p>"
     rows = []
-    for name, zone in spec.zones.items():
+    for name, zone in spec.zones.items() if spec else ():
         for quantity in fields(Zone):
             limit: Limit | None = getattr(zone, quantity.name)
             if limit is not None:
                 bounds = (limit.lower, limit.upper, limit.serious_lower, limit.serious_upper)
-                text = ["–" if bound is None else f"{bound:+.3f}" for bound in bounds]
-                rows.append(
-                    [escape(name), QUANTITIES[quantity.name], *text, escape(limit.source), escape(limit.revision)]
-                )
+                text = [number(bound, 3, sign=True) for bound in bounds]
+                rows.append([name, QUANTITIES[quantity.name], *text, limit.source, limit.revision])
     heads = ["zone", "quantity", "lower", "upper", "serious below", "serious above", "source", "revision"]
-    return f"<p>Decision rule: {RULE}. Specification {escape(spec.panel)}, revision {escape(spec.revision)}.</p>" + (
-        table(heads, rows, [2, 3, 4, 5]) if rows else "<p>No limits: nothing was judged.</p>"
-    )
+    return section("limits", RULE, spec, table(heads, rows, [2, 3, 4, 5]) if rows else "")
 
 
-def decisions_table(record: SceneRecord) -> str:
+def decisions_table(record: SceneRecord) -> Markup:
     """How the findings stand, and what people decided; "" where there is neither."""
     if not record.decisions and not record.standings:
-        return ""
+        return Markup()
     open_names = [standing.feature.id for standing in record.standings if standing.state == OPEN_WORK]
-    work = f" Open work: {', '.join(open_names)}." if open_names else ""
-    stand = f"<p>Findings: {escape(said(record.standings))}.{escape(work)}</p>"
-    return stand + (entries_table(record.decisions) if record.decisions else "")
+    entries = entries_table(record.decisions) if record.decisions else ""
+    return section("decisions", said(record.standings), open_names, entries)
 
 
-def entries_table(entries: Sequence[Entry], where: bool = False) -> str:
+def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
     """Entries of the review log; with the scan that they are about where `where`."""
     rows = [
         [
             moment(entry.at),
-            escape(entry.who),
-            escape(f"{entry.feature_kind or 'scene'} {entry.feature_id or ''} {entry.scene_id if where else ''}"),
-            escape(entry.what),
-            escape(entry.comment),
+            entry.who,
+            f"{entry.feature_kind or 'scene'} {entry.feature_id or ''} {entry.scene_id if where else ''}",
+            entry.what,
+            entry.comment,
         ]
         for entry in entries
     ]
     return table(["when", "who", "what", "decision", "comment"], rows)
 
 
-def traceability(record: SceneRecord) -> str:
+def traceability(record: SceneRecord) -> Markup:
     """What a result rests on: rig, limits, versions, settings, registration."""
     scene, manifest = record.scene, record.manifest
     versions = ", ".join(f"{name} {version}" for name, version in manifest.get("versions", {}).items())
-    sigma = scene["sigma_z_median_mm"]
     shown = facts(
         [
-            ("scene", f"<code>{escape(scene['scene_id'])}</code>"),
-            ("run", f"<code>{escape(scene['run_id'])}</code>, {moment(scene['processed_at'])}"),
-            (
-                "captured",
-                moment(scene["captured_at"]) + (f" by {escape(scene['operator'])}" if scene["operator"] else ""),
-            ),
-            ("rig", f"{escape(scene['rig_id'])} (content <code>{escape(scene['rig_hash'])}</code>)"),
-            ("specification", escape(scene["panel_spec"] or "–")),
-            ("settings and specification", f"<code>{escape(scene['config_hash'])}</code>"),
+            ("scene", code(scene["scene_id"])),
+            ("run", code(scene["run_id"]) + f", {moment(scene['processed_at'])}"),
+            ("captured", moment(scene["captured_at"]) + (f" by {scene['operator']}" if scene["operator"] else "")),
+            ("rig", Markup("{} (content {})").format(scene["rig_id"], code(scene["rig_hash"]))),
+            ("specification", scene["panel_spec"] or "–"),
+            ("settings and specification", code(scene["config_hash"])),
             ("registration", _registration(record)),
-            (
-                "points",
-                f"{scene['n_points']:,} ({scene['valid_fraction']:.1%} of the picture), "
-                f"median σ of depth {'–' if sigma is None else f'{1000 * sigma:.1f} µm'}",
-            ),
-            ("rig fits", escape(scene["rig_verdict"] or "–")),
+            ("points", _points(scene)),
+            ("rig fits", scene["rig_verdict"] or "–"),
             ("epipolar distance", _epipolar(scene)),
-            ("versions", escape(versions)),
-            ("review log ends with", f"<code>{escape(record.review_head)}</code>"),
+            ("versions", versions),
+            ("review log ends with", code(record.review_head)),
         ]
     )
-    settings = escape(json.dumps(manifest.get("settings", {}), indent=1, ensure_ascii=False))
-    return f'{shown}<details class="hide-in-print"><summary>all settings</summary><pre>{settings}</pre></details>'
+    return section("traceability", shown, json.dumps(manifest.get("settings", {}), indent=1, ensure_ascii=False))
+
+
+def _points(scene: Row) -> str:
+    sigma = scene["sigma_z_median_mm"]
+    depth = "–" if sigma is None else f"{1000 * sigma:.1f} µm"
+    return f"{scene['n_points']:,} ({scene['valid_fraction']:.1%} of the picture), median σ of depth {depth}"
 
 
 def _epipolar(scene: Row) -> str:
@@ -215,7 +203,7 @@ def _registration(record: SceneRecord) -> str:
     status = found.get("status")
     if status is None:
         return "–"
-    parts = [escape(status)]
+    parts = [status]
     if status == "recognised":
         parts.append(f"{len(found['matched'])} rivets matched")
         if found["rms_mm"] is not None:
@@ -224,5 +212,5 @@ def _registration(record: SceneRecord) -> str:
             parts.append(f"rig {found['shift_mm']:.1f} mm and {found['turn_deg']:.1f}° from the nominal placement")
     for name in ("missing", "unlisted"):
         if found.get(name):
-            parts.append(f"{name}: {escape(', '.join(found[name]))}")
+            parts.append(f"{name}: {', '.join(found[name])}")
     return "; ".join(parts)
