@@ -6,6 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
@@ -51,8 +52,8 @@ def _overview(record: PanelRecord) -> Markup:
             link(_anchor(s), s.scene["station"]),
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
-            str(len(s.rivets)),
-            str(len({station["seam_id"] for station in s.stations})),
+            str(len(s.of_kind[RIVET.name])),
+            str(len({station["seam_id"] for station in s.of_kind[SEAM_STATION.name]})),
             str(sum(needs_attention(feature) for feature in s.features)),
             said(s.standings),
             "; ".join(s.scene["warnings"] or ()),
@@ -67,29 +68,32 @@ def _map(record: PanelRecord) -> str:
     """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
     placed = [scene for scene in record.scenes if scene.has_common_frame]
     drawing = panel_map(
-        [rivet for scene in placed for rivet in scene.rivets],
-        [station for scene in placed for station in scene.stations],
+        [rivet for scene in placed for rivet in scene.of_kind[RIVET.name]],
+        [station for scene in placed for station in scene.of_kind[SEAM_STATION.name]],
     )
     return figure(drawing, f"In panel coordinates. {KEY}.") if drawing else ""
 
 
 def _attention(record: PanelRecord) -> list[Markup]:
-    rivets = [rivet for scene in record.scenes for rivet in scene.rivets if needs_attention(rivet)]
-    stations = [station for scene in record.scenes for station in scene.stations if needs_attention(station)]
-    tables = [rivet_table(rivets, where=True)] if rivets else []
-    return tables + ([station_table(stations, where=True)] if stations else [])
+    tables = []
+    for kind, table_of in ((RIVET, rivet_table), (SEAM_STATION, station_table)):
+        features = [row for scene in record.scenes for row in scene.of_kind[kind.name] if needs_attention(row)]
+        if features:
+            tables.append(table_of(features, where=True))
+    return tables
 
 
 def _station(scene: SceneRecord) -> dict[str, Any]:
     """What the template says of one station."""
+    rivets, stations = scene.of_kind[RIVET.name], scene.of_kind[SEAM_STATION.name]
     return {
         "anchor": _anchor(scene),
         "name": scene.scene["station"],
         "verdict": verdict(scene.features),
-        "picture": figure(marked_picture(scene.preview, scene.rivets, scene.stations), "Left camera."),
+        "picture": figure(marked_picture(scene.preview, rivets, stations), "Left camera."),
         "overlay": png_figure(scene.overlay_png, "overlay", "The overlay."),
-        "rivets": rivet_table(scene.rivets) if scene.rivets else "",
-        "seams": seams(scene.stations, scene.limits),
+        "rivets": rivet_table(rivets) if rivets else "",
+        "seams": seams(stations, scene.limits),
         "decisions": decisions_table(scene),
         "traceability": traceability(scene),
     }
