@@ -234,6 +234,8 @@ def _decode_into(frame: Frame, data: bytes, expected: FrameHeader) -> None:
         return
     if data[:8] == png.SIGNATURE:
         png.check_sums(data)
+        if png.decode_into(frame, data):
+            return
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is not None and decoded.ndim == 3 and (decoded == decoded[..., :1]).all():
         decoded = decoded[..., 0]  # a palette of greys
