@@ -81,7 +81,7 @@ REWRITE = "UPDATE decisions SET document = replace(document, 'm.weber', 'k.ito')
         ("DELETE FROM decisions WHERE number = 3",),
         ("DELETE FROM decisions WHERE number > 0",),
         (f"{REWRITE} WHERE number = 3",),
-        ("UPDATE decisions SET checksum = replace(checksum, substr(checksum, 1, 1), 'f') WHERE number = 3",),
+        ("UPDATE decisions SET checksum = 'x' || substr(checksum, 2) WHERE number = 3",),
     ],
     ids=["last removed", "all removed", "last edited", "checksum edited"],
 )
