@@ -129,6 +129,7 @@ def test_without_the_kernels_help_duckdb_gives_up_the_file_system(
     assert run_query(writable, "SELECT count(*) AS n FROM rivets").rows["n"][0] > 0
 
 
+@pytest.mark.slow
 def test_a_large_sort_spills_into_its_own_folder(filled: Path) -> None:
     if not _has_landlock():
         pytest.skip("this kernel has no Landlock: sorting on disk is refused there")
