@@ -114,11 +114,6 @@ def bar_curvature(width_px: float, contrast: float, sigma_px: float) -> float:
     return float(contrast * scale * np.exp(-(width_px**2) / (8 * sigma_px**2)))
 
 
-def bar_scale(width_px: float) -> float:
-    """Smallest σ at which a bar of this width has its only strong response at its centre: w / (2√3) (Steger 1998)."""
-    return width_px / (2 * np.sqrt(3))
-
-
 def ridge_points(
     image: ArrayLike, sigma_px: float, threshold: float, polarity: Polarity = "dark", threads: int | None = None
 ) -> RidgeMap:
@@ -133,7 +128,7 @@ def ridge_points(
     image : (h, w) array
         Grey levels.
     sigma_px : float
-        Scale; see `bar_scale`.
+        Scale. From w / (2√3) on, a bar of width w has its only strong response at its centre (Steger 1998).
     threshold : float
         Least second derivative across the line, grey levels per px²; see `bar_curvature`, `curvature_noise`.
     polarity : "dark", "bright" or "both"

@@ -115,15 +115,6 @@ def shifted(rig: Rig, device: str, by_mm: tuple[float, float, float]) -> Rig:
     return _with(rig, device, replace(old, t=old.t - old.R @ np.array(by_mm)))
 
 
-def refocused(rig: Rig, device: str, percent: float) -> Rig:
-    """The rig with the focal length of one device (left too) off by `percent`."""
-    old = _device_of(rig, device) if device != "left" else rig.left
-    K = old.K.copy()
-    K[0, 0] *= 1 + percent / 100
-    K[1, 1] *= 1 + percent / 100
-    return _with(rig, device, replace(old, K=K))
-
-
 def warmed(rig: Rig, kelvin: float, expansion_per_k: float = 23e-6) -> Rig:
     """The rig after its frame (aluminium by default) has warmed: all distances between its devices have grown."""
     grow = 1 + expansion_per_k * kelvin

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ def as_user(user: int, work: Callable[[], object], groups: tuple[int, ...] = ())
             os._exit(0)
         except BaseException:
             traceback.print_exc()
+            sys.stderr.flush()
         os._exit(1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 

@@ -10,12 +10,14 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from week import ROOT
 
+from dashboard.confinement import die_with
 from dashboard.launch import command
 from storage.review import Entry, ReviewLog
 
@@ -49,11 +51,14 @@ def free_port() -> int:
 
 @contextmanager
 def served(root: Path, port: int | None = None) -> Iterator[str]:
-    """A dashboard's server on a store, started beside it; gives its address."""
+    """A dashboard's server on a store, started beside it; gives its address. It ends with this process, too."""
     port = port or free_port()
     environment = {**os.environ, "FLUSHLINE_STORE": str(root), "PYTHONPATH": str(ROOT)}
     log = (root.parent / "server.log").open("wb")
-    process = subprocess.Popen(command(port, "127.0.0.1"), env=environment, stdout=log, stderr=log, cwd=root.parent)
+    process = subprocess.Popen(
+        command(port, "127.0.0.1"), env=environment, stdout=log, stderr=log, cwd=root.parent,
+        preexec_fn=partial(die_with, os.getpid()),
+    )  # fmt: skip
     try:
         wait(lambda: process.poll() is not None or _answers(port))
         yield f"http://localhost:{port}"

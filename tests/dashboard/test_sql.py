@@ -69,7 +69,7 @@ def test_an_endless_query_is_stopped(sql: str, filled: Path) -> None:
     started = time.monotonic()
     with pytest.raises(UsageError):
         run_query(filled, sql, seconds=2.5)
-    assert time.monotonic() - started < 6
+    assert time.monotonic() - started < 60  # it would take years
 
 
 @pytest.mark.parametrize("sql", ["SELECT repeat('a', 2000000000)", "SELECT repeat('abc', 30000000) FROM range(9)"])
@@ -129,13 +129,15 @@ def test_without_the_kernels_help_duckdb_gives_up_the_file_system(
     assert run_query(writable, "SELECT count(*) AS n FROM rivets").rows["n"][0] > 0
 
 
+@pytest.mark.slow
 def test_a_large_sort_spills_into_its_own_folder(filled: Path) -> None:
     if not _has_landlock():
         pytest.skip("this kernel has no Landlock: sorting on disk is refused there")
     # Some 1.5 GB of text to sort with 1 GB of memory: it goes on disk, where 1 GB is allowed.
     answer = run_query(
-        filled, "SELECT md5(i::VARCHAR) || repeat('x', 100) AS m FROM range(9000000) t(i) ORDER BY m DESC", rows=3
-    )
+        filled, "SELECT md5(i::VARCHAR) || repeat('x', 100) AS m FROM range(9000000) t(i) ORDER BY m DESC", rows=3,
+        seconds=300,
+    )  # fmt: skip
     assert len(answer.rows) == 3
 
 
@@ -204,7 +206,7 @@ def test_further_queries_wait_for_their_turn(filled: Path) -> None:
     slow = "SELECT max(md5(i::VARCHAR)) AS m FROM range(4000000) t(i)"
 
     def ask() -> None:
-        run_query(filled, slow, on_wait=lambda: waited.append("waited"))
+        run_query(filled, slow, seconds=300, on_wait=lambda: waited.append("waited"))
 
     threads = [threading.Thread(target=ask) for _ in range(AT_ONCE + 1)]
     for thread in threads:

@@ -29,6 +29,7 @@ def capture_of(shared: Path, folder: Path, poses: tuple[int, ...] = POSES) -> di
     return document
 
 
+@pytest.mark.slow
 def test_a_capture_becomes_a_rig_and_a_report(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capture_of(shared, tmp_path / "capture")
     out = tmp_path / "new" / "rig.json"

@@ -57,6 +57,8 @@ def cluster(s3: str) -> Iterator[object]:
         yield cluster
 
 
+@pytest.mark.services
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_worker_killed_in_the_middle_costs_no_scene(
     tmp_path: Path,

@@ -13,6 +13,7 @@ from tests.flows.conftest import write_small_scene
 from tests.storage.results import small_key
 
 
+@pytest.mark.services
 @pytest.mark.filterwarnings("ignore")
 def test_scenes_run_as_a_flow_of_tasks(
     scenes: list[Path],
@@ -36,6 +37,7 @@ def test_scenes_run_as_a_flow_of_tasks(
     assert {"load", "reconstruct-scene", "measure-seams", "publish"} <= names
 
 
+@pytest.mark.services
 @pytest.mark.filterwarnings("ignore")
 def test_an_inbox_runs_as_a_flow_with_pages_of_its_own(
     rig_file: Path, tmp_path: Path, fake_metrology: list[str], server: None, capsys: pytest.CaptureFixture[str]

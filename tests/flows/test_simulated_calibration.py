@@ -44,6 +44,7 @@ rows = 9
 """
 
 
+@pytest.mark.slow
 def test_a_simulated_capture_gives_the_rig_that_made_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "spec.toml").write_text(SPEC)
     assert main(["simulate", str(tmp_path / "spec.toml"), "--out", str(tmp_path)]) == 0

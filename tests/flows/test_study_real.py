@@ -41,6 +41,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_repeatability_and_flatness(captured: Path, tmp_path: Path) -> None:
     planes = tmp_path / "planes.toml"
     planes.write_text(PLANES)

@@ -127,6 +127,7 @@ def no_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PREFECT_HOME", "/nonexistent")
 
 
+@pytest.mark.slow
 def test_accuracy_from_the_command_line(specs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["study", "accuracy", "--spec", str(specs / "accuracy-twice.toml"), "--out", str(out)]) == 0
@@ -154,6 +155,7 @@ def test_accuracy_from_the_command_line(specs: Path, tmp_path: Path, capsys: pyt
     assert not (out / "frames").exists()
 
 
+@pytest.mark.slow
 def test_repeatability_and_gage(specs: Path, tmp_path: Path) -> None:
     finished = run_study(study(specs, "repeatability"), tmp_path / "out", InspectionSettings())
     assert finished.problems == ()
@@ -171,6 +173,7 @@ def test_repeatability_and_gage(specs: Path, tmp_path: Path) -> None:
     assert 0 < float(gage["height"]["%GRR of tolerance"]) < 50
 
 
+@pytest.mark.slow
 def test_a_killed_study_goes_on_where_it_stopped(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, out, inspected = study(specs, "accuracy"), tmp_path / "out", []
 

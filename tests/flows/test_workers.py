@@ -33,6 +33,7 @@ def processes() -> Iterator[Executor]:
         yield processes
 
 
+@pytest.mark.slow
 def test_only_the_work_whose_process_dies_suffers(processes: Executor, tmp_path: Path) -> None:
     bad = [processes.submit(die), processes.submit(die)]
     good = [processes.submit(abs, -k) for k in range(6)]

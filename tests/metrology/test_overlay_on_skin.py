@@ -152,6 +152,7 @@ def rigs() -> tuple[Rig, Rig]:
     return true, rig
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "skin", [Skin(), Skin(radius_1_mm=900.0, radius_2_mm=2500.0, direction_deg=20.0)], ids=["flat", "curved"]
 )

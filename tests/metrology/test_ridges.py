@@ -9,7 +9,6 @@ from scipy.special import erf
 from metrology.errors import UsageError
 from metrology.ridges import (
     bar_curvature,
-    bar_scale,
     curvature_noise,
     gaussian_derivatives,
     gaussian_kernels,
@@ -84,7 +83,7 @@ def test_polarity():
 
 def test_strength_is_the_bar_s_curvature():
     width = 5.0
-    sigma = bar_scale(width) + 0.5
+    sigma = width / (2 * np.sqrt(3)) + 0.5
     image, _ = bar_image(width, 50, 0, 0.5, blur_px=0.05)
     ridges = ridge_points(image, sigma, 1.0)
     # The bar's sampled pixels and the Gaussian's sampled kernel each differ a little from the continuous ones.

@@ -234,6 +234,7 @@ def test_settings_that_make_no_sense_are_refused() -> None:
         HealthSettings(block_px=2)
 
 
+@pytest.mark.slow
 def test_on_an_independent_rendering_of_a_skin(shared: Path) -> None:
     rig = load_rig(shared / "scenes" / "rig.json")
     scene = load_scene(shared / "scenes" / "skin")

@@ -211,6 +211,7 @@ def test_narrow_gap_is_as_wide_as_stated(gap, rng):
     assert np.mean(error < u95) > 0.9
 
 
+@pytest.mark.slow
 def test_narrow_gaps_are_as_wide_as_stated():
     # What a seam's stations have in common errs once for all of them: several draws of noise, several gaps.
     covered = []

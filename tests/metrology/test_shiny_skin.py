@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
@@ -44,6 +45,7 @@ def local_mean(values: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     return total / np.maximum(cv2.boxFilter(known.astype(float), -1, (size, size)), 1e-9)
 
 
+@pytest.mark.slow
 def test_highlights_are_measured_as_well_as_the_rest(shared: Path) -> None:
     scene = load_scene(shared / "scenes" / "skin-shiny")
     rig = load_rig(shared / "scenes" / "rig.json")

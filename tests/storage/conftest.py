@@ -54,7 +54,7 @@ def postgresql(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield url
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.services)])
 def reviewed_store(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """The folder of a store whose review log is in SQLite, and in PostgreSQL."""
     root = tmp_path / "store"

@@ -10,7 +10,10 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+
+from dashboard.confinement import die_with
 
 _DEBIAN = Path("/usr/lib/postgresql")
 _SECONDS_TO_START = 30
@@ -27,7 +30,7 @@ def programs() -> Path | None:
 
 @contextmanager
 def running_server(folder: Path) -> Iterator[str]:
-    """A server with its data; yields the beginning of URLs of its database, to which options can be added."""
+    """A server with its data, which ends with this process; yields the beginning of URLs of its database."""
     # A path of pytest's may be too long for a socket; the server refuses to run as root.
     run_by = {"user": "nobody", "group": "nogroup"} if os.getuid() == 0 else {}
     with tempfile.TemporaryDirectory(prefix="flushline-pg-") as name:
@@ -43,7 +46,9 @@ def running_server(folder: Path) -> Iterator[str]:
             subprocess.run(initialise, check=True, **common)  # type: ignore[call-overload]
             settings = ("listen_addresses=", f"unix_socket_directories={place}", "fsync=off", "max_connections=40")
             options = [part for setting in settings for part in ("-c", setting)]
-            server = subprocess.Popen([binaries / "postgres", "-D", data, *options], **common)  # type: ignore[call-overload]
+            server = subprocess.Popen(  # type: ignore[call-overload]
+                [binaries / "postgres", "-D", data, *options], **common, preexec_fn=partial(die_with, os.getpid())
+            )
             try:
                 _wait(server, place / ".s.PGSQL.5432", folder / "postgres.log")
                 yield f"postgresql+psycopg://flushline@/postgres?host={place}"

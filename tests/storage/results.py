@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from metrology.inspection import InspectionResult
 from metrology.overlay import Overlay
 from metrology.results import Rivet, SceneKey, SeamStation
 from metrology.rig import Device, Rig
+from storage.archive.store import Store
 from storage.rig import rig_document
 
 WIDTH, HEIGHT = 64, 48
@@ -91,3 +94,8 @@ def small_result(key: SceneKey | None = None, height_mm: float = 0.05, rivets: i
         warnings=(),
         versions={"flushline": "0.1.0"},
     )
+
+
+def copied(store: Store, folder: Path) -> Store:
+    """A copy for one test of a store that several begin with: publishing takes longer."""
+    return Store(Path(shutil.copytree(store.root, folder / "store", symlinks=True)))

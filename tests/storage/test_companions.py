@@ -54,6 +54,7 @@ def attempts(store: Store) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_no_statement_writes_beside_the_index(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     before = listing(store.root)
     for sql in attempts(store):

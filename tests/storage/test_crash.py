@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from benchmarks.crash_archive import damage, settle, torment
 from storage.archive import Store
 
 
+@pytest.mark.slow
 def test_killed_writers_never_spoil_a_read_or_the_archive(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     # At least 8 s, and on a slow machine as long as it takes to read and kill often enough.

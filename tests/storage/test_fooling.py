@@ -19,17 +19,23 @@ from metrology.errors import StoreError
 from storage.archive import Store, maintenance, run_ids
 from storage.archive.bundles import Bundles
 from storage.archive.compaction import compact
-from tests.storage.results import small_key, small_result
+from tests.storage.results import copied, small_key, small_result
 from tests.storage.test_maintenance import forge, spoil
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    """Two scenes, one of them inspected twice."""
-    store = Store(tmp_path / "store")
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Two scenes, one of them inspected twice; do not write to it."""
+    store = Store(tmp_path_factory.mktemp("published") / "store")
     for station, height_mm in (("S1", 0.05), ("S2", 0.05), ("S1", 0.2)):
         store.publish(small_result(small_key(station), height_mm=height_mm))
     return store
+
+
+@pytest.fixture
+def store(published: Store, tmp_path: Path) -> Store:
+    """A copy of it to write to."""
+    return copied(published, tmp_path)
 
 
 def runs(store: Store, station: str = "S1") -> list[Path]:

@@ -15,17 +15,23 @@ from metrology.errors import StoreError
 from storage.archive import Store, maintenance
 from storage.archive.compaction import compact
 from storage.archive.schema import TABLES
-from tests.storage.results import small_key, small_result
+from tests.storage.results import copied, small_key, small_result
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    """Three scenes of two aircraft, one of them inspected twice."""
-    store = Store(tmp_path / "store")
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Three scenes of two aircraft, one of them inspected twice; do not write to it."""
+    store = Store(tmp_path_factory.mktemp("published") / "store")
     for aircraft, station in (("MSN-1", "S1"), ("MSN-1", "S2"), ("MSN-2", "S1")):
         store.publish(small_result(small_key(station, aircraft)))
     store.publish(small_result(small_key("S1"), height_mm=0.2, rivets=2))
     return store
+
+
+@pytest.fixture
+def store(published: Store, tmp_path: Path) -> Store:
+    """A copy of it to write to."""
+    return copied(published, tmp_path)
 
 
 def spoil(path: Path) -> None:

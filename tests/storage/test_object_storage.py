@@ -20,6 +20,7 @@ from tests.storage.results import small_key, small_result
 from tests.storage.s3 import bundles_uri, emulated_s3
 
 pytest.importorskip("moto.server", reason="moto[server] emulates S3")
+pytestmark = pytest.mark.services
 
 
 @pytest.fixture(scope="module")

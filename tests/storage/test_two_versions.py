@@ -15,7 +15,7 @@ from metrology.errors import StoreError
 from storage.archive import Store, bookkeeping, bundle, maintenance, schema, views
 from storage.archive.schema import KEY, SCENES, TABLES, Column, Table
 from storage.archive.views import View
-from tests.storage.results import small_key, small_result
+from tests.storage.results import copied, small_key, small_result
 
 HOLES = Table("holes", "One row per hole", (*KEY, Column("hole_id", "VARCHAR", "name of the hole")))
 WIDER = replace(TABLES[1], columns=(*TABLES[1].columns, Column("torque_nm", "DOUBLE", "torque, N m")))
@@ -29,13 +29,19 @@ OTHER_TABLES = {
 Other = Callable[[], Any]
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    """Three scenes of this version."""
-    store = Store(tmp_path / "store")
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Three scenes of this version; do not write to it."""
+    store = Store(tmp_path_factory.mktemp("published") / "store")
     for station in ("S1", "S2", "S3"):
         store.publish(small_result(small_key(station)))
     return store
+
+
+@pytest.fixture
+def store(published: Store, tmp_path: Path) -> Store:
+    """A copy of it to write to."""
+    return copied(published, tmp_path)
 
 
 def become(

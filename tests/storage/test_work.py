@@ -17,7 +17,7 @@ from storage.archive import Store
 from storage.archive.decisions import close_work, dispose, shown_finding, sign_off
 from storage.archive.work import open_work, said, standings
 from storage.review import Disposition, Feature, ReviewLog, ShownFinding, ShownScene
-from tests.storage.results import small_key, small_result
+from tests.storage.results import copied, small_key, small_result
 
 R1, R2 = Feature("rivet", "R1"), Feature("rivet", "R2")
 SCENE = small_key().scene_id
@@ -38,11 +38,18 @@ def scan(
     return replace(base, rivets=(first, base.rivets[1]), stations=stations, registration=registration or {})
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    store = Store(tmp_path / "store")
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """One scene; do not write to it."""
+    store = Store(tmp_path_factory.mktemp("published") / "store")
     store.publish(scan())
     return store
+
+
+@pytest.fixture
+def store(published: Store, tmp_path: Path) -> Store:
+    """A copy of it to write to."""
+    return copied(published, tmp_path)
 
 
 def seen(store: Store, scene_id: str = SCENE, feature: Feature = R1) -> ShownFinding:
