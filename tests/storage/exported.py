@@ -16,6 +16,7 @@ from tests.storage.results import small_key, small_result
 AIRCRAFT, PANEL = "MSN-1", "LH-F12"
 HOSTILE = ("=SUM(A1:A9)", "+1-1", "@x", "<b>&\"'</b>", "Nietkopf Ä ö ß €", "N" * 64, "a;b,c\td", "-0.5 mm")
 """Names of rivets."""
+OPERATOR = "=cmd|' /C calc'!A0"
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 SHIFT = np.array([100.0, 200.0, -700.0])
 
@@ -34,12 +35,18 @@ def publish_hostile(root: Path, stations: tuple[str, ...] = ("S1", "S2"), rivets
                 reason='<a href="x">=1+1</a>; Grat "ß"' if i % 2 else None,
                 decision="fail" if i % 2 else "pass",
             )
-            for i, rivet in enumerate(result.rivets)
+            for i, rivet in enumerate(result.features["rivet"])
         ]
         placement = {"R": TURN.tolist(), "t_mm": SHIFT.tolist()}
         registration = {**result.registration, "status": "recognised", "matched": [], "placement": placement}
         store.publish(
-            replace(result, rivets=tuple(named), panel_spec=spec, registration=registration, operator="=cmd|' /C calc'!A0")
+            replace(
+                result,
+                features={**result.features, "rivet": tuple(named)},
+                panel_spec=spec,
+                registration=registration,
+                operator=OPERATOR,
+            )
         )
     return store
 

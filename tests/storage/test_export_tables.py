@@ -6,7 +6,7 @@ import csv
 import math
 import os
 import time
-from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,7 +23,7 @@ from storage.export.as9102 import FORM_3, NONCONFORMANCE
 from storage.export.formats import Place, writer_of
 from storage.export.qif import FAMILY, NAMESPACE
 from storage.export.subject import Subject, panel_subject
-from tests.storage.exported import AIRCRAFT, HOSTILE, PANEL, exported, publish_hostile
+from tests.storage.exported import AIRCRAFT, HOSTILE, OPERATOR, PANEL, exported, publish_hostile
 from tests.storage.results import small_key, small_result
 
 Q = f"{{{NAMESPACE}}}"
@@ -41,7 +41,7 @@ def test_form_3_has_every_characteristic_as_numbers_and_texts_as_they_are(store:
     heads = next(i for i, line in enumerate(lines) if line[0] == FORM_3[0].head)
     rows = [dict(zip(lines[heads], line, strict=True)) for line in lines[heads + 1 :]]
     assert len(rows) == len(subject.characteristics)
-    assert any("=cmd|' /C calc'!A0" in str(cell) for line in lines[:heads] for cell in line)
+    assert any(OPERATOR in str(cell) for line in lines[:heads] for cell in line)
     assert not any(cell.data_type == "f" for row in sheet.iter_rows() for cell in row)
     for row, c in zip(rows, subject.characteristics, strict=True):
         assert row["5 Char. No."] == c.number
@@ -57,12 +57,10 @@ def test_form_3_has_every_characteristic_as_numbers_and_texts_as_they_are(store:
 
 
 def test_a_wrong_fastener_is_a_nonconformance_although_its_quantities_pass(tmp_path: Path) -> None:
-    from dataclasses import replace
-
     store = Store(tmp_path / "store")
     result = small_result(small_key("S1", AIRCRAFT, PANEL), rivets=1)
-    wrong = replace(result.rivets[0], decision="fail", reason="found 6.4 mm, expected 4.8 mm")
-    store.publish(replace(result, rivets=(wrong,)))
+    wrong = replace(result.features["rivet"][0], decision="fail", reason="found 6.4 mm, expected 4.8 mm")
+    store.publish(replace(result, features={"rivet": (wrong,), "seam station": ()}))
     _, files = exported(store, tmp_path, "as9102")
     rows = pd.read_csv(files["-as9102.csv"])
     assert rows[NONCONFORMANCE].notna().tolist()[:2] == [True, False]
@@ -75,7 +73,9 @@ def test_numbers_of_csv_are_numbers_where_it_is_opened(
 ) -> None:
     subject, files = exported(store, tmp_path, "as9102", "csv", decimal=decimal)
     form = pd.read_csv(files["-as9102.csv"], sep=separator, decimal=mark, encoding="utf-8-sig")
-    np.testing.assert_array_equal(form["9 Results"], [math.nan if c.value is None else c.value for c in subject.characteristics])
+    np.testing.assert_array_equal(
+        form["9 Results"], [math.nan if c.value is None else c.value for c in subject.characteristics]
+    )
     rivets = pd.read_csv(files["-rivets.csv"], sep=separator, decimal=mark)
     assert all(rivets[name].dtype == float for name in ("height_mean_mm", "x_mm", "tilt_u95_deg"))
     assert {name.lstrip("'") for name in rivets["rivet_id"]} == set(HOSTILE)
@@ -91,17 +91,20 @@ def test_workbook_parquet_and_csv_hold_the_tables(store: Store, tmp_path: Path) 
     sheet = book["rivets"]
     heads = [cell.value for cell in sheet[1]]
     rows = [dict(zip(heads, [cell.value for cell in row], strict=True)) for row in sheet.iter_rows(min_row=2)]
-    assert sheet.auto_filter.ref and sheet.freeze_panes == "A2"
-    key = lambda row: (row["station"], row["rivet_id"])  # noqa: E731
-    for found, wanted in zip(sorted(rows, key=key), sorted(expected, key=key), strict=True):
+    assert sheet.auto_filter.ref
+    assert sheet.freeze_panes == "A2"
+    for found, wanted in zip(sorted(rows, key=_key), sorted(expected, key=_key), strict=True):
         for name, value in wanted.items():
-            wished = value.replace(tzinfo=None) if isinstance(value, datetime) else value
-            assert found[name] == (wished if wished != "" else None), name
+            assert found[name] == (value.replace(tzinfo=None) if isinstance(value, datetime) else value), name
     meanings = {(row[0].value, row[1].value): row[2].value for row in book["columns"].iter_rows(min_row=2)}
     assert meanings["rivets", "height_mean_mm"] == "mm"
     parquet = duckdb.sql(f"SELECT * FROM '{files['-rivets.parquet']}' ORDER BY station, rivet_id").to_arrow_table()
     assert parquet.to_pylist() == expected
     assert len(subject.scenes) == 2
+
+
+def _key(row: dict[str, object]) -> tuple[object, object]:
+    return row["station"], row["rivet_id"]
 
 
 def test_rows_of_a_query_keep_their_types(store: Store, tmp_path: Path) -> None:
@@ -114,7 +117,7 @@ def test_rows_of_a_query_keep_their_types(store: Store, tmp_path: Path) -> None:
 
 def test_q_das_is_read_back(store: Store, tmp_path: Path) -> None:
     subject, files = exported(store, tmp_path, "qdas")
-    part = aqdefreader.read_dfq_file(files[".dfq"]).get_part(0)
+    part = aqdefreader.DfqFile(files[".dfq"].read_text("utf-8-sig").splitlines()).get_part(0)
     assert part.get_data("K1001") == PANEL
     found = {i: part.get_characteristic_by_index(i) for i in range(1, len(subject.characteristics) + 1)}
     for c in subject.characteristics:
@@ -130,10 +133,20 @@ def test_q_das_is_read_back(store: Store, tmp_path: Path) -> None:
     assert head + values_alone == files[".dfq"].read_text("utf-8-sig")
 
 
+def _text(element: ElementTree.Element, path: str) -> str:
+    found = element.find("/".join(f"{Q}{part}" for part in path.split("/")))
+    assert found is not None, path
+    return found.text or ""
+
+
+def _ending(root: ElementTree.Element, name: str) -> list[ElementTree.Element]:
+    return [element for element in root.iter() if element.tag.endswith(name)]
+
+
 @pytest.fixture(scope="module")
-def qif(store: Store, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Subject, Path]]:
+def qif(store: Store, tmp_path_factory: pytest.TempPathFactory) -> tuple[Subject, Path]:
     subject, files = exported(store, tmp_path_factory.mktemp("qif"), "qif")
-    yield subject, files[".qif"]
+    return subject, files[".qif"]
 
 
 def test_qif_holds_values_limits_uncertainties_and_names(qif: tuple[Subject, Path]) -> None:
@@ -142,8 +155,8 @@ def test_qif_holds_values_limits_uncertainties_and_names(qif: tuple[Subject, Pat
     by_id = {element.get("id"): element for element in root.iter() if element.get("id")}
     assert len(by_id) == sum(1 for element in root.iter() if element.get("id"))
     assert int(root.get("idMax", "0")) >= max(map(int, by_id))
-    items = {item.find(f"{Q}CharacteristicDesignator/{Q}Designator").text: item for item in root.iter() if item.tag.endswith("CharacteristicItem")}  # type: ignore[union-attr]
-    measured = {m.find(f"{Q}CharacteristicItemId").text: m for m in root.iter() if m.tag.endswith("CharacteristicMeasurement")}  # type: ignore[union-attr]
+    items = {_text(item, "CharacteristicDesignator/Designator"): item for item in _ending(root, "CharacteristicItem")}
+    measured = {_text(m, "CharacteristicItemId"): m for m in _ending(root, "CharacteristicMeasurement")}
     assert len(items) == len(measured) == len(subject.characteristics)
     for c in subject.characteristics:
         item = items[str(c.number)]
@@ -154,10 +167,9 @@ def test_qif_holds_values_limits_uncertainties_and_names(qif: tuple[Subject, Pat
         if value is not None and c.value is not None and c.u95 is not None:
             assert float(value.text or "") == pytest.approx(c.value, abs=6e-6)
             assert float(value.get("combinedUncertainty", "")) == pytest.approx(c.u95 / 1.96, rel=1e-3)
-        feature = by_id[item.find(f"{Q}FeatureItemIds/{Q}Id").text]  # type: ignore[union-attr]
-        assert feature.find(f"{Q}FeatureName").text == c.feature  # type: ignore[union-attr]
-        nominal = by_id[item.find(f"{Q}CharacteristicNominalId").text]  # type: ignore[union-attr]
-        definition = by_id[nominal.find(f"{Q}CharacteristicDefinitionId").text]  # type: ignore[union-attr]
+        assert _text(by_id[_text(item, "FeatureItemIds/Id")], "FeatureName") == c.feature
+        nominal = by_id[_text(item, "CharacteristicNominalId")]
+        definition = by_id[_text(nominal, "CharacteristicDefinitionId")]
         bounds = [definition.find(f"{Q}Tolerance/{Q}{name}Value") for name in ("Min", "Max")]
         wanted = [None, None] if c.limit is None else [c.limit.lower, c.limit.upper]
         assert [None if bound is None else float(bound.text or "") for bound in bounds] == wanted
@@ -166,12 +178,16 @@ def test_qif_holds_values_limits_uncertainties_and_names(qif: tuple[Subject, Pat
 
 def test_qif_statistics_are_those_of_the_values(qif: tuple[Subject, Path]) -> None:
     subject, path = qif
-    studies = {s.find(f"{Q}Name").text: s for s in ElementTree.parse(path).iter(f"{Q}SimpleStudyResults")}  # type: ignore[union-attr]
+    studies = {
+        _text(study, "Name"): study for study in _ending(ElementTree.parse(path).getroot(), "SimpleStudyResults")
+    }
     for title in ("Rivet height", "Seam step"):
         values = [c.value for c in subject.characteristics if c.quantity.title == title and c.value is not None]
-        figures = {name: float(next(studies[title].iter(f"{Q}{name}"))[0].text or "") for name in ("Average", "Maximum", "StandardDeviation")}
-        assert figures == pytest.approx({"Average": np.mean(values), "Maximum": np.max(values), "StandardDeviation": np.std(values, ddof=1)}, abs=1e-6)
-        assert studies[title].find(f"{Q}NumberOfSamples").text == str(len(values))  # type: ignore[union-attr]
+        study = studies[title]
+        wanted = {"Average": np.mean(values), "Maximum": np.max(values), "StandardDeviation": np.std(values, ddof=1)}
+        found = {name: float(_text(next(study.iter(f"{Q}{name}")), "Value")) for name in wanted}
+        assert found == pytest.approx(wanted, abs=1e-6)
+        assert _text(study, "NumberOfSamples") == str(len(values))
 
 
 def test_qif_uuids_stay_and_the_file_is_the_same_again(store: Store, qif: tuple[Subject, Path], tmp_path: Path) -> None:
@@ -206,22 +222,22 @@ def test_qif_is_valid_by_the_official_schema(qif: tuple[Subject, Path]) -> None:
     assert schema.validate(etree.parse(str(qif[1]))), schema.error_log
 
 
-def test_ten_thousand_features_take_five_seconds_at_most(tmp_path: Path) -> None:
-    store = publish_hostile(tmp_path / "store", ("S1",), rivets=10_000)
+def test_a_thousand_features_take_a_second_at_most(tmp_path: Path) -> None:
+    store = publish_hostile(tmp_path / "store", ("S1",), rivets=1000)
     for name in ("as9102", "qdas", "qif", "xlsx"):
         start = time.process_time()
         subject = panel_subject(store, AIRCRAFT, PANEL)
         writer_of(f"{'tables' if name == 'xlsx' else name}:write{'_xlsx' if name == 'xlsx' else ''}")(
             subject, Place(tmp_path, "out", store)
         )
-        assert time.process_time() - start <= 5, name
-    assert len(subject.characteristics) > 20_000
+        assert time.process_time() - start <= 1.0, name
+    assert len(subject.characteristics) > 2000
 
 
 def test_the_map_has_a_balloon_for_every_rivet_and_seam(store: Store, tmp_path: Path) -> None:
     subject, files = exported(store, tmp_path, "as9102")
     root = ElementTree.parse(files["-as9102-balloons.svg"]).getroot()
     labels = [text.text for text in root.iter("{http://www.w3.org/2000/svg}text")]
-    assert f"1–2" in labels  # noqa: F541
+    assert "1–2" in labels
     assert len(labels) == 2 + 2 * (len(HOSTILE) + 1)
     assert len(subject.scenes) == 2
