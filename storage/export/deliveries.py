@@ -140,7 +140,7 @@ class Record:
                 "state = 'pending' AND (next_try IS NULL OR next_try <= ?) ORDER BY number",
                 [target, _text(now)],
             ).fetchall()
-        return [Delivery(*row[:5], datetime.fromisoformat(row[5]) if row[5] else None) for row in rows]
+        return [Delivery(*rest, datetime.fromisoformat(first) if first else None) for *rest, first in rows]
 
     def taken(self, delivery: Delivery, now: datetime) -> None:
         """The target has it."""

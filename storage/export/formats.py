@@ -99,4 +99,4 @@ def writer_of(name: str) -> Callable[..., list[Path]]:
     """The function that "module:function" names."""
     module, _, function = name.partition(":")
     writer: Any = getattr(importlib.import_module(f"storage.export.{module}"), function)
-    return writer  # type: ignore[no-any-return]
+    return writer
