@@ -27,6 +27,7 @@ COMMANDS = (
     "panel",
     "query",
     "export",
+    "deliver",
     "run",
     "serve",
     "archive",

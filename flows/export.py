@@ -1,4 +1,4 @@
-"""Exports: each scene or panel in each format, into a folder or onto object storage; files appear whole or not at all."""
+"""Exports: each scene or panel in each format, into a folder or onto object storage; files are whole or not there."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Wanted:
     def __post_init__(self) -> None:
         ways = [self.scene_id is not None, self.aircraft is not None, self.query is not None]
         if sum(ways) != 1 or (self.panel is not None and self.aircraft is None):
-            raise UsageError("export: expected a SCENE_ID, --aircraft SERIAL (with or without --panel PANEL), or --query SQL")
+            raise UsageError("export: expected a SCENE_ID, --aircraft SERIAL (and --panel PANEL), or --query SQL")
 
 
 def subjects(store: Store, wanted: Wanted) -> list[Callable[[], Subject]]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+from flows.deliver import deliver_after_run
 from flows.inbox import only_run, plan, run_here, write_parquet
 from flows.inbox_job import InboxJob, Outcome, Way
 from flows.inbox_report import summary
 from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
 from metrology.errors import UsageError
+from storage.archive import Store
 
 
 def run_inbox(job: InboxJob, way: Way, use_server: bool) -> int:
     """Inspect an inbox; returns the command's exit code."""
     outcomes: list[Outcome] = []
-    if runs_on_server(use_server):
+    on_server = runs_on_server(use_server)
+    if on_server:
         from flows.prefect_inbox import run_on_server
 
         run_on_server(job, way, outcomes.append)
@@ -25,6 +28,9 @@ def run_inbox(job: InboxJob, way: Way, use_server: bool) -> int:
     else:
         _run_here(job, way.workers, outcomes)
     print(summary(outcomes))
+    if not on_server:
+        for problem in deliver_after_run(Store(job.store), outcomes):
+            print_error(problem)
     bad = any(outcome.state in ("quarantined", "failed") for outcome in outcomes)
     return EXIT_SOME_FAILED if bad else EXIT_DONE
 

@@ -9,12 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from prefect import flow, task
+from prefect import flow, get_run_logger, task
 from prefect.artifacts import create_markdown_artifact, create_progress_artifact, update_progress_artifact
 from prefect.cache_policies import NO_CACHE
 from prefect.futures import PrefectFuture, as_completed
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
+from flows.deliver import deliver_after_run
 from flows.inbox import inspect_folder, inspect_in, only_run, plan, write_parquet
 from flows.inbox_folders import put_aside
 from flows.inbox_job import InboxJob, Outcome, Runner, Way
@@ -52,6 +53,18 @@ def inspect_folder_task(job: InboxJob, folder: Path, processes: Executor | None)
 def compact_task(job: InboxJob, outcomes: list[Outcome]) -> str | None:
     """Compact the store's tables if the job asks for it and something new is in them."""
     return write_parquet(job, outcomes)
+
+
+@task(
+    name="deliver",
+    tags=["flushline", "store"],
+    cache_policy=NO_CACHE,
+    persist_result=False,
+    description="What is new, to web-hooks, folders and object storage.",
+)
+def deliver_task(job: InboxJob, outcomes: list[Outcome]) -> list[str]:
+    """Deliver what is new to the store's targets; returns what a person should know."""
+    return deliver_after_run(Store(job.store), outcomes)
 
 
 @flow(
@@ -106,6 +119,8 @@ def inspect_inbox_flow(
                 update_progress_artifact(progress, 100.0 * done / len(futures))
         if job.compact:
             compact_task(job, outcomes)
+    for problem in deliver_task(job, outcomes):
+        get_run_logger().warning(problem)
     create_markdown_artifact(markdown(outcomes), key="inbox-summary", description=inbox)
     return outcomes
 

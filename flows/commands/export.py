@@ -12,8 +12,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "export",
         parents=[common],
         help="files for others: AS9102, Q-DAS, QIF, XLSX, E57 and more",
-        description="Writes a scene, the newest scans of a panel or of all panels of an aircraft, or the rows of a query, "
-        "in each format that is asked for. docs/exports.md says what goes where.",
+        description="Writes a scene, the newest scans of a panel or of all panels of an aircraft, or the rows of a "
+        "query, in each format that is asked for. docs/exports.md says what goes where.",
     )
     parser.add_argument("scene_id", nargs="?", metavar="SCENE_ID", help="as the table scenes has it")
     parser.add_argument("--aircraft", metavar="SERIAL", help="all its panels, or the one given with --panel")
@@ -29,7 +29,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         help="as9102, qdas, qif, xlsx, csv, parquet, e57, las, ply, pcd, glb or stl; may be given several times",
     )
     parser.add_argument("--out", required=True, metavar="TARGET", help="folder, or a URI such as s3://bucket/prefix")
-    parser.add_argument("--name", default="query", metavar="NAME", help="begins the names of a query's files (default query)")
+    parser.add_argument(
+        "--name", default="query", metavar="NAME", help="begins names of a query's files (default query)"
+    )
     parser.add_argument(
         "--decimal",
         choices=("point", "comma"),

@@ -29,11 +29,14 @@ def write_delimited(path: Path, heads: Sequence[str], rows: Iterable[Sequence[ob
 
 
 def _cell(cell: object, decimal: Decimal) -> object:
+    kind = type(cell)
+    if cell is None or kind is int:
+        return cell
+    if kind is str:
+        return harmless(cell)
     if isinstance(cell, datetime):
         return utc_text(cell) if cell.tzinfo else cell.isoformat()
     if isinstance(cell, (list, tuple, dict)):
         return json.dumps(cell, ensure_ascii=False, default=str)
     value = cell_value(cell)
-    if isinstance(value, float):
-        return repr(value).replace(".", ",") if decimal == "comma" else repr(value)
-    return "" if value is None else harmless(value)
+    return repr(value).replace(".", ",") if decimal == "comma" and isinstance(value, float) else value

@@ -66,7 +66,7 @@ class Place:
 FORMATS = {
     found.name: found
     for found in (
-        Format("as9102", "first-article form 3 (XLSX, CSV) and ballooned map (SVG)", "as9102:write", "", ("xlsxwriter",)),
+        Format("as9102", "first-article form 3 (XLSX, CSV), ballooned map", "as9102:write", "", ("xlsxwriter",)),
         Format("qdas", "Q-DAS ASCII: DFQ, and the same as DFD and DFX", "qdas:write"),
         Format("qif", "QIF 3.0 Results and Statistics", "qif:write"),
         Format("xlsx", "tables as a workbook", "tables:write_xlsx", "tables:query_xlsx", ("xlsxwriter",)),
@@ -99,4 +99,4 @@ def writer_of(name: str) -> Callable[..., list[Path]]:
     """The function that "module:function" names."""
     module, _, function = name.partition(":")
     writer: Any = getattr(importlib.import_module(f"storage.export.{module}"), function)
-    return writer  # type: ignore[no-any-return]
+    return writer

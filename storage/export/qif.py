@@ -67,7 +67,8 @@ def document(subject: Subject) -> str:
         [
             _element("QPId", stable_uuid("document", subject.name, *runs)),
             f"<Version><TimeCreated>{_newest(subject)}</TimeCreated></Version>",
-            f"<Header><Application><Name>Flushline</Name></Application>{_element('Description', subject.name)}</Header>",
+            "<Header><Application><Name>Flushline</Name></Application>",
+            f"{_element('Description', subject.name)}</Header>",
             f'<StandardsDefinitions n="1"><Standard id="{_STANDARD}"><Organization><StandardsOrganizationEnum>ISO'
             "</StandardsOrganizationEnum></Organization><Designator>14253-1</Designator></Standard></StandardsDefinitions>",
             _UNITS,
@@ -252,14 +253,15 @@ def _devices(devices: dict[str, int]) -> str:
     inner = "".join(
         f'<MeasurementDevice id="{id_}">{_element("Name", rig)}</MeasurementDevice>' for rig, id_ in devices.items()
     )
-    return f'<MeasurementResources><MeasurementDevices n="{len(devices)}">{inner}</MeasurementDevices></MeasurementResources>'
+    listed = f'<MeasurementDevices n="{len(devices)}">{inner}</MeasurementDevices>'
+    return f"<MeasurementResources>{listed}</MeasurementResources>"
 
 
 def _product(subject: Subject) -> str:
     return (
         f'<Product><PartSet n="1"><Part id="{_PART}" label={_attribute(subject.panel)}>'
-        f"{_element('UUID', stable_uuid('panel', subject.panel))}{_element('ModelNumber', subject.panel)}</Part></PartSet>"
-        "</Product>"
+        f"{_element('UUID', stable_uuid('panel', subject.panel))}{_element('ModelNumber', subject.panel)}"
+        "</Part></PartSet></Product>"
     )
 
 

@@ -10,15 +10,18 @@ from typing import Any
 from uuid import UUID, uuid5
 
 from metrology.errors import StoreError
+from metrology.kinds import KINDS, Kind, Quantity
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import Placement
+from metrology.requirements import downstream_of, limit_of
 from metrology.results import Decision
 from metrology.verdicts import DECISIONS, gravity
 from storage.archive.bundle import MANIFEST
 from storage.archive.store import Store
 from storage.documents import read_json
-from storage.export.kinds import KINDS, Kind, Quantity, Row, limit_for
 from storage.panel_spec import judged_by
+
+Row = Mapping[str, Any]
 
 NAMESPACE = UUID("6f1c7a52-7a41-5e0e-9a35-0f1d8a1f6f10")
 """Of every UUID that Flushline gives: the same thing has the same one in every export."""
@@ -207,7 +210,8 @@ def _measured(scene: ExportedScene) -> Iterator[tuple[Any, ...]]:
         for row in scene.features[kind.name]:
             for quantity in kind.quantities:
                 value, u95 = row[quantity.column], row[quantity.u95_column]
-                limit = limit_for(quantity, row, scene.limits)
+                zone = scene.limits.zone(row["zone"]) if scene.limits else {}
+                limit = limit_of(zone, quantity, downstream_of(quantity, row))
                 decision = _decision(value, u95, limit)
                 yield kind, quantity, kind.id_of(row), row, scene, value, u95, limit, decision
 

@@ -10,8 +10,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from storage.archive import schema
-from storage.archive.schema import Table
+from metrology.kinds import KINDS
+from storage.archive.schema import OF_KIND, SCENES, Table
 from storage.export.delimited import write_delimited
 from storage.export.formats import Place
 from storage.export.subject import Subject
@@ -25,7 +25,7 @@ def write_xlsx(subject: Subject, place: Place) -> list[Path]:
     """One workbook with a sheet for each table, and one that says what the columns mean."""
     path = place.file(".xlsx")
     sheets = [
-        Sheet(table.name, _sheet_columns(table), ([row.get(c.name) for c in table.columns] for row in rows))
+        Sheet(table.name, _sheet_columns(table), [[row.get(c.name) for c in table.columns] for row in rows])
         for table, rows in _tables(subject)
     ]
     write_workbook(path, [*sheets, _meanings(sheets)], max(scene.row["captured_at"] for scene in subject.scenes))
@@ -83,16 +83,9 @@ def unit_of(column: str) -> str:
 
 def _tables(subject: Subject) -> Iterator[tuple[Table, Sequence[Any]]]:
     """Every table with the subject's rows of it: scenes, and then the kinds of features."""
-    features = {row_table: rows for row_table, rows in _features(subject)}
-    for table in schema.TABLES:
-        yield table, features.get(table.name, [scene.row for scene in subject.scenes])
-
-
-def _features(subject: Subject) -> Iterator[tuple[str, list[Any]]]:
-    from storage.export.kinds import KINDS
-
+    yield SCENES, [scene.row for scene in subject.scenes]
     for kind in KINDS:
-        yield kind.table, [row for scene in subject.scenes for row in scene.features[kind.name]]
+        yield OF_KIND[kind.name], [row for scene in subject.scenes for row in scene.features[kind.name]]
 
 
 def _sheet_columns(table: Table) -> list[SheetColumn]:

@@ -85,29 +85,33 @@ def _write_sheet(page: Worksheet, sheet: Sheet, bold: Format, time: Format, numb
 
 def _write_cell(page: Worksheet, line: int, place: int, cell: object, look: Format | None) -> None:
     value = cell_value(cell)
-    if value is None:
-        return
-    if isinstance(value, bool):
-        page.write_boolean(line, place, value, look)
-    elif isinstance(value, (int, float)):
+    kind = type(value)
+    if kind is str:
+        if value:
+            page.write_string(line, place, value)
+    elif kind is float or kind is int:
         page.write_number(line, place, value, look)
-    elif isinstance(value, (datetime, date)):
+    elif kind is bool:
+        page.write_boolean(line, place, value)
+    elif value is not None:
         page.write_datetime(line, place, value, look)
-    elif value:
-        page.write_string(line, place, value, None if look and not isinstance(cell, str) else look)
 
 
 def cell_value(value: Any) -> Any:
-    """A value as a spreadsheet has it: times in UTC without a zone, what is no finite number as nothing, lists as text."""
+    """A value as a spreadsheet has it: times in UTC without a zone, no number that is not finite, lists as text."""
+    kind = type(value)
+    if kind is str:
+        return value if len(value) <= _MOST_CHARACTERS else f"{value[: _MOST_CHARACTERS - 1]}…"
+    if kind is float:
+        return value if math.isfinite(value) else None
+    if value is None or kind is bool:
+        return value
+    if kind is int:
+        return value if abs(value) <= _MOST_WHOLE else str(value)
     if isinstance(value, datetime):
         return value.astimezone(UTC).replace(tzinfo=None) if value.tzinfo else value
-    if isinstance(value, Decimal):
-        value = int(value) if value == value.to_integral_value() else float(value)
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, int) and abs(value) > _MOST_WHOLE:
-        return str(value)
-    if value is None or isinstance(value, (bool, int, date)):
+    if isinstance(value, date):
         return value
-    text = "; ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-    return text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 1]}…"
+    if isinstance(value, Decimal):
+        return cell_value(int(value) if value == value.to_integral_value() else float(value))
+    return cell_value("; ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value))
