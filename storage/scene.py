@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PlainValidator, model_validator
+from pydantic import Field, PlainSerializer, PlainValidator, model_validator
 
 from metrology.errors import SceneError
 from metrology.exposures import MAX_RATIO, relative_exposures
@@ -43,7 +43,7 @@ def _steps(value: object) -> int | tuple[int, ...]:
     return numbers if several else numbers[0]
 
 
-Steps = Annotated[int | tuple[int, ...], PlainValidator(_steps)]
+Steps = Annotated[int | tuple[int, ...], PlainValidator(_steps), PlainSerializer(lambda steps: steps)]
 
 
 class GrayModel(StrictModel):
