@@ -11,7 +11,7 @@ import numpy as np
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from storage.frames import read_header, write_frame
+from storage.frames import Frame, read_header, write_frame
 from storage.scene import CAMERAS, Camera
 
 FIELDS = ("camera", "count", "step", "frame", "bit", "inverse")
@@ -145,7 +145,8 @@ def as_grey(path: Path, folder: Path) -> tuple[Path, str | None]:
     grey = picture[..., 0] if alike else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     target = (folder / GREY / path.relative_to(folder)).with_suffix(".png")
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_frame(target, np.ascontiguousarray(grey, np.uint8 if picture.dtype == np.uint8 else np.uint16))
+    frame: Frame = grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
+    write_frame(target, frame)
     lossy = path.suffix.lower() in (".jpg", ".jpeg")
     note = "JPEG has lost what the eye does not see, and phases do" if lossy else "colour was turned to grey"
     return target, note

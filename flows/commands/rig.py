@@ -27,7 +27,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     )
     load.add_argument("--out", type=Path, required=True, metavar="RIG")
     load.add_argument("--id", required=True, metavar="ID")
-    load.add_argument("--size", type=_size, metavar="WxH", help="camera images, where the files do not tell")
+    load.add_argument("--size", type=parse_size, metavar="WxH", help="camera images, where the files do not tell")
     load.add_argument("--unit", help="of the translations: mm (default), cm, m, in, or millimetres of one")
     load.add_argument("--projector-of", type=Path, metavar="RIG", help="rig file to take the projector from")
     load.set_defaults(run=run_import)
@@ -96,7 +96,8 @@ def run_export(options: argparse.Namespace) -> int:
     return 0
 
 
-def _size(text: str) -> tuple[int, int]:
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height, such as 1624x1234."""
     match = re.fullmatch(r"(\d+)[xX×](\d+)", text)
     if not match:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected width and height such as 1624x1234")
