@@ -19,6 +19,7 @@ COMMANDS = (
     "inspect",
     "calibrate",
     "rig",
+    "scene",
     "simulate",
     "study",
     "patterns",

@@ -57,11 +57,14 @@ def reconstruct(
 
 def coordinate_size(rig: Rig, code: FringeCode) -> int:
     """W, in projector pixels: what the counts are counted over; a usual size where nothing tells the projector's."""
-    if code.size_px is not None:
-        return code.size_px
-    if rig.projector is None:
-        return _USUAL_PERIOD_PX * max(code.counts or (code.gray.stripes if code.gray else 1,))
+    if rig.projector is None or code.size_px is not None:
+        return usual_size(code)
     return code.size(rig.projector.width, rig.projector.height)
+
+
+def usual_size(code: FringeCode) -> int:
+    """W as the code says, or of a usual projector."""
+    return code.size_px or _USUAL_PERIOD_PX * max(code.counts or (code.gray.stripes if code.gray else 1,))
 
 
 def decode(

@@ -6,7 +6,7 @@ T3 (x₃ = R3 x₁ + T3), Flushline's own addition. Such files know neither unit
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from metrology.errors import RigError
 from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
 from metrology.rig_plausibility import check_rig
+from storage import other_rigs
 from storage.documents import check_regular_file
 from storage.lens_names import check_lens_names
 
@@ -24,19 +25,32 @@ Size = tuple[int, int]
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 _ALIASES: dict[str, tuple[str, ...]] = {
-    "M1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "cameraMatrixL", "left_camera_matrix"),
-    "D1": ("D1", "distCoeffs1", "distortion_coefficients_1", "distCoeffsL", "left_distortion_coefficients"),
-    "M2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "cameraMatrixR", "right_camera_matrix"),
-    "D2": ("D2", "distCoeffs2", "distortion_coefficients_2", "distCoeffsR", "right_distortion_coefficients"),
-    "R": ("R", "rotation", "Rotation"),
-    "T": ("T", "translation", "Translation"),
+    "M1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "cameraMatrixL", "left_camera_matrix", "Kl", "KL", "K_l"),
+    "D1": ("D1", "distCoeffs1", "distortion_coefficients_1", "distCoeffsL", "left_distortion_coefficients", "Dl"),
+    "M2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "cameraMatrixR", "right_camera_matrix", "Kr", "KR", "K_r"),
+    "D2": (
+        "D2",
+        "distCoeffs2",
+        "distortion_coefficients_2",
+        "distCoeffsR",
+        "right_distortion_coefficients",
+        "Dr",
+        "DR",
+    ),
+    "R": ("R", "rotation", "Rotation", "Rlr", "R_lr", "R12", "rotation_matrix", "stereo_R", "R_stereo", "rot"),
+    "T": ("T", "translation", "Translation", "Tlr", "T_lr", "t", "T12", "translation_vector", "stereo_T", "T_stereo"),
     "M3": ("M3", "K3", "projector_matrix"),
     "D3": ("D3", "projector_distortion"),
     "R3": ("R3", "projector_rotation"),
     "T3": ("T3", "projector_translation"),
-    "size": ("image_size", "imageSize", "img_size"),
+    "size": ("image_size", "imageSize", "img_size", "img_shape", "resolution", "imgSize", "size"),
     "size3": ("projector_size",),
 }
+_MORE = {
+    "M": ("K", "M", "mtx", "camera_matrix", "cameraMatrix", "intrinsics", "intrinsic_matrix", "mtx_", "cam_int"),
+    "D": ("D", "dist", "distCoeffs", "dist_coeffs", "distortion", "distortion_coefficients", "cam_dist", "kc"),
+}
+_SIDES = {1: ("left", "l", "1", "cam1", "cam0", "camera1"), 2: ("right", "r", "2", "cam2", "cam1", "camera2")}
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
 _FISHEYE_TERM = 0.002  # of the third and fourth term of four in a column, which of pinhole lenses are p1 and p2
 _PROJECTOR = ("M3", "D3", "R3", "T3", "size3")
@@ -47,7 +61,7 @@ def load_opencv_rig(
     rig_id: str,
     calibrated_at: str,
     size: Size | None = None,
-    unit: str = "mm",
+    unit: str | None = None,
     projector: Device | None = None,
 ) -> Rig:
     """Read a stereo calibration.
@@ -59,16 +73,17 @@ def load_opencv_rig(
     rig_id, calibrated_at : str
     size : (int, int), optional
         Width and height of the camera images where the files do not tell.
-    unit : str
-        Of the translations: mm, cm, m or in.
+    unit : str, optional
+        Of the translations: mm, cm, m, in, or a number of millimetres; by default what the program always uses, or mm.
     projector : Device, optional
         Where the files hold none; a rig may do without.
     """
-    if unit not in MM_PER_UNIT:
-        raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}")
+    if unit is not None and unit not in MM_PER_UNIT and not _is_length(unit):
+        raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
     found: dict[str, Array] = {}
     for path in paths:
         found |= _read(Path(path))
+    found |= other_rigs.ros_pose(found)
     named = ", ".join(str(path) for path in paths)
     missing = [name for name in _NEEDED if name not in found]
     if missing:
@@ -79,7 +94,7 @@ def load_opencv_rig(
     if told is None and size is None:
         raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
     try:
-        scale, size = MM_PER_UNIT[unit], size or told or (0, 0)
+        scale, size = _mm_per_unit(unit, found), size or told or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
         right = _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
         rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)
@@ -121,7 +136,16 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
 
 
 def _read(path: Path) -> dict[str, Array]:
-    check_regular_file(path, RigError)
+    if not path.is_dir():
+        check_regular_file(path, RigError)
+    if path.is_dir() or not _is_opencvs(path):
+        try:
+            return other_rigs.from_colmap(path) if path.is_dir() else _of_other_program(path)
+        except (KeyError, ValueError, TypeError, IndexError) as problem:
+            raise RigError(f"{path}: found no {problem}, expected a whole calibration") from None
+        except RigError as problem:
+            text = str(problem)
+            raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
         if not storage.isOpened():
@@ -129,8 +153,8 @@ def _read(path: Path) -> dict[str, Array]:
         root = storage.root()
         present = set(root.keys())
         found = {}
-        for name, aliases in _ALIASES.items():
-            alias = next((alias for alias in aliases if alias in present), None)
+        for name in _ALIASES:
+            alias = _alias(name, present)
             if alias is not None and (value := _matrix(root.getNode(alias))) is not None:
                 found[name] = value
         said = {name: root.getNode(name) for name in present}
@@ -144,6 +168,42 @@ def _read(path: Path) -> dict[str, Array]:
     return found
 
 
+def _alias(wanted: str, present: Collection[str]) -> str | None:
+    """The key under which a file has a value, whatever its capitals and whether its camera stands first or last."""
+    names = list(_ALIASES[wanted])
+    if wanted[0] in _MORE and wanted[1:] in ("1", "2"):
+        sides = _SIDES[int(wanted[1:])]
+        for side in sides:
+            for name in _MORE[wanted[0]]:
+                names += [f"{side}{sep}{name}" for sep in (".", "_", "")] + [f"{name}{sep}{side}" for sep in ("_", "")]
+    exact = next((name for name in names if name in present), None)
+    if exact is not None:
+        return exact
+    plain = {key.lower(): key for key in present}
+    return next((plain[name.lower()] for name in names if len(name) > 2 and name.lower() in plain), None)
+
+
+def _of_other_program(path: Path) -> dict[str, Array]:
+    """A file that is none of OpenCV's."""
+    document = other_rigs.read_document(path)
+    if (known := other_rigs.from_document(document, path.name)) is not None:
+        return known
+    said = other_rigs.flat(document)
+    check_lens_names({key: value for key, value in said.items() if isinstance(value, str)})
+    values = {key: array for key, value in said.items() if (array := other_rigs.numbers(value)) is not None}
+    found = {name: values[alias] for name in _ALIASES if (alias := _alias(name, values)) is not None}
+    if "width" in values and "height" in values:
+        found.setdefault("size", np.array([float(values["width"]), float(values["height"])]))
+    return found
+
+
+def _is_opencvs(path: Path) -> bool:
+    if path.suffix.lower() in (".mat", ".npz"):
+        return False
+    head = path.read_bytes()[:65536]
+    return b"opencv" in head or head.lstrip().startswith((b"%YAML", b"<"))
+
+
 def _matrix(node: cv2.FileNode) -> Array | None:
     """A matrix, or a plain list of numbers as some write sizes."""
     if node.isSeq():
@@ -151,6 +211,19 @@ def _matrix(node: cv2.FileNode) -> Array | None:
         return np.array(values, float) if values else None
     value = node.mat() if node.isMap() else None
     return None if value is None else np.asarray(value, float)
+
+
+def _is_length(unit: str) -> bool:
+    try:
+        return 0 < float(unit) < np.inf
+    except ValueError:
+        return False
+
+
+def _mm_per_unit(unit: str | None, found: Mapping[str, Array]) -> float:
+    if unit is None:
+        return float(found.get("unit", 1.0))
+    return MM_PER_UNIT.get(unit) or float(unit)
 
 
 def _size(value: Array | None) -> Size | None:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PlainValidator, model_validator
+from pydantic import Field, PlainSerializer, PlainValidator, model_validator
 
 from metrology.errors import SceneError
 from metrology.exposures import MAX_RATIO, relative_exposures
@@ -36,13 +36,14 @@ CAMERAS: tuple[Camera, ...] = ("left", "right")
 
 def _steps(value: object) -> int | tuple[int, ...]:
     """One number for all counts, or one per count."""
-    listed = value if isinstance(value, list | tuple) else [value]
-    if not all(isinstance(one, int) and not isinstance(one, bool) for one in listed):
-        raise ValueError("a valid integer" if listed[:1] == [value] else "valid integers")
-    return tuple(listed) if listed is value else listed[0]
+    several = isinstance(value, list | tuple)
+    numbers = tuple(one for one in (value if isinstance(value, list | tuple) else [value]) if type(one) is int)
+    if len(numbers) != (len(value) if isinstance(value, list | tuple) else 1):
+        raise ValueError("valid integers" if several else "a valid integer")
+    return numbers if several else numbers[0]
 
 
-Steps = Annotated[int | tuple[int, ...], PlainValidator(_steps)]
+Steps = Annotated[int | tuple[int, ...], PlainValidator(_steps), PlainSerializer(lambda steps: steps)]
 
 
 class GrayModel(StrictModel):

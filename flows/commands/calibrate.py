@@ -19,7 +19,18 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         description="Calibrates both cameras and the projector from a calibration capture and writes the rig file with "
         "its uncertainty, and a report beside it. Poses that do not fit are refused and named.",
     )
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder, or its calibration.json")
+    parser.add_argument(
+        "capture",
+        type=Path,
+        metavar="CAPTURE",
+        help="capture folder or its calibration.json; pictures; points",
+    )
+    cameras = parser.add_argument_group("cameras alone", "without a projector")
+    cameras.add_argument("--pictures", metavar="PATTERN", help="pairs of pictures, such as '{camera}_{frame}.jpg'")
+    cameras.add_argument("--board", metavar="BOARD", help="such as chessboard:9x6:25 (inner corners, mm)")
+    cameras.add_argument("--left", metavar="NAME", help="what {camera} is of the left camera")
+    cameras.add_argument("--points", action="store_true", help="CAPTURE is a list of points: CSV, JSON, MAT or NPZ")
+    cameras.add_argument("--size", metavar="WxH", help="of the images that the points were found in")
     parser.add_argument("--out", type=Path, required=True, metavar="RIG", help="rig file to write (JSON)")
     parser.add_argument("--report", type=Path, metavar="FILE", help="HTML; by default beside the rig file")
     parser.add_argument("--id", metavar="ID", help="the rig's id; by default the capture's, or one made of its date")
@@ -35,6 +46,8 @@ def run(options: argparse.Namespace) -> int:
     from flows.prefect_server import runs_on_server
     from flows.progress import progress_bar
 
+    if options.pictures or options.points:
+        return _cameras(options)
     report = options.report or options.out.with_suffix(".html")
     if runs_on_server(options.server):
         from flows.prefect_flows import calibrate_flow
@@ -54,6 +67,31 @@ def run(options: argparse.Namespace) -> int:
         print(line)
     print(f"rig: {options.out}")
     print(f"report: {report}")
+    return 0
+
+
+def _cameras(options: argparse.Namespace) -> int:
+    """Calibrate the cameras alone and say how well."""
+    from flows.calibrate_cameras import calibrate_pictures, calibrate_points
+    from flows.commands.rig import parse_size
+    from metrology.errors import UsageError
+    from storage.board_pictures import parse_board
+
+    notes: list[str] = []
+    if options.points:
+        if not options.size:
+            raise UsageError("--points: found no --size, expected the images' width and height such as 1624x1234")
+        result = calibrate_points(options.capture, parse_size(options.size), options.out, options.id)
+    else:
+        if not options.board:
+            raise UsageError("--pictures: found no --board, expected the board such as chessboard:9x6:25")
+        board = parse_board(options.board)
+        result, notes = calibrate_pictures(
+            options.capture, options.pictures, board, options.left, options.out, options.id
+        )
+    for line in [*describe(result), *(f"  note: {note}" for note in notes)]:
+        print(line)
+    print(f"rig: {options.out}\nreport: {options.out.with_suffix('.html')}")
     return 0
 
 

@@ -21,14 +21,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     check.add_argument("rig", type=Path, metavar="RIG")
     check.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
     check.set_defaults(run=run_check)
-    load = actions.add_parser("import", parents=[common], help="a rig file from OpenCV FileStorage stereo files")
+    load = actions.add_parser("import", parents=[common], help="a rig file from another program's calibration")
     load.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="intrinsics and extrinsics, XML, YAML or JSON"
+        "files", type=Path, nargs="+", metavar="FILE", help="OpenCV, MATLAB, Kalibr, ROS, JSON, NPZ; COLMAP's folder"
     )
     load.add_argument("--out", type=Path, required=True, metavar="RIG")
     load.add_argument("--id", required=True, metavar="ID")
-    load.add_argument("--size", type=_size, metavar="WxH", help="camera images, where the files do not tell")
-    load.add_argument("--unit", default="mm", help="of the files' translations: mm (default), cm, m, in")
+    load.add_argument("--size", type=parse_size, metavar="WxH", help="camera images, where the files do not tell")
+    load.add_argument("--unit", help="of the translations: mm (default), cm, m, in, or millimetres of one")
     load.add_argument("--projector-of", type=Path, metavar="RIG", help="rig file to take the projector from")
     load.set_defaults(run=run_import)
     save = actions.add_parser("export", parents=[common], help="an OpenCV FileStorage file from a rig file")
@@ -96,7 +96,8 @@ def run_export(options: argparse.Namespace) -> int:
     return 0
 
 
-def _size(text: str) -> tuple[int, int]:
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height, such as 1624x1234."""
     match = re.fullmatch(r"(\d+)[xX×](\d+)", text)
     if not match:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected width and height such as 1624x1234")

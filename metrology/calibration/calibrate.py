@@ -26,7 +26,6 @@ from metrology.rig_plausibility import stands_left
 Array = NDArray[np.float64]
 Terms = dict[DeviceName, tuple[str, ...]]
 
-_DEVICES: tuple[DeviceName, ...] = ("left", "right", "projector")
 _FIRST_SIGMA_PX = {"board": 0.02, "dots": 0.03}
 _LEAST_SIGMA_PX = 1e-3
 _OUTLIER_SIGMAS = 6.0
@@ -100,19 +99,17 @@ class Calibration:
     board_layout: Layout | None = None
 
     def rig(self, rig_id: str, calibrated_at: str) -> Rig:
-        """The rig, its covariance and residuals in `extra`."""
+        """The rig, its covariance and residuals in `extra`; without a projector where none was calibrated."""
         devices = self.adjusted.state.devices
-        missing = [name for name in _DEVICES if name not in devices]
+        missing = [name for name in ("left", "right") if name not in devices]
         if missing:
-            raise CalibrationError(
-                f"found no calibration of {' and '.join(missing)}, expected both cameras and projector"
-            )
+            raise CalibrationError(f"found no calibration of {' and '.join(missing)}, expected both cameras")
         return Rig(
             rig_id,
             calibrated_at,
             devices["left"],
             devices["right"],
-            devices["projector"],
+            devices.get("projector"),
             {"calibration": self.summary()},
         )
 

@@ -31,6 +31,7 @@ _SIZE_TOLERANCE = 0.1  # of a dot's diameter over its spacing against the board'
 _BLUR_OF_DOT = 0.35  # blur over a dot's smaller radius at which its middle no longer reaches its own level
 _REACH = 0.4  # of a square: how far from a corner its edges are used
 _BLUR_OF_SQUARE = 0.1
+_OLDER_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,33 @@ def detect_board(frames: BoardFrames, board: Board) -> BoardView:
     lit = frames.lit
     if np.quantile(lit, 0.99) < 8:
         raise CalibrationError("the picture is dark: white and dark frames hardly differ")
-    overexposed = float(frames.saturated.mean())
+    everywhere = float(frames.saturated.mean())
+    try:
+        view = _detect(frames, lit, board)
+    except CalibrationError as problem:
+        if everywhere > _OVEREXPOSED:
+            raise CalibrationError(
+                f"overexposed: {everywhere:.0%} of the white frame is saturated, expected next to none ({problem})"
+            ) from None
+        raise
+    overexposed = _saturated_share(frames, view.pixels) if everywhere > _OVEREXPOSED else 0.0
     if overexposed > _OVEREXPOSED:
-        raise CalibrationError(f"overexposed: {overexposed:.0%} of the white frame is saturated, expected next to none")
+        raise CalibrationError(f"overexposed: {overexposed:.0%} of the board is saturated, expected next to none")
+    return view
+
+
+def _detect(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
     if board.has_dots:
         return _detect_dots(frames, lit, board)
     grey = np.clip(lit * (255.0 / np.quantile(lit, 0.995)), 0, 255).astype(np.uint8)
     return _detect_charuco(grey, lit, board) if board.kind == "charuco" else _detect_chessboard(grey, lit, board)
+
+
+def _saturated_share(frames: BoardFrames, pixels: Array) -> float:
+    """Share of the board, as far as its features reach, that is clipped: what lies around it matters to nobody."""
+    inside = np.zeros(frames.white.shape, np.uint8)
+    cv2.fillConvexPoly(inside, cv2.convexHull(np.rint(pixels).astype(np.int32)), 1)
+    return float(frames.saturated[inside > 0].mean())
 
 
 def _detect_dots(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
@@ -134,15 +155,18 @@ def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, board: Board) -> Boa
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     pattern = (board.cols, board.rows)
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, pattern, flags | cv2.CALIB_CB_LARGER)
+    rows, cols = (meta.shape[0], meta.shape[1]) if found else (board.rows, board.cols)
+    if not found:  # the older detector finds boards in pictures in which this one does not
+        found, corners = cv2.findChessboardCorners(grey, pattern, flags=_OLDER_FLAGS)
     if not found:
         raise CalibrationError(f"did not find the {board}: half in view, blurred or another one")
-    if {meta.shape[0], meta.shape[1]} != {board.cols, board.rows}:
+    if {rows, cols} != {board.cols, board.rows}:
         raise CalibrationError(
-            f"found a chessboard of {meta.shape[1]} × {meta.shape[0]} inner corners, expected {board.cols} × "
+            f"found a chessboard of {cols} × {rows} inner corners, expected {board.cols} × "
             f"{board.rows}: wrong board size"
         )
     pixels = np.asarray(corners, float).reshape(-1, 2)
-    fits = place(_rows_of_corners(pixels, meta.shape[0]), board)
+    fits = place(_rows_of_corners(pixels, rows), board)
     # Corners lie alike on boards of other colours: black squares on black ones, where there is a choice.
     coloured = [fit for fit in fits if _contrast(lit, board, fit, pixels) > 0]
     placed = upright(coloured or fits, pixels, board)

@@ -1,0 +1,200 @@
+"""From frames with other programs' names to a scene folder that Flushline inspects."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView
+from metrology.code_guess import CodeGuess, guess_code
+from metrology.decode import decode_phase
+from metrology.errors import SceneError
+from metrology.frame_consistency import frame_consistency
+from metrology.frame_sample import sample_frames
+from metrology.fringe import FringeCode
+from metrology.noise import NoiseModel
+from metrology.reconstruct import usual_size
+from metrology.saturation import saturation_level
+from storage.documents import utc_text
+from storage.frames import read_header, read_stack
+from storage.models import validate
+from storage.scene import CAMERAS, FORMAT, MANIFEST, FringeModel, SceneModel, fringe_document, load_scene
+from storage.scene_names import as_grey, by_count_and_step, by_number, cameras_of, in_sequence, matching
+
+_MOST_CONTRADICTORY = 0.03
+_TILE = 480
+_OFFSETS_ALIKE = 0.06  # radians
+_SHIFTS_ALIKE = 0.04  # stripes
+
+Listed = dict[str, list[Path]]
+
+
+def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Listed, list[str]]:
+    """Each camera's frames by the patterns of their names, in the code's order as shown; and notes about them."""
+    found = matching(options.folder, options.pattern)
+    named = cameras_of(found, options.left)
+    listed: Listed = {}
+    notes: list[str] = []
+    for camera, name in named.items():
+        if "{frame}" in options.pattern:
+            usual = ["fringes"] * bool(code.counts) + ["gray"] * bool(code.gray)
+            usual += ["white", "black"] * bool(code.gray and code.gray.references)
+            paths = in_sequence(by_number(found, name), code, options.sequence or usual)
+        else:
+            paths = by_count_and_step(found, name, code, options.labels)
+            if options.gray_pattern:
+                paths += by_number(matching(options.folder, options.gray_pattern), name)
+        if len(paths) != code.frames:
+            raise SceneError(f"camera {name!r}: found {len(paths)} frames, expected {code.frames} for this code")
+        grey = [as_grey(path, options.folder) for path in paths]
+        notes += [f"note: {note}" for _, note in grey if note]
+        listed[camera] = [path for path, _ in grey]
+        notes.append(f"{camera}: {name!r}, {len(paths)} frames from {paths[0].name} to {paths[-1].name}")
+    return listed, notes
+
+
+def new_scene(
+    folder: Path, key: Sequence[str], rig_id: str, shown: FringeModel, listed: Listed, guess: bool = True
+) -> list[str]:
+    """Write scene.json; returns what is to be said about the code.
+
+    Parameters
+    ----------
+    key : (aircraft serial, panel, station, captured at)
+    shown : FringeModel
+        The code as declared.
+    listed : dict
+        Each camera's frames as shown.
+    guess : bool
+        Whether the frames say what offsets, direction, order of bits and borders are.
+    """
+    lines: list[str] = []
+    fringe = shown.model_dump(mode="json", exclude_defaults=True)
+    if guess:
+        found = guesses(shown.code, listed)
+        lines = guess_lines(found)
+        best = _common(found)
+        fringe = fringe_document(best.code)
+        fringe |= {"direction": -1} if best.direction < 0 else {}
+        if best.lsb_first and "gray" in fringe:
+            fringe["gray"] |= {"first": "lsb"}
+    document = {
+        "format": FORMAT,
+        **dict(zip(("aircraft_serial", "panel", "station", "captured_at"), key, strict=True)),
+        "rig": rig_id,
+        "fringe": fringe,
+        "exposures": [1.0],
+        "frames": {camera: [[path.relative_to(folder).as_posix() for path in listed[camera]]] for camera in CAMERAS},
+    }
+    model = validate(SceneModel, document, folder / MANIFEST, SceneError)
+    document["captured_at"] = utc_text(model.captured_at)
+    _refuse_contradictions(model, folder)
+    (folder / MANIFEST).write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
+    return lines
+
+
+def guesses(code: FringeCode, listed: Mapping[str, Sequence[Path]]) -> dict[str, CodeGuess]:
+    """What each camera's frames say."""
+    found: dict[str, CodeGuess] = {}
+    for camera in CAMERAS:
+        frames = _read(listed[camera])
+        try:
+            found[camera] = guess_code(frames, code, saturation_level(frames[None], frames[None, : code.fringe_frames]))
+        except SceneError as problem:
+            raise SceneError(f"{listed[camera][0].parent}: {camera} camera: {problem}") from None
+    return found
+
+
+def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
+    """What the frames say, in words."""
+    lines = []
+    for camera, one in found.items():
+        said = []
+        if one.code.counts:
+            offsets = one.code.phase_offsets_rad
+            alike = len(set(offsets)) <= 1
+            told = f"{offsets[0]:.3f}" if offsets and alike else ", ".join(f"{o:.3f}" for o in offsets) or "0"
+            said.append(f"phase offset {told} rad")
+            said.append("steps forward" if one.direction > 0 else "steps backward (direction -1)")
+        if one.code.gray:
+            said.append(f"Gray code from the {'finest' if one.lsb_first else 'coarsest'} bit on")
+            said.append(f"stripes' borders {one.code.gray.shift:+.3f} stripes beyond the fringes' wraps")
+        lines.append(f"{camera}: {'; '.join(said)}; agreement {one.agreement:.0%}")
+    return lines
+
+
+def _common(found: Mapping[str, CodeGuess]) -> CodeGuess:
+    """What both cameras say; SceneError where they say different things, for they saw one projector."""
+    left, right = found["left"], found["right"]
+    same = left.direction == right.direction and left.lsb_first == right.lsb_first
+    offsets = [np.array(one.code.phase_offsets_rad or (0.0,) * len(one.code.counts)) for one in (left, right)]
+    apart = np.angle(np.exp(1j * (offsets[0] - offsets[1])))
+    shifts = [one.code.gray.shift if one.code.gray else 0.0 for one in (left, right)]
+    if not same or np.abs(apart).max(initial=0) > _OFFSETS_ALIKE or abs(shifts[0] - shifts[1]) > _SHIFTS_ALIKE:
+        raise SceneError(
+            f"found cameras whose frames say different things ({'; '.join(guess_lines(found))}), expected frames of "
+            "one projector, in the same order for both"
+        )
+    return left if left.agreement >= right.agreement else right
+
+
+def _refuse_contradictions(model: SceneModel, folder: Path) -> None:
+    code = model.fringe.code
+    for camera in CAMERAS:
+        (paths,) = getattr(model.frames, camera)
+        frames = _read([folder / path for path in model.fringe.ordered(paths)])[None]
+        if not code.counts:
+            continue
+        judged = frame_consistency(sample_frames(frames, code, NoiseModel(4.0, 0.0)), 0)
+        if judged.judged and judged.contradictory > _MOST_CONTRADICTORY:
+            raise SceneError(
+                f"{folder}: found fringes that contradict each other in {judged.contradictory:.0%} of the lit pixels "
+                f"of the {camera} camera, expected the counts, steps and order of the frames that were shown"
+            )
+
+
+def _read(paths: Sequence[Path]) -> NDArray:
+    """(frames, h, w) of one camera."""
+    return read_stack(paths, read_header(paths[0], SceneError), SceneError).frames
+
+
+def describe_scene(folder: Path, sheet: Path) -> list[str]:
+    """Decode both cameras, draw the contact sheet, and say what was decoded."""
+    scene = load_scene(folder)
+    views, lines = [], []
+    for camera in CAMERAS:
+        view = decode_phase(scene.frames(camera), scene.code, usual_size(scene.code), scene.exposures)
+        decoded = float(np.isfinite(view.coordinate).mean())
+        lines.append(
+            f"{camera}: decoded {decoded:.0%} of the pixels, modulation {np.median(view.modulation):.1f} grey levels, "
+            f"noise {view.noise.sigma(100) if view.noise else 0:.2f}"
+        )
+        views.append(view)
+    sheet.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(sheet), np.vstack([_row(view) for view in views])):
+        raise SceneError(f"{sheet}: found a file that cannot be written as a picture, expected the ending .png")
+    return [*lines, f"scene: {folder / MANIFEST}", f"contact sheet: {sheet}"]
+
+
+def _row(view: DecodedView) -> NDArray[np.uint8]:
+    """Texture, modulation and coordinate of one camera beside each other."""
+    tiles = [_grey(view.texture), _grey(view.modulation)]
+    good = np.isfinite(view.coordinate)
+    low, high = np.quantile(view.coordinate[good], [0.001, 0.999]) if good.any() else (0.0, 1.0)
+    hue = np.clip((np.nan_to_num(view.coordinate) - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8)
+    colours = cv2.applyColorMap(hue, cv2.COLORMAP_TURBO)
+    colours[~good] = 0
+    size = (_TILE, round(_TILE * view.texture.shape[0] / view.texture.shape[1]))
+    return np.hstack([cv2.resize(tile, size, interpolation=cv2.INTER_AREA) for tile in (*tiles, colours)])
+
+
+def _grey(values: NDArray) -> NDArray[np.uint8]:
+    high = max(float(np.quantile(values[::4, ::4], 0.995)), 1e-6)
+    grey = np.clip(values / high * 255, 0, 255).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=-1)

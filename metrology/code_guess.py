@@ -1,0 +1,200 @@
+"""What a code's frames say of its conventions: phase offsets, sign of the steps, order of the bits, stripes' borders.
+
+Counts without a common factor leave a pattern: the lattice coordinates of their wrapped phases have one and the same
+fraction at every pixel, and that fraction tells the offsets. Against Gray code, phases must rise where the stripes'
+numbers rise, and the borders of stripes lie at one phase.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.errors import SceneError
+from metrology.fringe import FringeCode
+from metrology.gray import runs_along_rows
+from metrology.unwrap import order_lattice
+
+Array = NDArray[np.float64]
+
+_LEAST_AMPLITUDE = 0.02  # of the range
+_LEAST_PIXELS = 500
+_LEAST_AGREEMENT = 0.7  # length of the mean of unit vectors: below, there is no one fraction
+_SAME = 0.04  # of a lattice step: offsets this near are alike
+_NEAR = 12  # pixels over which stripe numbers are seen to rise
+_USUAL = (0.0, -np.pi / 2, np.pi / 2, np.pi)  # cosine, sine and their negatives
+
+
+@dataclass(frozen=True)
+class CodeGuess:
+    """Conventions under which a camera's frames agree.
+
+    Attributes
+    ----------
+    direction : 1 or -1
+        Sign of the phase steps; that of codes without Gray code cannot be told and is 1.
+    lsb_first : bool
+        Whether the Gray-code frames begin with the finest stripes.
+    code : FringeCode
+        With the phase offsets and the shift of the stripes that were found.
+    agreement : float
+        From 0, chance, to 1.
+    """
+
+    direction: int
+    lsb_first: bool
+    code: FringeCode
+    agreement: float
+
+
+def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGuess:
+    """Find the conventions of one camera's frames.
+
+    Parameters
+    ----------
+    frames : (code.frames, h, w) ndarray of uint8 or uint16
+        Of one exposure: count by count, step by step, then Gray code, as shown.
+    code : FringeCode
+        Its offsets and shift are not looked at.
+    saturation : float
+        Grey level from which a sample counts as saturated.
+
+    Raises
+    ------
+    SceneError
+        Where no conventions make the frames agree.
+    """
+    levels = frames.astype(np.float32)
+    plain = replace(code, phase_offsets_rad=(), gray=code.gray and replace(code.gray, shift=0.0))
+    turns, lit = _phases(levels, plain, saturation)
+    if lit.sum() < _LEAST_PIXELS:
+        raise SceneError(f"found {int(lit.sum())} pixels with fringes or stripes, expected at least {_LEAST_PIXELS}")
+    if plain.gray is None:
+        return _from_counts(turns[:, lit].astype(float), plain)
+    return _from_stripes(levels, turns, lit, plain)
+
+
+def _phases(levels: NDArray, code: FringeCode, saturation: float) -> tuple[NDArray, NDArray[np.bool_]]:
+    """(counts, h, w) wrapped phases in turns, and where all frames carry their pattern."""
+    lit = (levels.max(0) < saturation) & (levels.max(0) - levels.min(0) > 2 * _LEAST_AMPLITUDE * saturation)
+    turns = []
+    for k, steps in enumerate(code.step_counts):
+        own = code.count_of == k
+        phasor = np.tensordot(np.exp(-1j * code.step_angles[own]), levels[: code.fringe_frames][own], 1) * 2 / steps
+        lit &= np.abs(phasor) > _LEAST_AMPLITUDE * saturation
+        turns.append(np.angle(phasor) / (2 * np.pi))
+    return np.array(turns).reshape(-1, *levels.shape[1:]), lit
+
+
+def _from_counts(turns: Array, code: FringeCode) -> CodeGuess:
+    """Offsets from the fractions of the lattice coordinates; the usual ones where they fit."""
+    if len(code.counts) == 1:
+        return CodeGuess(1, False, code, 1.0)
+    lattice = order_lattice(code.counts)
+    mean = np.exp(2j * np.pi * (lattice.to_lattice @ turns)).mean(1)
+    agreement = float(np.abs(mean).min())
+    if agreement < _LEAST_AGREEMENT:
+        raise SceneError(
+            f"found fringes that contradict each other whatever their offsets (agreement {agreement:.2f} of 1), "
+            f"expected counts {', '.join(map(str, code.counts))} in this order, their steps even over a whole turn"
+        )
+    fraction = np.angle(mean) / (2 * np.pi)
+    alike = np.ones(len(code.counts)) / (2 * np.pi)
+    candidates = [*_USUAL, *np.linspace(-np.pi, np.pi, 721)]
+    missed = [float(np.abs(_fraction(lattice.to_lattice @ (alike * psi) - fraction)).max()) for psi in candidates]
+    best = int(np.argmin(missed[: len(_USUAL)]))
+    if missed[best] > _SAME:
+        best = int(np.argmin(missed))
+    if missed[best] <= _SAME:
+        offsets = np.full(len(code.counts), candidates[best])
+    else:
+        f = lattice.counts
+        offsets = 2 * np.pi * (lattice.basis - np.outer(f, f @ lattice.basis) / (f @ f)) @ fraction
+    return CodeGuess(1, False, replace(code, phase_offsets_rad=tuple(float(o) for o in offsets)), agreement)
+
+
+def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code: FringeCode) -> CodeGuess:
+    """The order of the bits that leaves the smoothest stripes, the sign of the phase, and where the borders lie."""
+    assert code.gray is not None
+    tried = [(_smooth(number, lit), lsb, number) for lsb in (False, True) for number in [_numbers(levels, code, lsb)]]
+    smooth, lsb, number = max(tried, key=lambda one: one[0])
+    if smooth < _LEAST_AGREEMENT:
+        raise SceneError(
+            f"found stripes whose numbers jump between neighbouring pixels (smooth in {smooth:.0%}), expected "
+            f"{code.gray.bits} bits of Gray code, from the coarsest or the finest on"
+            f"{', each followed by its inverse' if code.gray.inverse else ''}"
+        )
+    if not code.counts:
+        return CodeGuess(1, lsb, code, smooth)
+    if not runs_along_rows(np.where(lit, number, np.nan).astype(np.float32)):
+        number, turns, lit = number.T, turns.transpose(0, 2, 1), lit.T
+    k = int(np.argmin(code.counts))
+    direction = _rising(number, turns[k], lit)
+    phase = direction * turns[k]
+    per_fringe = code.gray.stripes / code.counts[k]
+    pairs = lit[:, :-1] & lit[:, 1:] & (np.abs(np.diff(number, axis=1)) == 1)
+    at = np.exp(2j * np.pi * per_fringe * phase)
+    mean = (at[:, :-1][pairs] + at[:, 1:][pairs]).mean() / 2 if pairs.any() else 0j
+    if per_fringe % 1:
+        raise SceneError(f"found {per_fringe:g} stripes per fringe, expected a whole number to tell their borders by")
+    best, agreement = 0.0, -1.0
+    for whole in range(int(per_fringe)):
+        shift = float(np.angle(mean) / (2 * np.pi)) % 1 + whole
+        expected = (number + 0.5 + shift) / per_fringe
+        off = float(np.mean(np.abs(_fraction(phase - expected)[lit]) < 0.55 / per_fringe))
+        if off > agreement + 1e-3:
+            best, agreement = shift, off
+    best -= per_fringe if best > per_fringe / 2 else 0.0
+    if min(agreement, float(np.abs(mean))) < _LEAST_AGREEMENT / 2:
+        raise SceneError(
+            f"found fringes and stripes that do not fit each other ({agreement:.0%} of the pixels do), expected "
+            f"{code.counts[k]} fringes and {code.gray.stripes} stripes over the same part of the projector"
+        )
+    near = abs(best) < 0.02
+    gray = replace(code.gray, shift=0.0 if near else round(best, 3))
+    return CodeGuess(direction, lsb, replace(code, gray=gray), agreement)
+
+
+def _numbers(levels: NDArray, code: FringeCode, lsb: bool) -> NDArray[np.int64]:
+    """(h, w) stripe numbers with the bits in either order."""
+    gray = code.gray
+    assert gray is not None
+    stripes = levels[code.fringe_frames : code.fringe_frames + gray.stripe_frames]
+    if gray.inverse:
+        swing = stripes[::2] - stripes[1::2]
+    elif gray.references:
+        swing = stripes - 0.5 * (levels[-1] + levels[-2])
+    elif code.counts:
+        swing = stripes - levels[: code.fringe_frames].mean(0)
+    else:
+        swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
+    number, bit = np.zeros(levels.shape[1:], np.int64), np.zeros(levels.shape[1:], bool)
+    for one in swing[::-1] if lsb else swing:
+        bit = bit ^ (one > 0)
+        number = 2 * number + bit
+    return number
+
+
+def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:
+    """Share of lit neighbours, along both image directions, whose stripes are neighbours."""
+    shares = []
+    for axis in (0, 1):
+        steps = np.abs(np.diff(number, axis=axis))
+        both = lit[:-1] & lit[1:] if axis == 0 else lit[:, :-1] & lit[:, 1:]
+        shares.append(float((steps[both] <= 1).mean()) if both.any() else 0.0)
+    return min(shares)
+
+
+def _rising(number: NDArray[np.int64], turns: NDArray, lit: NDArray[np.bool_]) -> int:
+    """1 where the phase rises along rows as the stripes' numbers do, −1 where it falls."""
+    rise = np.sign(number[:, _NEAR:] - number[:, :-_NEAR])
+    both = lit[:, _NEAR:] & lit[:, :-_NEAR] & (rise != 0)
+    step = _fraction(turns[:, 1 : turns.shape[1] - _NEAR + 1] - turns[:, : turns.shape[1] - _NEAR])
+    return 1 if float((np.sign(step) * rise)[both].sum()) >= 0 else -1
+
+
+def _fraction(value: NDArray) -> NDArray:
+    """Turns from −½ to ½."""
+    return np.asarray(value - np.rint(value))

@@ -1,0 +1,155 @@
+"""Frames of other programs by their names: which camera, count, step or bit each of them is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from metrology.errors import SceneError
+from metrology.fringe import FringeCode
+from storage.frames import Frame, read_header, write_frame
+from storage.scene import CAMERAS, Camera
+
+FIELDS = ("camera", "count", "step", "frame", "bit", "inverse")
+GREY = "grey"
+_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a")
+
+Values = dict[str, str]
+
+
+def natural(text: str) -> tuple[tuple[int, str], ...]:
+    """A key that sorts 2 before 10."""
+    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", text))
+
+
+def matching(folder: Path, pattern: str) -> dict[Path, Values]:
+    """Files of a folder whose path fits a pattern such as ``{camera}/f{count}_{step}.png``, with what it says."""
+    unknown = sorted(set(re.findall(r"\{(\w*)\}", pattern)) - set(FIELDS))
+    if unknown:
+        raise SceneError(f"pattern {pattern!r}: found {{{unknown[0]}}}, expected {', '.join(FIELDS)}")
+    parts = re.split(r"(\{\w+\}|\*)", pattern.replace("\\", "/"))
+    seen: set[str] = set()
+    expression = ""
+    for part in parts:
+        name = part[1:-1] if part.startswith("{") else ""
+        if name in seen:
+            expression += f"(?P={name})"
+        elif name:
+            expression += f"(?P<{name}>[^/]+?)"
+            seen.add(name)
+        else:
+            expression += "[^/]*" if part == "*" else re.escape(part)
+    wanted = re.compile(expression)
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder).as_posix()
+        if not relative.startswith(f"{GREY}/") and path.is_file() and (fits := wanted.fullmatch(relative)):
+            found[path] = fits.groupdict()
+    if not found:
+        raise SceneError(f"{folder}: found no file that fits {pattern!r}, expected the frames")
+    return found
+
+
+def cameras_of(found: Mapping[Path, Values], left: str | None) -> dict[Camera, str]:
+    """Which value of {camera} is left and which right."""
+    names = sorted({values["camera"] for values in found.values() if "camera" in values}, key=natural)
+    if len(names) != 2:
+        raise SceneError(
+            f"found {len(names)} cameras ({', '.join(names[:5])}), expected two by {{camera}} in the pattern"
+        )
+    if left is not None and left not in names:
+        raise SceneError(f"--left: found {left!r}, expected one of {', '.join(names)}")
+    first = left or next((name for name in names if name.lower() in _LEFT), names[0])
+    return {"left": first, "right": next(name for name in names if name != first)}
+
+
+def by_count_and_step(found: Mapping[Path, Values], camera: str, code: FringeCode, labels: Sequence[str]) -> list[Path]:
+    """A camera's fringe frames, count-major; counts in the order of the code, told by number or by `labels`."""
+    mine = {path: values for path, values in found.items() if values.get("camera", camera) == camera}
+    names = sorted({values.get("count", "") for values in mine.values()}, key=natural)
+    numbers = [str(count) for count in code.counts]
+    plain = {name.lstrip("0") or "0": name for name in names}
+    ordered = list(labels) or ([plain[n] for n in numbers] if set(plain) == set(numbers) else names)
+    if len(ordered) != len(code.counts) or not set(ordered) <= set(names):
+        raise SceneError(
+            f"camera {camera!r}: found the counts {', '.join(names)}, expected {len(code.counts)}: "
+            f"{', '.join(labels or numbers)} (--labels says how they are called, in the order of --counts)"
+        )
+    listed = []
+    for name, steps in zip(ordered, code.step_counts, strict=True):
+        own = [path for path, values in mine.items() if values.get("count", "") == name]
+        own.sort(key=lambda path: natural(mine[path].get("step", path.name)))
+        if len(own) != steps:
+            raise SceneError(f"camera {camera!r}, count {name}: found {len(own)} steps, expected {steps}")
+        listed += own
+    return listed
+
+
+def by_number(found: Mapping[Path, Values], camera: str) -> list[Path]:
+    """A camera's frames in the order of their numbers."""
+    mine = [path for path, values in found.items() if values.get("camera", camera) == camera]
+    return sorted(mine, key=lambda path: natural(found[path].get("frame", path.as_posix())))
+
+
+def in_sequence(paths: Sequence[Path], code: FringeCode, sequence: Sequence[str]) -> list[Path]:
+    """Frames that run through in one number, in Flushline's order: fringes, Gray code, white and black.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        In the order in which they were shown.
+    sequence : sequence of str
+        What was shown: fringes, gray, white, black, skip or skip:N.
+    """
+    gray = code.gray
+    sizes = {
+        "fringes": code.fringe_frames,
+        "gray": gray.stripe_frames if gray else 0,
+        "white": 1,
+        "black": 1,
+        "skip": 1,
+    }
+    blocks: dict[str, list[Path]] = {}
+    at = 0
+    for token in sequence:
+        name, _, number = token.partition(":")
+        if name not in sizes or (number and not number.isdigit()):
+            raise SceneError(f"--sequence: found {token!r}, expected {', '.join(sizes)} or skip:N")
+        size = int(number) if number else sizes[name]
+        blocks.setdefault(name, []).extend(paths[at : at + size])
+        at += size
+    if at != len(paths):
+        raise SceneError(f"found {len(paths)} frames, expected {at} for the sequence {' '.join(sequence)}")
+    listed = blocks.get("fringes", []) + blocks.get("gray", [])
+    if gray and gray.references:
+        listed += blocks.get("white", []) + blocks.get("black", [])
+    if len(listed) != code.frames:
+        raise SceneError(f"found {len(listed)} frames in {' '.join(sequence)}, expected {code.frames} for this code")
+    return listed
+
+
+def as_grey(path: Path, folder: Path) -> tuple[Path, str | None]:
+    """A frame that scenes can have: the file itself, or a grey PNG of it in `folder`/grey, with a note."""
+    try:
+        read_header(path, SceneError)
+        return path, None
+    except SceneError as problem:
+        picture = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        if picture is None or picture.dtype not in (np.uint8, np.uint16):
+            raise problem from None
+    alike = np.array_equal(picture[..., 0], picture[..., 1]) and np.array_equal(picture[..., 0], picture[..., 2])
+    grey = picture[..., 0] if alike else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    target = (folder / GREY / path.relative_to(folder)).with_suffix(".png")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    frame: Frame = grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
+    write_frame(target, frame)
+    lossy = path.suffix.lower() in (".jpg", ".jpeg")
+    note = "JPEG has lost what the eye does not see, and phases do" if lossy else "colour was turned to grey"
+    return target, note
+
+
+__all__ = ["CAMERAS", "as_grey", "by_count_and_step", "by_number", "cameras_of", "in_sequence", "matching", "natural"]

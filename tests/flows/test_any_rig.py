@@ -1,0 +1,161 @@
+"""Scans of other programs by commands alone: names, conventions, rigs without a projector."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from flows.cli import main
+from metrology.fringe import FringeCode, GrayCode
+from metrology.reconstruct import reconstruct
+from storage.rig import load_rig, save_rig
+from storage.scene import load_scene
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "metrology"))
+from rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, seen_coordinate, small_rig
+
+
+def scan(code: FringeCode, phase_sign: int = 1) -> dict[str, NDArray[np.uint8]]:
+    """Each camera's frames of a plane; with phase_sign −1 the steps run backward."""
+    rig, rng, fine = small_rig(), np.random.default_rng(5), 8
+    size = rig.with_projector().width
+    lines = replace(code, size_px=(code.size_px or size) * fine).patterns(size * fine, 1)[:, 0]
+    order = [k * 4 + (phase_sign * s) % 4 for k in range(len(code.counts)) for s in range(4)] if phase_sign < 0 else []
+    lines = lines[order + list(range(len(order), len(lines)))]
+    views = {}
+    for camera in ("left", "right"):
+        seen = seen_coordinate(rig, plane_depth(rig.devices[camera], PLANE_NORMAL, PLANE_DISTANCE), "x")
+        places = np.clip(np.rint((np.nan_to_num(seen) + 0.5) * fine - 0.5).astype(int), 0, size * fine - 1)
+        levels = np.where(np.isfinite(seen), 30 + 160 * lines[:, places], 4) + rng.normal(
+            0, 1.5, (len(lines), *seen.shape)
+        )
+        views[camera] = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    return views
+
+
+def save(folder: Path, views: dict[str, NDArray[np.uint8]], names: Sequence[str]) -> Path:
+    for camera, frames in views.items():
+        for name, frame in zip(names, frames, strict=True):
+            path = folder / name.format(camera={"left": "L", "right": "R"}[camera])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), frame)
+    return folder
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def measured(folder: Path) -> NDArray[np.float64]:
+    """Distances of the measured points from the plane, by a rig without its projector."""
+    scene, rig = load_scene(folder), replace(small_rig(), projector=None)
+    found = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code)
+    return np.asarray((found.points @ PLANE_NORMAL - PLANE_DISTANCE)[found.flags == 0])
+
+
+COUNTS = [f"{{camera}}/f{count}_{step}.png" for count in (7, 6, 5) for step in range(4)]
+SINGLE = [f"{{camera}}_{number}.png" for number in range(40)]
+
+
+@pytest.mark.parametrize(
+    ("code", "sign", "names", "arguments", "said"),
+    [
+        (
+            FringeCode("x", 4, (7, 6, 5), None, (-np.pi / 2,) * 3), 1, COUNTS,
+            ("--pattern", "{camera}/f{count}_{step}.png", "--counts", "7", "6", "5"), "phase offset -1.571 rad",
+        ),
+        (
+            FringeCode("x", 4, (16,), GrayCode(16, True, shift=0.3)), -1, SINGLE,
+            ("--pattern", "{camera}_{frame}.png", "--counts", "16", "--gray", "16", "--inverse"), "steps backward",
+        ),
+        (
+            FringeCode("x", 4, (16,), GrayCode(32, False, True, shift=0.5)), 1, SINGLE,
+            ("--pattern", "{camera}_{frame}.png", "--counts", "16", "--gray", "32", "--references"), "+0.5",
+        ),
+        (
+            FringeCode("x", 0, (), GrayCode(160, True)), 1, SINGLE,
+            ("--pattern", "{camera}_{frame}.png", "--counts", "--gray", "160", "--inverse"), "from the coarsest",
+        ),
+    ],
+    ids=["sine", "backward", "borders between", "stripes alone"],
+)  # fmt: skip
+def test_a_scene_is_made_of_names_and_measures(
+    code: FringeCode, sign: int, names: list[str], arguments: tuple[str, ...], said: str,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    folder = save(tmp_path, scan(code, sign), names[: code.frames])
+    assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
+    assert said in capsys.readouterr().out
+    assert (folder / "contact-sheet.png").is_file()
+    off = measured(folder)
+    assert len(off) > 0.25 * 320 * 240
+    assert abs(np.median(off)) < 0.1
+    assert np.quantile(np.abs(off), 0.99) < (3.0 if not code.counts else 1.5)
+    assert run("scene", "guess", folder) == 0
+    assert "agreement" in capsys.readouterr().out
+
+
+def test_bits_from_the_finest_on_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = FringeCode("x", 4, (16,), GrayCode(32, False, False))
+    views = {camera: np.concatenate([frames[:4], frames[:3:-1]]) for camera, frames in scan(code).items()}
+    folder = save(tmp_path, views, SINGLE[: code.frames])
+    arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "16", "--gray", "32")
+    assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
+    assert "from the finest bit on" in capsys.readouterr().out
+    assert np.quantile(np.abs(measured(folder)), 0.99) < 1.5
+
+
+def test_wrong_declarations_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = save(tmp_path, scan(FringeCode("x", 4, (7, 6, 5))), COUNTS)
+    pattern = ("--pattern", "{camera}/f{count}_{step}.png", "--rig", "small")
+    assert run("scene", "new", folder, *pattern, "--counts", "9", "8", "5", "--labels", "7", "6", "5") == 2
+    assert "contradict each other" in capsys.readouterr().err
+    assert run("scene", "new", folder, *pattern, "--counts", "7", "6") == 2
+    assert "found the counts 5, 6, 7, expected 2" in capsys.readouterr().err
+    assert run("scene", "new", folder, "--pattern", "{cam}/x.png", "--rig", "small") == 2
+    assert "found {cam}, expected camera" in capsys.readouterr().err
+    (folder / "R" / "f6_2.png").unlink()
+    assert run("scene", "new", folder, *pattern, "--counts", "7", "6", "5") == 2
+    assert "count 6: found 3 steps, expected 4" in capsys.readouterr().err
+    assert not (folder / "scene.json").exists()
+
+
+def test_colour_becomes_grey_with_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    views = {camera: np.repeat(f[..., None], 3, -1) for camera, f in scan(FringeCode("x", 4, (7, 6, 5))).items()}
+    folder = save(tmp_path, views, COUNTS)
+    arguments = ("--pattern", "{camera}/f{count}_{step}.png", "--counts", "7", "6", "5")
+    assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
+    assert "colour was turned to grey" in capsys.readouterr().out
+    assert np.quantile(np.abs(measured(folder)), 0.99) < 1.5
+
+
+def test_every_code_of_patterns_is_one_that_scenes_accept(tmp_path: Path) -> None:
+    for arguments in (
+        ["--periods", "16", "18", "21"],
+        ["--counts", "1", "8", "64", "--steps", "3", "4", "8", "--offset", "0.5"],
+        ["--counts", "32", "--gray", "64", "--lsb", "--inverse", "--references", "--direction", "-1"],
+        ["--counts", "--gray", "160"],
+    ):
+        out = tmp_path / "-".join(arguments)
+        assert run("patterns", "--out", out, "--size", "320", "8", *arguments) == 0
+        assert "axis" in json.loads((out / "fringe.json").read_text())
+        assert len(list(out.glob("*.png"))) > 8
+
+
+def test_a_rig_without_projector_inspects_by_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_rig(replace(small_rig(), projector=None), tmp_path / "small.json")
+    assert load_rig(tmp_path / "small.json").projector is None
+    folder = save(tmp_path / "scan", scan(FringeCode("x", 4, (7, 6, 5))), COUNTS)
+    arguments = ("--pattern", "{camera}/f{count}_{step}.png", "--counts", "7", "6", "5")
+    assert run("scene", "new", folder, *arguments, "--rig", "small", "--captured-at", "2026-11-01T00:00:00Z") == 0
+    assert run("inspect", folder, "--rig", tmp_path / "small.json", "--store", tmp_path / "store") == 0
+    said = capsys.readouterr()
+    assert "no calibrated projector" in said.out + said.err
