@@ -139,6 +139,10 @@ class Kind:
         A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
     note : str
         A function of a row that gives what the projector writes behind its values; "" where there is nothing to say.
+    measure : str
+        A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
+        before it ("module:name"): from a `metrology.sighted.Sighted`, and the block of the settings that has the name
+        of the table (None where there is none), to rows. "" for rivets and seams, whose steps come first.
     cells : tuple of Cell
         What reports have in a row between its name and its zone; its quantities where nothing is given.
     """
@@ -158,6 +162,7 @@ class Kind:
     parameter: str = ""
     verdict: str = ""
     note: str = ""
+    measure: str = ""
     cells: tuple[Cell, ...] = ()
 
     @property

@@ -121,7 +121,7 @@ def draw_overlay(
         if place is None:
             continue
         labels.append(Label(wish.text, place, text_px, skin.angle, COLOURS[wish.severity], wish.feature))
-        canvas.strokes += _leader(wish, place, size, layout)
+        canvas.strokes.extend(_leader(wish, place, size, layout))
     return Overlay(
         (projector.width, projector.height),
         settings.background,
