@@ -1,7 +1,7 @@
 """Who sits in front of the page and what they may do.
 
 With an `[auth]` section in Streamlit's secrets people log in through OIDC, and the roles of the settings file decide.
-Without it nobody can be told apart, the server listens on this machine only, and whoever sits there may review under
+Without it nobody can be distinguished, the server listens on this machine only, and whoever sits there may review under
 the name they give.
 """
 

@@ -2,7 +2,7 @@
 
 A form carries what was on the screen: its button is given the findings with run, values and last decision when it is
 drawn, and its name holds a checksum of them. A click is acted on before the page is drawn anew, with what the button
-was given; nothing is looked up by its place in a list. What changed meanwhile is told by `storage.archive.decisions`.
+was given; nothing is looked up by its place in a list. What changed meanwhile is found by `storage.archive.decisions`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Clicks on tables and charts, told by what was there when they were drawn.
+"""Clicks on tables and charts, understood by what was there when they were drawn.
 
-Streamlit tells a click by the number of a row. By the time the page runs again that row may be another one: a scan was
+Streamlit names the row of a click by number. By the time the page runs again that row may be another one: a scan was
 stored, a filter changed. So a click is looked up in the names of the rows as the person saw them, before anything is
 drawn anew.
 """
@@ -37,7 +37,7 @@ def clicked_row(key: str, names: Sequence[Any], picked: Picked, cells_only: bool
 def fresh_key(key: str, names: Sequence[Any], at: Any) -> str:
     """A key with which a table begins anew once something else is looked at than was clicked in it.
 
-    Else a second click on that row would do nothing: the browser tells only what changes.
+    Else a second click on that row would do nothing: the browser reports only what changes.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def required_by(chosen: Feature, row: Any, spec: PanelSpec) -> list[Requirement]
 
 
 def _names(table: Table) -> str:
-    """The table's columns, so that an index of another version is told at once."""
+    """The table's columns, so that an index of another version is recognised at once."""
     return ", ".join(column.name for column in table.columns)
 
 

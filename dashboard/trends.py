@@ -49,7 +49,7 @@ class Quantity:
 
     @property
     def downstream(self) -> str:
-        """SQL for whether side B lies downstream, which tells the limits of a step; 0 where that is nothing to it."""
+        """SQL for whether side B lies downstream, which decides the limits of a step; 0 where that is nothing to it."""
         as_met = self.measured_as.into_wind
         if not as_met:
             return "0"
@@ -75,7 +75,7 @@ SUBJECTS = {
 }
 """What a trend is about, and the quantities that fit."""
 TYPE_SQL = "round(diameter_mm * 2) / 2"
-"""A fastener type is told by its head's diameter, to half a millimetre."""
+"""A fastener type is recognised by its head's diameter, to half a millimetre."""
 
 
 @dataclass(frozen=True)

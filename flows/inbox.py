@@ -158,7 +158,7 @@ def write_parquet(job: InboxJob, outcomes: Iterable[Outcome]) -> str | None:
 
 
 def run_here(job: InboxJob, folders: Iterable[Path], workers: int, on_outcome: Callable[[Outcome], None]) -> None:
-    """Inspect scene folders in this process, or in several of its own; each outcome is told as it comes."""
+    """Inspect scene folders in this process, or in several of its own; each outcome is reported as it comes."""
     if workers == 1:
         for folder in folders:
             on_outcome(inspect_folder(job, folder))

@@ -176,7 +176,7 @@ def flow_parameters(job: InboxJob, way: Way) -> dict[str, Any]:
 
 
 def run_on_server(job: InboxJob, way: Way, on_outcome: Callable[[Outcome], None]) -> None:
-    """Run the flow here and now; its outcomes are told when it is done."""
+    """Run the flow here and now; its outcomes are reported when it is done."""
     for outcome in inspect_inbox_flow(**flow_parameters(job, way)):
         on_outcome(outcome)
 

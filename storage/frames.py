@@ -57,7 +57,7 @@ class FrameHeader:
 
 
 def read_header(path: Path, error: ErrorType) -> FrameHeader:
-    """Size and bit depth of a grey frame that is whole as far as its structure tells, without decoding it."""
+    """Size and bit depth of a grey frame that is whole as far as its structure shows, without decoding it."""
     if not check_regular_file(path, error).st_size:
         raise error(f"{path}: found an empty file, expected a grey image")
     try:

@@ -90,11 +90,11 @@ def load_opencv_rig(
         raise RigError(
             f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}"
         )
-    told = _size(found.get("size"))
-    if told is None and size is None:
+    stated = _size(found.get("size"))
+    if stated is None and size is None:
         raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
     try:
-        scale, size = _mm_per_unit(unit, found), size or told or (0, 0)
+        scale, size = _mm_per_unit(unit, found), size or stated or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
         right = _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
         rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)

@@ -165,7 +165,7 @@ class Keeping:
         return Review(review.entries, problem) if problem else review
 
     def _problem(self, last: Entry | None, kept: KeptHead) -> str | None:
-        """What is wrong with the log's end, as can be told without reading all of it."""
+        """What is wrong with the log's end, as can be seen without reading all of it."""
         place, found = self._database.place, head_of(last)
         if last and sound_part([last], Head(last.number - 1, last.previous), place, documents=True)[1]:
             return f"{place}: found entry {last.number} changed, expected it as written"

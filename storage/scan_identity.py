@@ -1,7 +1,7 @@
 """Which scan a scene folder holds: a name for its content, and one for its files as they lie on disk.
 
-Two scans that were given the same key by mistake differ in every frame. The digest of the content tells them apart; it
-costs next to nothing, as it is made of checksums that reading the frames has at hand. The state of the files tells,
+Two scans that were given the same key by mistake differ in every frame. The digest of the content is another;
+it costs next to nothing, as it is made of checksums that reading the frames has at hand. The state of the files shows,
 without reading them, that nothing changed since they were read.
 """
 

@@ -79,7 +79,7 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
     if orders:
         cameras = [view.camera for view in views if view.diagnosis and view.diagnosis.order]
         alike = len(orders) == 2 and orders[0] == orders[1]
-        told = (
+        found = (
             f"of both cameras fit {orders[0].what}"
             if alike
             else "; ".join(
@@ -88,7 +88,7 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
         )
         steps = " and ".join(map(str, dict.fromkeys(scene.code.step_counts)))
         raise SceneError(
-            f"{scene.folder}: found that the frames {told}; expected the order in which they were shown: "
+            f"{scene.folder}: found that the frames {found}; expected the order in which they were shown: "
             f"counts {', '.join(map(str, scene.code.counts))} of {steps} steps, as scene.json says"
         )
     named = [view for view in views if view.diagnosis and view.diagnosis.faults]
@@ -176,16 +176,16 @@ def _faults(scene: Scene, view: CheckedFrames) -> str:
     """The frames of a camera that do not fit, each with what it looks like."""
     diagnosis = view.diagnosis or FrameDiagnosis()
     paths = scene.left if view.camera == "left" else scene.right
-    told = [(paths[fault.frame], _look(scene, view.camera, fault)) for fault in diagnosis.faults]
+    looks = [(paths[fault.frame], _look(scene, view.camera, fault)) for fault in diagnosis.faults]
     if diagnosis.either:
         names = " or ".join(_short(scene, view.camera, fault.frame) for fault in diagnosis.faults)
         return (
-            f"{scene.folder}: found that {names} does not fit the other frames, which one cannot be told, "
+            f"{scene.folder}: found that {names} does not fit the other frames, which one cannot be determined, "
             "expected frames that fit each other"
         )
     return "; ".join(
         f"{path}: found {look}, expected {_expected(scene, fault)}"
-        for (path, look), fault in zip(told, diagnosis.faults, strict=True)
+        for (path, look), fault in zip(looks, diagnosis.faults, strict=True)
     )
 
 

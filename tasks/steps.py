@@ -371,7 +371,7 @@ def _check_skin_is_seen(scene: Scene, reconstruction: Reconstruction, checks: Sc
 
 def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
     """A warning where much of the skin is saturated: neither points nor a picture, so nothing is found there."""
-    # One pixel in sixteen tells the share to a thousandth.
+    # One pixel in sixteen gives the share to a thousandth.
     sampled = (slice(None, None, 4), slice(None, None, 4))
     left, right = reconstruction.flags[sampled], reconstruction.right
     shares = {

@@ -39,7 +39,7 @@ def coverage_section(values: Sequence[Value], where: str) -> Section:
     text = (
         "Share of the errors that lie within the stated expanded uncertainty; 95 % is what it promises. Scans of one "
         "placement share what does not change between them (calibration, grain of the skin), so the number of features "
-        "tells more than the number of values.",
+        "says more than the number of values.",
     )
     figure.add_vline(x=1.0, line_dash="dot")
     figure.add_hline(y=95.0, line_dash="dot")

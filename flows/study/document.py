@@ -40,7 +40,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; `name` becomes its CSV file's, and `shown` tells whether reports show it."""
+    """A table; `name` becomes its CSV file's, and `shown` says whether reports show it."""
 
     name: str
     title: str

@@ -18,7 +18,7 @@ from storage.archive import Store
 from storage.documents import check_format, read_toml
 
 FORMAT = "flushline-planes/1"
-_MOST_POINTS = 50_000  # a fit to more tells nothing new
+_MOST_POINTS = 50_000  # a fit to more shows nothing new
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from storage.report import markup
 from storage.spreadsheet import ENCODING
 
 SIMULATED = (
-    "All figures come from simulated scans: rays traced to a virtual panel whose truth is known exactly. They tell "
-    "what the method and this software make of such scans; what a real rig reaches is told by `flushline study real` "
+    "All figures come from simulated scans: rays traced to a virtual panel whose truth is known exactly. They show "
+    "what the method and this software make of such scans; what a real rig reaches is shown by `flushline study real` "
     "and by a part that was measured otherwise."
 )
 

@@ -33,7 +33,7 @@ class Block(Protocol):
     series: tuple[Series, ...]
 
     def sections(self, store: Store) -> list[Section]:
-        """What the store tells once the series are in it."""
+        """What the store holds once the series are in it."""
 
 
 def run_study(

@@ -22,7 +22,7 @@ SIGNED_MANIFEST = "manifest_sha256"
 
 
 def head_to_name(root: Path) -> str | None:
-    """The head of a store's review log; None where it cannot be told, which holds up no result."""
+    """The head of a store's review log; None where it cannot be read, which holds up no result."""
     with contextlib.suppress(StoreError):
         return str(ReviewLog(root).head())
     return None

@@ -36,7 +36,7 @@ def shown_finding(
     """A finding as the archive has it, with what was decided about it; None where there is no such feature.
 
     `values` also names the newest scan of the finding's station, so that a decision about a scan which another one
-    replaced meanwhile is told.
+    replaced meanwhile is named.
     """
     of_kind = features_sql(BY_NAME[feature.kind], "scene_id = ?")
     sql = f"""SELECT s.run_id, s.panel_spec, s.software_version, s.rig_id, s.config_hash, f.* EXCLUDE (feature_kind),
@@ -85,7 +85,7 @@ def sign_off(root: Path, who: str, shown: ShownScene, comment: str = "") -> Entr
 
 
 def same_place(connection: duckdb.DuckDBPyConnection, scene_id: str) -> list[str]:
-    """All scans of a scan's station, itself included: what was decided about them tells how its findings stand."""
+    """All scans of a scan's station, itself included: what was decided about them decides how its findings stand."""
     rows = connection.execute(
         "SELECT s.scene_id FROM scenes s JOIN scenes t USING (aircraft_serial, panel, station) WHERE t.scene_id = ?",
         [scene_id],

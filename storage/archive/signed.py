@@ -1,6 +1,6 @@
 """A scene that is signed off keeps the run it was signed off on: no other run takes its place.
 
-What was signed off is told by the review log and, where that is damaged or out of reach, by marks beside the bundles.
+What was signed off is in the review log and, where that is damaged or out of reach, by marks beside the bundles.
 """
 
 from __future__ import annotations

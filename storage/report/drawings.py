@@ -1,4 +1,4 @@
-"""Drawings of a report as SVG within the page: the marked picture, heights of rivets, profiles of seams, the map."""
+"""Drawings of a report as SVG within the page: the marked picture, charts of values, profiles of courses, the map."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from metrology.kinds import KINDS, Kind, Quantity
 from metrology.results import Severity
 from metrology.tolerance import Limit
 from metrology.verdicts import SEVERITIES, Symbol
@@ -40,32 +41,38 @@ def _drawn(what: str, *values: object) -> Markup:
     return part("storage.report", "drawings.html", what, *values)
 
 
-def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> Markup:
-    """What the left camera sees, with each rivet's rim, name and symbol, and the symbols of seam stations."""
+def marked_picture(preview: NDArray[np.uint8], of_kind: Mapping[str, Sequence[Row]]) -> Markup:
+    """What the left camera sees, with each feature's symbol, and the name and rim of what is no course."""
     height, width = preview.shape
     small = cv2.resize(preview, (_PICTURE_WIDTH, round(height * _PICTURE_WIDTH / width)), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     unit = width / _PICTURE_WIDTH
-    marks = [_station_mark(station, station["u_px"], station["v_px"], unit) for station in stations]
-    marks += [_rivet_mark(rivet, unit) for rivet in rivets]
+    marks = [
+        _placed(row["u_px"], row["v_px"], 0.6 * unit, row["severity"], _title(kind, row))
+        if kind.is_course
+        else _named_mark(kind, row, unit)
+        for kind in reversed(KINDS)
+        for row in of_kind.get(kind.name, ())
+    ]
     return _drawn("picture", width, height, data_uri(jpeg.tobytes(), "jpeg"), marks)
 
 
-def _rivet_mark(rivet: Row, unit: float) -> Markup:
-    look = SEVERITIES[rivet["severity"]]
-    width = (5.0 if look.symbol == "cross" else 3.0) * unit
-    broken = [dash * unit for dash in _BROKEN] if look.symbol == "ring" else []
-    u, v = rivet["u_px"], rivet["v_px"]
+def _named_mark(kind: Kind, row: Row, unit: float) -> Markup:
+    u, v, title = row["u_px"], row["v_px"], _title(kind, row)
+    reach = (row.get("major_px") or 0.0) / 2
     return (
-        _drawn("rim", rivet, unit, look.paper, width, broken, _title(rivet))
-        + _placed(u, v, unit, rivet["severity"], _title(rivet))
-        + _drawn("name", u + rivet["major_px"] / 2 + 7 * unit, v, unit, rivet["rivet_id"])
+        (_rim(row, unit, title) if reach else Markup())
+        + _placed(u, v, unit, row["severity"], title)
+        + _drawn("name", u + reach + 7 * unit, v, unit, kind.id_of(row))
     )
 
 
-def _station_mark(station: Row, x: float, y: float, unit: float) -> Markup:
-    title = f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}"
-    return _placed(x, y, 0.6 * unit, station["severity"], title)
+def _rim(row: Row, unit: float, title: str) -> Markup:
+    """The ellipse of a head in the picture."""
+    look = SEVERITIES[row["severity"]]
+    width = (5.0 if look.symbol == "cross" else 3.0) * unit
+    broken = [dash * unit for dash in _BROKEN] if look.symbol == "ring" else []
+    return _drawn("rim", row, unit, look.paper, width, broken, title)
 
 
 def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> Markup:
@@ -73,10 +80,14 @@ def _placed(x: float, y: float, scale: float, severity: Severity | None, title: 
     return _drawn("placed", x, y, scale, _symbol(0, 0, severity, title))
 
 
-def _title(rivet: Row) -> str:
-    height = rivet["height_mean_mm"]
-    value = "not measured" if height is None else f"{height:+.4f} mm"
-    return f"{rivet['rivet_id']}: {value}, {rivet['decision']}"
+def _title(kind: Kind, row: Row) -> str:
+    if kind.is_course:
+        name, position = (row[column] for column in kind.id_columns)
+        return f"{name} at {position:.0f} mm: {row['decision']}"
+    first = kind.quantities[0]
+    value = row[first.column]
+    said = "not measured" if value is None else f"{value:{'+' if first.signed else ''}.4f} {first.unit}"
+    return f"{kind.id_of(row)}: {said}, {row['decision']}"
 
 
 class _Axes:
@@ -132,25 +143,26 @@ def _span(values: Sequence[float], limits: Sequence[Limit | None]) -> tuple[floa
     return min([low, *inside]), max([high, *inside])
 
 
-def heights_chart(rivets: Sequence[Row], limits: Sequence[Limit | None]) -> Markup:
-    """Height of each rivet with its U95, and its own limits; "" where nothing was measured."""
-    values = [r["height_mean_mm"] for r in rivets if r["height_mean_mm"] is not None]
+def values_chart(kind: Kind, rows: Sequence[Row], limits: Sequence[Limit | None]) -> Markup:
+    """First quantity of each feature with its U95, and its own limits; "" where nothing was measured."""
+    first = kind.quantities[0]
+    values = [row[first.column] for row in rows if row[first.column] is not None]
     if not values:
         return Markup()
-    axes = _Axes((0, len(rivets) + 1), _span([*values, 0.0], limits))
-    places = [(k - 0.5, k + 0.5) for k in range(1, len(rivets) + 1)]
-    marks = [*axes.frame("height, mm"), *_limit_lines(axes, places, limits)]
-    every = max(1, len(rivets) // 40)
-    for k, rivet in enumerate(rivets, 1):
+    axes = _Axes((0, len(rows) + 1), _span([*values, 0.0], limits))
+    places = [(k - 0.5, k + 0.5) for k in range(1, len(rows) + 1)]
+    marks = [*axes.frame(f"{first.name}, {first.unit}"), *_limit_lines(axes, places, limits)]
+    every = max(1, len(rows) // 40)
+    for k, row in enumerate(rows, 1):
         x = axes.x(k)
         if k % every == 0:
-            marks.append(_drawn("label", x + 4, _HEIGHT - _BOTTOM + 10, rivet["rivet_id"]))
-        if rivet["height_mean_mm"] is None:
+            marks.append(_drawn("label", x + 4, _HEIGHT - _BOTTOM + 10, kind.id_of(row)))
+        if row[first.column] is None:
             marks.append(_drawn("text", x, axes.y(0), "middle", "?"))
             continue
-        y, u95 = rivet["height_mean_mm"], rivet["height_u95_mm"] or 0.0
+        y, u95 = row[first.column], row[first.u95_column] or 0.0
         marks.append(_drawn("u95", x, axes.y(y - u95), axes.y(y + u95)))
-        marks.append(_symbol(x, axes.y(y), rivet["severity"], _title(rivet)))
+        marks.append(_symbol(x, axes.y(y), row["severity"], _title(kind, row)))
     return _chart(marks)
 
 
@@ -168,50 +180,53 @@ def _points(places: Iterable[tuple[float, float]]) -> str:
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
 
 
-def seam_chart(stations: Sequence[Row], quantity: str, limits: Sequence[Limit | None]) -> Markup:
-    """Step or width along a seam with its U95 band and each place's limits; "" where nothing was measured."""
-    name = f"{quantity}_mm"
-    values = [s[name] for s in stations if s[name] is not None]
-    if not values:
+def course_chart(kind: Kind, quantity: Quantity, course: Sequence[Row], limits: Sequence[Limit | None]) -> Markup:
+    """A quantity along a course with its U95 band and each place's limits; "" where nothing was measured."""
+    value, u95, position = quantity.column, quantity.u95_column, kind.id_columns[1]
+    shown = [row for row in course if row[value] is not None]
+    if not shown:
         return Markup()
-    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span(values, limits))
-    marks = [*axes.frame(f"{quantity}, mm"), *_limit_lines(axes, _stretches(stations), limits)]
-    for measured, run in groupby(stations, key=lambda s: s[name] is not None):
+    along = [float(row[position]) for row in course]
+    axes = _Axes((along[0], along[-1]), _span([row[value] for row in shown], limits))
+    marks = [*axes.frame(f"{quantity.name}, {quantity.unit}"), *_limit_lines(axes, _stretches(along), limits)]
+    for measured, run in groupby(course, key=lambda row: row[value] is not None):
         if not measured:
             continue
         piece = list(run)
-        upper = [(axes.x(s["s_mm"]), axes.y(s[name] + (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
-        lower = [(axes.x(s["s_mm"]), axes.y(s[name] - (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
+        upper = [(axes.x(row[position]), axes.y(row[value] + (row[u95] or 0))) for row in piece]
+        lower = [(axes.x(row[position]), axes.y(row[value] - (row[u95] or 0))) for row in piece]
         marks.append(_drawn("band", _points([*upper, *reversed(lower)])))
-        marks.append(_drawn("profile", _points((axes.x(s["s_mm"]), axes.y(s[name])) for s in piece)))
+        marks.append(_drawn("profile", _points((axes.x(row[position]), axes.y(row[value])) for row in piece)))
     ticks = _ticks(axes.x0, axes.x1)
     marks += [_drawn("text", axes.x(tick), _HEIGHT - 14, "middle", f"{tick:g}") for tick in ticks]
-    marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", "mm along the seam"))
+    marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", f"mm along the {kind.subject}"))
     return _chart(marks)
 
 
-def _stretches(stations: Sequence[Row]) -> list[tuple[float, float]]:
-    """Half-way to the neighbours on both sides, mm along the seam."""
-    s = [float(station["s_mm"]) for station in stations]
+def _stretches(s: Sequence[float]) -> list[tuple[float, float]]:
+    """Half-way to the neighbours on both sides, mm along the course."""
     middles = [s[0], *(0.5 * (a + b) for a, b in pairwise(s)), s[-1]]
     return list(pairwise(middles))
 
 
-def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> Markup:
-    """The panel from outside: rivets and seam stations in panel coordinates; "" where none has any."""
-    places = [(f["x_panel_mm"], f["y_panel_mm"]) for f in (*rivets, *stations) if f["x_panel_mm"] is not None]
-    if not places:
+def panel_map(of_kind: Mapping[str, Sequence[Row]]) -> Markup:
+    """The panel from outside: features in panel coordinates; "" where none has any."""
+    rows = [
+        (kind, row) for kind in reversed(KINDS) for row in of_kind.get(kind.name, ()) if row["x_panel_mm"] is not None
+    ]
+    if not rows:
         return Markup()
+    places = [(row["x_panel_mm"], row["y_panel_mm"]) for _, row in rows]
     (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
     unit = max(x1 - x0, y1 - y0) / 1000
     marks = [
-        _station_mark(station, station["x_panel_mm"], -station["y_panel_mm"], unit)
-        for station in stations
-        if station["x_panel_mm"] is not None
-    ]
-    marks += [
-        _placed(rivet["x_panel_mm"], -rivet["y_panel_mm"], unit, rivet["severity"], _title(rivet))
-        for rivet in rivets
-        if rivet["x_panel_mm"] is not None
+        _placed(
+            row["x_panel_mm"],
+            -row["y_panel_mm"],
+            (0.6 if kind.is_course else 1.0) * unit,
+            row["severity"],
+            _title(kind, row),
+        )
+        for kind, row in rows
     ]
     return _drawn("map", x0, -y1, x1 - x0, y1 - y0, marks)

@@ -6,7 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
@@ -15,10 +15,9 @@ from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
     decisions_table,
     entries_table,
+    features,
+    features_table,
     limits_table,
-    rivet_table,
-    seams,
-    station_table,
     traceability,
     verdict,
 )
@@ -52,48 +51,46 @@ def _overview(record: PanelRecord) -> Markup:
             link(_anchor(s), s.scene["station"]),
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
-            str(len(s.of_kind[RIVET.name])),
-            str(len({station["seam_id"] for station in s.of_kind[SEAM_STATION.name]})),
+            *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in KINDS),
             str(sum(needs_attention(feature) for feature in s.features)),
             said(s.standings),
             "; ".join(s.scene["warnings"] or ()),
         ]
         for s in record.scenes
     ]
-    heads = ["station", "captured", "verdict", "rivets", "seams", "need attention", "findings", "warnings"]
-    return table(heads, rows, [3, 4, 5])
+    heads = ["station", "captured", "verdict", *(f"{kind.subject}s" for kind in KINDS), "need attention"]
+    return table([*heads, "findings", "warnings"], rows, list(range(3, len(heads))))
 
 
 def _map(record: PanelRecord) -> str:
     """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
     placed = [scene for scene in record.scenes if scene.has_common_frame]
-    drawing = panel_map(
-        [rivet for scene in placed for rivet in scene.of_kind[RIVET.name]],
-        [station for scene in placed for station in scene.of_kind[SEAM_STATION.name]],
-    )
+    drawing = panel_map({kind.name: [row for scene in placed for row in scene.of_kind[kind.name]] for kind in KINDS})
     return figure(drawing, f"In panel coordinates. {KEY}.") if drawing else ""
 
 
 def _attention(record: PanelRecord) -> list[Markup]:
     tables = []
-    for kind, table_of in ((RIVET, rivet_table), (SEAM_STATION, station_table)):
-        features = [row for scene in record.scenes for row in scene.of_kind[kind.name] if needs_attention(row)]
-        if features:
-            tables.append(table_of(features, where=True))
+    for kind in KINDS:
+        rows = [row for scene in record.scenes for row in scene.of_kind[kind.name] if needs_attention(row)]
+        tables += [features_table(kind, rows, where=True)] if rows else []
     return tables
 
 
 def _station(scene: SceneRecord) -> dict[str, Any]:
     """What the template says of one station."""
-    rivets, stations = scene.of_kind[RIVET.name], scene.of_kind[SEAM_STATION.name]
     return {
         "anchor": _anchor(scene),
         "name": scene.scene["station"],
         "verdict": verdict(scene.features),
-        "picture": figure(marked_picture(scene.preview, rivets, stations), "Left camera."),
+        "picture": figure(marked_picture(scene.preview, scene.of_kind), "Left camera."),
         "overlay": png_figure(scene.overlay_png, "overlay", "The overlay."),
-        "rivets": rivet_table(rivets) if rivets else "",
-        "seams": seams(stations, scene.limits),
+        "features": [
+            part
+            for kind in KINDS
+            if (rows := scene.of_kind[kind.name])
+            for part in features(kind, rows, scene.limits, charted=False)
+        ],
         "decisions": decisions_table(scene),
         "traceability": traceability(scene),
     }
