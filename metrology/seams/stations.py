@@ -14,6 +14,7 @@ from metrology.plausibility import plausible_station
 from metrology.results import COVERAGE_95, Joint, RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
+from metrology.seams.lap_shadow import NO_GAP
 from metrology.seams.leaning import steadied
 from metrology.seams.places import head_mask
 from metrology.seams.plates import coarse_course, gap_mask
@@ -29,8 +30,6 @@ Mask = NDArray[np.bool_]
 
 # "Under … mm" says something of a gap up to here.
 _WIDEST_BOUND_MM = 1.0
-# Why a lap joint has no width.
-_NO_GAP = "lap joint: no gap"
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
 
@@ -121,7 +120,7 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     joint: Joint | None = seam.joint
     gaps: list[Gap | str]
     if joint == "lap":
-        gaps = [_NO_GAP] * len(stations)
+        gaps = [NO_GAP] * len(stations)
     elif settings.edges == "points":
         gaps = point_edges(
             sections,
