@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 # Skin in view beyond each expected border, px: enough for its brightness and its slope.
 _SKIN_PX = 8.0
 # A border's blur, and the error of where it is expected, reach this far onto the skin, px.
-_BLUR_PX = 3.0
+BLUR_PX = 3.0
 _BIN_PX = 1.0 / 3.0
 _MIN_BINS = 4
 # Relative grey level below which the sensor's noise outweighs the grain.
@@ -177,7 +177,7 @@ def _profile(section: Section, half: float, view: View, half_length: float) -> _
     if len(x) == 0:
         return None
     x, grey, counts = binned(x, grey, _BIN_PX / px_mm)
-    skins = [side * x > half + _BLUR_PX / px_mm for side in (-1.0, 1.0)]
+    skins = [side * x > half + BLUR_PX / px_mm for side in (-1.0, 1.0)]
     if min(int(skin.sum()) for skin in skins) < _MIN_BINS or min(grey[skin].mean() for skin in skins) <= 0:
         return None
     level = 0.5 * sum(float(grey[skin].mean()) for skin in skins)

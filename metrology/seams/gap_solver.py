@@ -30,7 +30,9 @@ Mask = NDArray[np.bool_]
 
 # Error of the rendered brightness, relative to the skin's: what stations' residuals have in common is 0.001 to 0.002 on
 # simulated and rendered seams, seldom 0.003. The fit is told more, so that it does not follow what is not modelled.
-_RENDERING, _RENDERING_FOUND = 0.004, 0.003
+_RENDERING, _RENDERING_FOUND = 0.004, 0.002
+# Blur spreads such an error over 2√π σ = 2.5 px at a usual σ of 0.7 px, which is so many bins: of as many one counts.
+_ALIKE_BINS = 7.5
 # Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy).
 _DOUBTFUL = 3.0
 # An iteration that gains less than this, in squared standard deviations, is the last.
@@ -59,6 +61,8 @@ class State:
     levels : (n, k, LEVELS) ndarray
     costs : (n,) ndarray
         Squared residuals in units of their variance.
+    misfit : float
+        Variance of the rendering error as the residuals show it, in units of what the fit is told.
     """
 
     borders: Array
@@ -68,6 +72,7 @@ class State:
     gradients: Array
     levels: Array
     costs: Array
+    misfit: float = _ALIKE_BINS * (_RENDERING_FOUND / _RENDERING) ** 2
 
     @property
     def widths(self) -> Array:
@@ -132,7 +137,7 @@ class State:
         moved = np.linalg.solve(normal[np.ix_(free, free)], by_shape[free])
         by_prior = moved @ self.known.precision[np.ix_(free, free)] @ moved
         by_pictures = by_shape[free] @ moved - by_prior + (ACROSS @ inverse @ ACROSS).sum() / len(self.borders) ** 2
-        return float(np.sqrt(by_prior + (_RENDERING_FOUND / _RENDERING) ** 2 * by_pictures))
+        return float(np.sqrt(by_prior + self.misfit * by_pictures))
 
     def step(self, damping: float) -> tuple[Array, Array]:
         """Moves of the borders and of what is shared."""
@@ -173,7 +178,17 @@ def fit_shape_from(profiles: Profiles, borders: Array, shared: Array, known: Kno
             damping *= 8.0
             if damping > 1e4:
                 break
-    return state
+    return replace(state, misfit=max(state.misfit, _misfit(state.costs, profiles)))
+
+
+def _misfit(costs: Array, profiles: Profiles) -> float:
+    """How much more the residuals vary than noise alone would make them, with the correlation that blur gives them."""
+    n = len(costs)
+    used = np.arange(profiles.variance.shape[2]) < profiles.sizes[..., None]
+    noise = np.where(used, profiles.variance / (profiles.variance + n * _RENDERING**2), 0.0).sum(axis=(1, 2))
+    bins = np.maximum(used.sum(axis=(1, 2)), 1)
+    # A station's share of what all have in common is one in n.
+    return _ALIKE_BINS * n * float(np.median((costs - noise) / bins))
 
 
 def fit_borders_from(profiles: Profiles, borders: Array, shape: State) -> State:

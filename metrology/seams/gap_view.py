@@ -73,7 +73,8 @@ def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyp
     """The polyline cut at the shadows' borders, from A to B: rows of `_COLUMNS`. Returns their number."""
     _outline(outline, sealed, tilt, x, h)
     regions = (SKIN_A, CHAMFER_A, LIT_WALL, LIT_FLOOR, LIT_WALL, CHAMFER_B, SKIN_B)
-    shaded = (SKIN_A, DARK_FLOOR, DARK_WALL, DARK_FLOOR, DARK_WALL, DARK_FLOOR, SKIN_B)
+    # A step throws its shadow past the gap onto the lower skin.
+    shaded = (DARK_FLOOR, DARK_FLOOR, DARK_WALL, DARK_FLOOR, DARK_WALL, DARK_FLOOR, DARK_FLOOR)
     from_b = lamp[0] > 0.5 * (x[1] + x[6])
     sign = -1.0 if from_b else 1.0
     extreme = -np.inf

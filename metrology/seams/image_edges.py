@@ -18,6 +18,7 @@ from metrology.seams.gap import Gap, GapEdge
 from metrology.seams.gap_fit import fit_gap
 from metrology.seams.gap_floor import floor_depth, possible_floors
 from metrology.seams.gap_profiles import collect
+from metrology.seams.lap_shadow import NO_GAP, shadow_alone
 from metrology.seams.sections import Section
 from metrology.seams.views import both_views
 
@@ -52,6 +53,10 @@ def image_edges(
     profiles = collect(sections, half_widths, views, projector, half_length, slope)
     if profiles is None:
         return gaps, None
+    if darkest_gap := shadow_alone(profiles):
+        return [f"{NO_GAP} (what is dark is its edge's wall and shadow, or a gap under {darkest_gap:.2f} mm)"] * len(
+            sections
+        ), "lap"
     fit = fit_gap(profiles, possible_floors(floor_depth(sections, half_widths, reconstruction, half_length)))
     depths = fit.chamfer_slope * fit.chamfers_mm
     for row, station in enumerate(profiles.stations):

@@ -40,7 +40,9 @@ _REACH_MM = np.array([16.0, 16.0, 16.0, 32.0])
 _ROUNDING_MM = 1e-6
 
 
-def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float) -> list[Section | None]:
+def steadied(
+    sections: Sequence[Section | None], s_mm: Array, half_length: float, shared: float = 0.0
+) -> list[Section | None]:
     """The sections with their own points' skin lines and what their neighbours tell of them.
 
     Parameters
@@ -51,6 +53,9 @@ def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float
         Where they stand along the seam.
     half_length : float
         ε_d, mm: sections nearer to each other than twice that share points.
+    shared : float
+        Share of the points' variance that a station has in common with those it is smoothed by; no neighbour makes it
+        smaller.
     """
     result = list(sections)
     own = [section for section in sections if section is not None]
@@ -62,13 +67,41 @@ def steadied(sections: Sequence[Section | None], s_mm: Array, half_length: float
     told, near, predicted, variance = _predictions(own, s_mm[index], lines, covariance, 2 * half_length)
     index, own = index[told], [own[i] for i in told]
     lines, covariance = lines[told], covariance[told]
+    common = shared * covariance
     variance = _with_unevenness(lines, covariance, near, predicted, variance)
     lines, covariance = _lean_told(lines, covariance, predicted, variance)
     lines, covariance = _step_told(lines, covariance, near, predicted, variance)
+    covariance = (1.0 - shared) * covariance + common
     for k, section, line, left in zip(index, own, lines, covariance, strict=True):
         a, b = SkinLine(line[[0, 1, 4]], section.a.n), SkinLine(line[2:], section.b.n)
         result[k] = replace(section, a=a, b=b, covariance=left)
     return result
+
+
+def shared_share(sections: Sequence[Section | None], s_mm: Array, half_length: float) -> float:
+    """How much of the residuals' variance goes on along the seam, from stretches of skin at the same distance from it.
+
+    Errors of the fringes and of matching follow the fringes' and the pixel grid's directions: along some seams they are
+    the same from station to station.
+
+    Parameters
+    ----------
+    sections : sequence of Section or None
+        Of one seam, in order.
+    s_mm : (n,) ndarray
+    half_length : float
+        ε_d, mm.
+    """
+    known = np.array([k for k, section in enumerate(sections) if section is not None], int)
+    if len(known) < 2 * _FEWEST_STATIONS:
+        return 0.0
+    stretches = np.array([section.stretches for section in sections if section is not None])
+    away = np.abs(s_mm[known][None] - s_mm[known][:, None])
+    near = (away <= _REACH_MM[0] + _ROUNDING_MM) & (away >= 2 * half_length - _ROUNDING_MM)
+    if not near.any():
+        return 0.0
+    products = stretches @ stretches.T
+    return float(np.clip(products[near].mean() / np.diag(products).mean(), 0.0, 1.0))
 
 
 def _with_unevenness(lines: Array, covariance: Array, near: Array, predicted: Array, variance: Array) -> Array:

@@ -7,7 +7,7 @@ The points within ε_d of the plane are projected onto it, and each side gets it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ class Section:
         Of a's c_0, c_1, b's c_0, c_1 and the common c_2.
     clumping : float
         By how much sums of neighbouring points' errors vary more than independent points' would.
+    stretches : (8,) ndarray
+        Those sums, see `SkinFit`.
     """
 
     frame: Frame
@@ -49,6 +51,7 @@ class Section:
     b: SkinLine
     covariance: Array
     clumping: float
+    stretches: Array = field(default_factory=lambda: np.zeros(8))
 
     def point(self, x: float, h: float, y: float = 0.0) -> Array:
         """(3,) rig-frame point of section coordinates."""
@@ -187,7 +190,7 @@ def section_at(
         return f"{n} points of skin on side {side}, {min_points} needed"
     a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
     b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
-    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping)
+    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches)
 
 
 def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:

@@ -43,6 +43,8 @@ class SkinFit(NamedTuple):
         Points used.
     clumping : float
         Variance of the residuals' sums over a stretch of points, in units of what independent points would give.
+    stretches : (8,) ndarray
+        Those sums, in standard deviations of what independent points would give; 0 for a stretch without points.
     """
 
     solution: Array
@@ -51,6 +53,7 @@ class SkinFit(NamedTuple):
     n_a: int
     n_b: int
     clumping: float
+    stretches: Array
 
 
 def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: float) -> SkinFit | None:
@@ -66,19 +69,19 @@ def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: fl
         Points farther from h = 0 than this are not skin.
     """
     x, y, h, sigma = (np.ascontiguousarray(column) for column in points[:, :4].T)
-    normal, solution = np.zeros((7, 7)), np.zeros(7)
-    spread, n_a, n_b, clumping, good = _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution)
+    normal, solution, stretches = np.zeros((7, 7)), np.zeros(7), np.zeros(2 * _STRETCHES)
+    spread, n_a, n_b, clumping, good = _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretches)
     if not good:
         return None
     try:
         covariance = np.linalg.inv(normal) * spread**2
     except np.linalg.LinAlgError:
         return None
-    return SkinFit(solution, covariance, spread, n_a, n_b, clumping)
+    return SkinFit(solution, covariance, spread, n_a, n_b, clumping, stretches / spread)
 
 
 @kernel
-def _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution):  # type: ignore[no-untyped-def]
+def _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretches):  # type: ignore[no-untyped-def]
     """Least squares on what is kept, again and again until that does not change."""
     n = x.size
     kept, residual, sizes = np.zeros(n, np.bool_), np.zeros(n), np.empty(n)
@@ -111,7 +114,7 @@ def _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution):  # typ
             return spread, n_a, n_b, 1.0, False
         if not changed:
             break
-    return spread, n_a, n_b, _clumping(x, inner_a, inner_b, kept, residual) / spread**2, True
+    return spread, n_a, n_b, _clumping(x, inner_a, inner_b, kept, residual, stretches) / spread**2, True
 
 
 @kernel
@@ -161,10 +164,10 @@ def _solve(x, y, h, sigma, inner_a, kept, normal, solution):  # type: ignore[no-
 
 
 @kernel
-def _clumping(x, inner_a, inner_b, kept, residual):  # type: ignore[no-untyped-def]
-    """Mean square of the stretches' sums over their numbers of points."""
+def _clumping(x, inner_a, inner_b, kept, residual, sums):  # type: ignore[no-untyped-def]
+    """Mean square of the stretches' sums over their numbers of points; `sums` over the roots of those."""
     low, high = x.min(), x.max()
-    sums, counts = np.zeros(2 * _STRETCHES), np.zeros(2 * _STRETCHES)
+    counts = np.zeros(2 * _STRETCHES)
     for i in range(x.size):
         if not kept[i]:
             continue
@@ -177,6 +180,7 @@ def _clumping(x, inner_a, inner_b, kept, residual):  # type: ignore[no-untyped-d
     total, used = 0.0, 0
     for k in range(2 * _STRETCHES):
         if counts[k] > 0:
-            total += sums[k] * sums[k] / counts[k]
+            sums[k] /= math.sqrt(counts[k])
+            total += sums[k] * sums[k]
             used += 1
     return total / max(used - _COARSE, 1)

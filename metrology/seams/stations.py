@@ -14,7 +14,8 @@ from metrology.plausibility import plausible_station
 from metrology.results import COVERAGE_95, Joint, RivetDetection, SeamLine, SeamStation
 from metrology.seams.gap import Gap, gap_width, midpoint, step_gradient, step_height
 from metrology.seams.image_edges import image_edges
-from metrology.seams.leaning import steadied
+from metrology.seams.lap_shadow import NO_GAP
+from metrology.seams.leaning import shared_share, steadied
 from metrology.seams.places import head_mask
 from metrology.seams.plates import coarse_course, gap_mask
 from metrology.seams.point_edges import point_edges
@@ -29,8 +30,10 @@ Mask = NDArray[np.bool_]
 
 # "Under … mm" says something of a gap up to here.
 _WIDEST_BOUND_MM = 1.0
-# Why a lap joint has no width.
-_NO_GAP = "lap joint: no gap"
+# Sections this near to one, before and behind, tell how even its skin is: seven strips, 16 mm.
+_HEREABOUTS = 3
+# By chance the median of seven is seldom more than twice the usual.
+_BY_CHANCE, _OF_A_BEND = 2.0, 10.0
 # A rivet's rim and countersink reach this far beyond its ellipse, px.
 _RIVET_GUARD_PX = 6.0
 
@@ -122,7 +125,7 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     joint: Joint | None = seam.joint
     gaps: list[Gap | str]
     if joint == "lap":
-        gaps = [_NO_GAP] * len(stations)
+        gaps = [NO_GAP] * len(stations)
     elif settings.edges == "points" or projector is None:  # the grey-level model needs to know where the light is
         gaps = point_edges(
             sections,
@@ -165,12 +168,33 @@ def _with_unevenness(rows: list[SeamStation], station_step: float, half_length: 
 def _sections(stations: Sequence[_Station], s_mm: Array, half_length: float) -> list[Section | None]:
     """The stations' sections, steadied by one another; None where there is none."""
     sections = [station.section if isinstance(station.section, Section) else None for station in stations]
-    # How neighbouring points' errors go together is the same all along; one section tells it poorly, and one with dirt
-    # in it wrongly.
-    clumpings = [section.clumping for section in sections if section is not None]
-    clumping = max(1.0, float(np.median(clumpings or [1.0])) / CLUMPING_MEDIAN)
-    scaled = [replace(section, covariance=clumping * section.covariance) if section else None for section in sections]
-    return steadied(scaled, s_mm, half_length)
+    clumpings = _clumpings(sections)
+    scaled = [
+        replace(section, covariance=clumping * section.covariance) if section else None
+        for section, clumping in zip(sections, clumpings, strict=True)
+    ]
+    return steadied(scaled, s_mm, half_length, shared_share(sections, s_mm, half_length))
+
+
+def _clumpings(sections: Sequence[Section | None]) -> Array:
+    """(n,) how much more each section's skin lines vary than if its points were independent.
+
+    How neighbouring points' errors go together is the same all along; one section tells it poorly, and one with dirt in
+    it wrongly. Where all in a row have much more, the skin is bent as no line with the seam's curvature is: a dent near
+    by. With a bend of βx² over a side of length L that begins δ from the edge, the residuals' four stretches vary by
+    (βL²/16)², and the line is off by β (L²/6 + Lδ) at the edge: ten times what independent stretches would make it.
+    """
+    clumpings = np.array([np.nan if section is None else section.clumping for section in sections])
+    known = np.isfinite(clumpings)
+    if not known.any():
+        return np.ones(len(sections))
+    usual = float(np.median(clumpings[known]))
+    padded = np.pad(clumpings, _HEREABOUTS, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _HEREABOUTS + 1)
+    local = np.full(len(sections), usual)
+    local[known] = np.nanmedian(windows[known], axis=1)
+    bent = np.maximum(local - _BY_CHANCE * usual, 0.0)
+    return np.asarray(np.maximum(usual / CLUMPING_MEDIAN, 1.0) + _OF_A_BEND * bent)
 
 
 def _place(track: Track, s: float, ground: _Ground) -> _Station:

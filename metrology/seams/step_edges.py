@@ -83,7 +83,7 @@ def _step_map(z: Float32, usable: Mask) -> tuple[Float32, Mask]:
     inverse = np.zeros(usable[some].shape, np.float32)
     np.divide(1.0, z[some], out=inverse, where=usable[some])
     share = cv2.resize(usable[some].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    mean = cv2.resize(inverse, size, interpolation=cv2.INTER_AREA)
+    mean = np.asarray(cv2.resize(inverse, size, interpolation=cv2.INTER_AREA), np.float32)
     known = share >= _LEAST_SHARE
     if not known.any():
         return np.zeros(known.shape, np.float32), known
@@ -96,7 +96,7 @@ def _step_map(z: Float32, usable: Mask) -> tuple[Float32, Mask]:
 
 def _without_plane(mean: Float32, known: Mask) -> Float32:
     """What 1/z has beyond its plane; places without points get the nearest one's."""
-    v, u = np.indices(mean.shape, dtype=np.float32)
+    v, u = np.mgrid[: mean.shape[0], : mean.shape[1]].astype(np.float32)
     design = np.stack([np.ones(int(known.sum()), np.float32), u[known], v[known]], axis=1)
     plane = np.linalg.solve(design.T @ design.astype(float), design.T @ mean[known].astype(float))
     rest = mean - np.asarray(plane[0] + plane[1] * u + plane[2] * v, np.float32)

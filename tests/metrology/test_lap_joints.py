@@ -1,0 +1,79 @@
+"""Lap joints: found in the relief, typed, with a step and without a width."""
+
+from dataclasses import replace
+
+import gap_render
+import numpy as np
+import pytest
+from gap_render import Gap
+from seam_scan import Relief, seam_scan
+from seam_textures import Band
+
+from metrology.fits import SkinLine
+from metrology.limits import Limit, PanelSpec, Zone
+from metrology.results import SeamStation
+from metrology.seams import detect_seams, measure_seams
+from metrology.seams.lap_shadow import shadow_alone
+from metrology.seams.leaning import shared_share
+from metrology.seams.sections import Section
+from metrology.surfaces import Frame
+from metrology.tolerance import judge_stations
+
+
+@pytest.mark.parametrize(("angle", "step"), [(80.0, -1.0), (10.0, 0.5)])
+def test_edge_without_a_line_is_a_lap_joint(angle, step, rng):
+    band = Band((450.0, 350.0), angle, 4.0, 0.0)
+    scan = seam_scan([band], [Relief(0.0, step)], rng)
+    (line,) = detect_seams(scan, ())
+    assert line.relief
+    assert line.joint == "lap"
+    _, across = band.local(*line.centre_px.T)
+    assert np.abs(across).max() < 2.0
+    stations = measure_seams([line], scan, ())
+    measured = np.array([s.step_mm for s in stations if s.step_mm is not None])
+    assert len(measured) > 0.9 * len(stations)
+    assert np.abs(np.abs(measured) - abs(step)).mean() < 0.005
+    for station in stations:
+        assert station.joint == "lap"
+        assert station.width_mm is None
+        assert station.width_u95_mm is None
+        assert "no gap" in station.reason
+
+
+def test_waves_and_paint_are_no_lap_joints(rng):
+    assert detect_seams(seam_scan([Band((450.0, 350.0), 80.0, 4.0, 0.0)], [Relief(0.0, 0.1)], rng), ()) == []
+
+
+def test_line_of_the_picture_along_an_edge_is_found_once(rng):
+    scan = seam_scan([Band((450.0, 350.0), 80.0, 8.0, 40.0)], [Relief(1.0, 0.8)], rng)
+    assert len(detect_seams(scan, ())) == 1
+
+
+@pytest.mark.parametrize(
+    ("gap", "lap"),
+    [
+        (Gap(0.02, 0.0, 1.2, sealed=True), True),
+        (Gap(0.02, 0.0, -0.6, sealed=True), True),
+        (Gap(0.8, 0.0, 0.6), False),
+        (Gap(0.6, 0.3, -1.0), False),
+        (Gap(0.1, 0.0, 0.05), False),
+    ],
+)
+def test_wall_and_shadow_of_a_step_are_no_gap(gap, lap, rng):
+    assert (shadow_alone(gap_render.profiles(gap, 8, rng)) is not None) == lap
+
+
+def test_limit_of_the_width_does_not_ask_a_lap_joint():
+    spec = PanelSpec("P", "A", {"default": Zone(step_mm=Limit(-1.5, 1.5), width_mm=Limit(1.0, 3.0))})
+    station = SeamStation("S01", 0.0, 0.0, 0.0, 700.0, 1.0, 1.0, 1.0, 0.01, reason="lap joint: no gap", joint="lap")
+    judged = judge_stations([station, replace(station, joint="butt")], spec)
+    assert [s.decision for s in judged] == ["pass", "not measured"]
+
+
+@pytest.mark.parametrize(("common", "least", "most"), [(0.0, 0.0, 0.15), (1.0, 0.35, 0.65)])
+def test_errors_that_go_on_along_the_seam_are_told(common, least, most, rng):
+    frame, line = Frame(np.array([0, 0, 700.0]), np.eye(3)), SkinLine(np.zeros(3), 500)
+    same = common * rng.normal(size=8)
+    same *= common and 1.0 / np.sqrt(np.mean(same**2))
+    sections = [Section(frame, line, line, np.eye(5), 1.0, same + rng.normal(size=8)) for _ in range(60)]
+    assert least <= shared_share(sections, 2.0 * np.arange(60), 2.0) <= most
