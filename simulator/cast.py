@@ -12,6 +12,7 @@ import math
 from simulator.compiled import kernel
 from simulator.relief import (
     BACKGROUND,
+    BEAD,
     CABLE,
     COURSE,
     F_ABOVE,
@@ -24,7 +25,11 @@ from simulator.relief import (
     F_Y_MAX,
     F_Y_MIN,
     HEAD,
+    HEX_COS,
+    HEX_SIN,
+    HEXAGON,
     PLATE,
+    R_CONE,
     R_HEAD_GX,
     R_HEAD_GY,
     R_HEAD_X,
@@ -32,6 +37,7 @@ from simulator.relief import (
     R_IS_HOLE,
     R_OUTER,
     R_RADIUS,
+    R_RECESS,
     R_RING_GX,
     R_RING_GY,
     R_RING_X,
@@ -45,10 +51,12 @@ from simulator.relief import (
     S_CHAMFER,
     S_EX,
     S_EY,
+    TORQ_SET,
     WIDTH,
     Floats,
     Relief,
     along,
+    coat_at,
     lateral,
     piece_at,
     piece_height,
@@ -84,13 +92,19 @@ def _meet_skin(relief: Relief, o: Floats, d: Floats, guess: float) -> tuple[floa
 
 
 @kernel
+def _coated(relief: Relief, x: float, y: float, sides: int) -> float:
+    """Height of a plate with what is painted on it."""
+    return plate_height(relief, x, y, sides, -1) + coat_at(relief, x, y)
+
+
+@kernel
 def _meet_plate(relief: Relief, o: Floats, d: Floats, sides: int, start: float, rate: float) -> float:
     """Where it meets a plate with its step, exactly, from the skin nearby (secant method)."""
     a = start
-    fa = o[2] + a * d[2] - plate_height(relief, o[0] + a * d[0], o[1] + a * d[1], sides, -1)
+    fa = o[2] + a * d[2] - _coated(relief, o[0] + a * d[0], o[1] + a * d[1], sides)
     b = a - fa / rate
     for _ in range(50):
-        fb = o[2] + b * d[2] - plate_height(relief, o[0] + b * d[0], o[1] + b * d[1], sides, -1)
+        fb = o[2] + b * d[2] - _coated(relief, o[0] + b * d[0], o[1] + b * d[1], sides)
         if abs(fb) < 1e-12 or fb == fa:
             break
         c = b - fb * (b - a) / (fb - fa)
@@ -138,11 +152,27 @@ def _add_line(borders, n, low, high, o, d, x, y, nx, ny):  # type: ignore[no-unt
 
 
 @kernel
+def _add_hexagon(borders, n, low, high, o, d, rivet):  # type: ignore[no-untyped-def]
+    """Crossings with the six sides of a hexagonal recess."""
+    c, s, half = rivet[R_SLOT_COS], rivet[R_SLOT_SIN], 0.5 * rivet[R_SLOT_LENGTH]
+    for k in range(3):
+        across, along_it = (1.0, 0.0) if k == 0 else (HEX_COS, HEX_SIN if k == 1 else -HEX_SIN)
+        nx, ny = across * c - along_it * s, across * s + along_it * c
+        for sign in (-1.0, 1.0):
+            x, y = rivet[R_HEAD_X] + sign * half * nx, rivet[R_HEAD_Y] + sign * half * ny
+            n = _add_line(borders, n, low, high, o, d, x, y, nx, ny)
+    return n
+
+
+@kernel
 def _add_rivet(borders, n, low, high, o, d, relief, r):  # type: ignore[no-untyped-def]
     rivet = relief.rivets[r]
     n = _add_circle(borders, n, low, high, o, d, rivet[R_RING_X], rivet[R_RING_Y], rivet[R_RING_GX],
                     rivet[R_RING_GY], rivet[R_OUTER])  # fmt: skip
     if rivet[R_IS_HOLE] > 0.0:
+        if rivet[R_CONE] > 0.0:
+            n = _add_circle(borders, n, low, high, o, d, rivet[R_RING_X], rivet[R_RING_Y], rivet[R_RING_GX],
+                            rivet[R_RING_GY], rivet[R_RADIUS])  # fmt: skip
         return n
     n = _add_circle(borders, n, low, high, o, d, rivet[R_HEAD_X], rivet[R_HEAD_Y], rivet[R_HEAD_GX],
                     rivet[R_HEAD_GY], rivet[R_RADIUS])  # fmt: skip
@@ -153,13 +183,19 @@ def _add_rivet(borders, n, low, high, o, d, relief, r):  # type: ignore[no-untyp
                           -math.sin(angle), math.cos(angle))  # fmt: skip
     if rivet[R_SLOT_WIDTH] > 0.0:
         c, s = rivet[R_SLOT_COS], rivet[R_SLOT_SIN]
-        for half in (0.5 * rivet[R_SLOT_LENGTH], 0.5 * rivet[R_SLOT_WIDTH]):
+        if rivet[R_RECESS] == HEXAGON:
+            return _add_hexagon(borders, n, low, high, o, d, rivet)
+        if rivet[R_RECESS] == TORQ_SET:
+            n = _add_line(borders, n, low, high, o, d, rivet[R_HEAD_X], rivet[R_HEAD_Y], c, s)
+            n = _add_line(borders, n, low, high, o, d, rivet[R_HEAD_X], rivet[R_HEAD_Y], -s, c)
+        wide = rivet[R_SLOT_WIDTH] if rivet[R_RECESS] == TORQ_SET else 0.5 * rivet[R_SLOT_WIDTH]
+        for half in (0.5 * rivet[R_SLOT_LENGTH], wide):
             for sign in (-1.0, 1.0):
                 x, y = rivet[R_HEAD_X] + sign * half * c, rivet[R_HEAD_Y] + sign * half * s
                 if rivet[R_SLOT_CROSS] > 0.0 or half == 0.5 * rivet[R_SLOT_LENGTH]:
                     n = _add_line(borders, n, low, high, o, d, x, y, c, s)
                 x, y = rivet[R_HEAD_X] - sign * half * s, rivet[R_HEAD_Y] + sign * half * c
-                if rivet[R_SLOT_CROSS] > 0.0 or half == 0.5 * rivet[R_SLOT_WIDTH]:
+                if rivet[R_SLOT_CROSS] > 0.0 or half == wide:
                     n = _add_line(borders, n, low, high, o, d, x, y, -s, c)
     return n
 
@@ -360,7 +396,7 @@ def lit(relief, p, light, borders):  # type: ignore[no-untyped-def]
         # The ray starts on the surface and ends above everything.
         first = 1 if i == 0 else 0
         last = 2 if i == n - 2 else 3
-        if kind not in (HEAD, CABLE) and n == 2:
+        if kind not in (HEAD, CABLE, BEAD) and n == 2:
             return True
         for k in range(first, last):
             if _excess(relief, kind, index, sides, p, d, a + 0.5 * k * (b - a)) < -1e-7:

@@ -1,26 +1,31 @@
-"""Paints the reflectance of a panel's skin: brushing, blotches, scratches, stickers and smudges, none with relief."""
+"""Paints the reflectance of a panel's skin: brushing, blotches, scratches, stickers, smudges, letters and marks.
+
+What has a thickness is drawn once more into the coat, the map of how far paint and stickers stand above the skin.
+"""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.marks import Stencil, Stroke, letter_coverage, letters_reach
+from simulator.overlay import COAT_TEXEL_MM
 from simulator.panel import Panel, Patch, Scratch
 from simulator.relief import Floats
 from simulator.trace import Float32, ReflectanceMap
 
-TEXEL_MM = 0.1  # about half a camera pixel
+TEXEL_MM = COAT_TEXEL_MM  # about half a camera pixel
 
 
 def paint(panel: Panel, rng: np.random.Generator) -> ReflectanceMap:
     """The panel's reflectance map, rows along +y."""
     surface = panel.surface
-    shape = (math.ceil(panel.height_mm / TEXEL_MM) + 3, math.ceil(panel.width_mm / TEXEL_MM) + 3)
-    origin = np.array([-panel.width_mm / 2 - TEXEL_MM, -panel.height_mm / 2 - TEXEL_MM])
+    shape, origin = _map(panel)
     values = np.ones(shape, np.float32)
     if surface.blotches:
         values += np.float32(surface.blotches) * _clouds(shape, surface.blotch_mm, rng)
@@ -31,8 +36,40 @@ def paint(panel: Panel, rng: np.random.Generator) -> ReflectanceMap:
         _draw_scratch(values, origin, scratch)
     for patch in surface.patches:
         _draw_patch(values, origin, patch)
+    for gouge in panel.gouges:
+        if gouge.contrast:
+            line = Scratch(gouge.start_mm, gouge.end_mm, 2 * gouge.width_mm, gouge.contrast)
+            _draw_scratch(values, origin, line)
+    for stencil in surface.stencils:
+        _draw_stencil(values, origin, stencil)
+    for stroke in surface.strokes:
+        _draw_stroke(values, origin, stroke, rng)
     values *= np.float32(surface.reflectance)
     return ReflectanceMap(np.clip(values, 0.01, 1.0).astype(np.float32), origin, TEXEL_MM)
+
+
+def coat(panel: Panel) -> Float32:
+    """(rows, columns) how far paint and stickers stand above the skin, mm; (0, 0) where none has a thickness."""
+    patches = [patch for patch in panel.surface.patches if patch.thickness_mm]
+    stencils = [stencil for stencil in panel.surface.stencils if stencil.thickness_mm]
+    if not (patches or stencils):
+        return np.zeros((0, 0), np.float32)
+    shape, origin = _map(panel)
+    height = np.zeros(shape, np.float32)
+    for thickness, found in [
+        *((patch.thickness_mm, _covered(height, origin, patch)) for patch in patches),
+        *((stencil.thickness_mm, _lettered(height, origin, stencil)) for stencil in stencils),
+    ]:
+        if found is not None:
+            rows, columns, cover = found
+            height[rows, columns] += np.float32(thickness) * cover.astype(np.float32)
+    return height
+
+
+def _map(panel: Panel) -> tuple[tuple[int, int], Floats]:
+    """Shape and origin (mm) of a map over the panel."""
+    shape = (math.ceil(panel.height_mm / TEXEL_MM) + 3, math.ceil(panel.width_mm / TEXEL_MM) + 3)
+    return shape, np.array([-panel.width_mm / 2 - TEXEL_MM, -panel.height_mm / 2 - TEXEL_MM])
 
 
 def _clouds(shape: tuple[int, int], size_mm: float, rng: np.random.Generator) -> Float32:
@@ -114,19 +151,67 @@ def _draw_scratch(values: Float32, origin: Floats, scratch: Scratch) -> None:
 
 
 def _draw_patch(values: Float32, origin: Floats, patch: Patch) -> None:
+    found = _covered(values, origin, patch)
+    if found is not None:
+        rows, columns, cover = found
+        values[rows, columns] *= (1.0 + patch.contrast * cover).astype(np.float32)
+
+
+def _covered(values: Float32, origin: Floats, patch: Patch) -> tuple[slice, slice, Floats] | None:
+    """The part of the map that a patch may cover, and its share of each texel there."""
     centre, size = np.array([patch.x_mm, patch.y_mm]), np.array(patch.size_mm)
     reach = np.full(2, np.hypot(*size) * (1.5 if patch.shape == "smudge" else 0.5) + 0.2)
     window = _window(values, origin, centre - reach, centre + reach)
     if window is None:
-        return
+        return None
     rows, columns, x, y = window
     c, s = math.cos(math.radians(patch.angle_deg)), math.sin(math.radians(patch.angle_deg))
     u, v = c * (x - centre[0]) + s * (y - centre[1]), -s * (x - centre[0]) + c * (y - centre[1])
+    rho = np.hypot(u / size[0], v / size[1]) * 2
     if patch.shape == "rectangle":
         cover = _soft(np.maximum(np.abs(u) - size[0] / 2, np.abs(v) - size[1] / 2))
     elif patch.shape == "disc":
-        rho = np.hypot(u / size[0], v / size[1]) * 2
         cover = _soft((rho - 1) * min(size) / 2)
+    elif patch.shape == "ring":
+        outside = (rho - 1) * min(size) / 2
+        cover = _soft(np.maximum(outside, -patch.line_mm - outside))
     else:
         cover = np.exp(-2 * ((u / size[0]) ** 2 + (v / size[1]) ** 2) * 4)
-    values[rows, columns] *= (1.0 + patch.contrast * cover).astype(np.float32)
+    return rows, columns, cover
+
+
+def _lettered(values: Float32, origin: Floats, stencil: Stencil) -> tuple[slice, slice, Floats] | None:
+    """The part of the map that a stencil may cover, and its share of each texel there."""
+    centre, reach = np.array([stencil.x_mm, stencil.y_mm]), letters_reach(stencil)
+    window = _window(values, origin, centre - reach, centre + reach)
+    if window is None:
+        return None
+    rows, columns, x, y = window
+    return rows, columns, letter_coverage(stencil, x, y)
+
+
+def _draw_stencil(values: Float32, origin: Floats, stencil: Stencil) -> None:
+    found = _lettered(values, origin, stencil)
+    if found is not None:
+        rows, columns, cover = found
+        values[rows, columns] *= (1.0 + stencil.contrast * cover).astype(np.float32)
+
+
+def _draw_stroke(values: Float32, origin: Floats, stroke: Stroke, rng: np.random.Generator) -> None:
+    """A line whose colour a rough skin takes in patches."""
+    points = np.array(stroke.points_mm, float)
+    margin = stroke.width_mm + 0.2
+    window = _window(values, origin, points.min(axis=0) - margin, points.max(axis=0) + margin)
+    if window is None:
+        return
+    rows, columns, x, y = window
+    distance = np.full(np.broadcast_shapes(x.shape, y.shape), np.inf)
+    for a, b in pairwise(points):
+        along = b - a
+        share = np.clip(((x - a[0]) * along[0] + (y - a[1]) * along[1]) / max(along @ along, 1e-12), 0.0, 1.0)
+        distance = np.minimum(distance, np.hypot(x - a[0] - share * along[0], y - a[1] - share * along[1]))
+    cover = np.clip(0.5 - (distance - stroke.width_mm / 2) / (2 * TEXEL_MM), 0.0, 1.0)
+    if stroke.patchy:
+        noise = _unit(cv2.GaussianBlur(rng.standard_normal(cover.shape).astype(np.float32), (0, 0), 1.2))
+        cover = cover * np.clip(1.0 - 2 * stroke.patchy + 0.5 * noise + stroke.patchy, 0.0, 1.0)
+    values[rows, columns] *= (1.0 + stroke.contrast * cover).astype(np.float32)

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from metrology.errors import SpecError
-
-Point = tuple[float, float]
-
-
-def _require(condition: bool, what: str, found: object, expected: str) -> None:
-    if not condition:
-        raise SpecError(f"{what}: found {found}, expected {expected}")
+from simulator.defects import Dent, Gouge, Hail
+from simulator.marks import Stencil, Stroke
+from simulator.require import Point
+from simulator.require import require as _require
 
 
 @dataclass(frozen=True)
@@ -48,15 +44,29 @@ class Skin:
 
 @dataclass(frozen=True)
 class Slot:
-    """Screw slot in a head: a groove of `length_mm` × `width_mm`, `depth_mm` deep; `cross` adds a second one."""
+    """Recess of a head.
+
+    Attributes
+    ----------
+    length_mm, width_mm : float
+        Of a slot; over all and of the wings of a cross or a Torq-set; across the flats, both, of a hexagon.
+    depth_mm, angle_deg : float
+    cross : bool
+        Short for the shape "cross".
+    shape : "slot", "cross", "torq-set" or "hex"
+        A Torq-set's wings are set off sideways by half their width.
+    """
 
     length_mm: float
     width_mm: float
     depth_mm: float = 0.5
     angle_deg: float = 0.0
     cross: bool = False
+    shape: Literal["slot", "cross", "torq-set", "hex"] = "slot"
 
     def __post_init__(self) -> None:
+        shapes = ("slot", "cross", "torq-set", "hex")
+        _require(self.shape in shapes, "slot shape", self.shape, "slot, cross, torq-set or hex")
         for name in ("length_mm", "width_mm", "depth_mm"):
             _require(getattr(self, name) > 0, f"slot {name}", getattr(self, name), "a positive length")
 
@@ -119,22 +129,96 @@ class Rivet:
 
 @dataclass(frozen=True)
 class Hole:
-    """An open hole without a rivet."""
+    """A hole without a rivet.
+
+    Attributes
+    ----------
+    x_mm, y_mm, diameter_mm : float
+        Of the bore.
+    depth_mm : float
+        Of its ground: the sheet's thickness where it goes through, less where something fills it.
+    reflectance : float
+        Of its ground, relative to the skin's; 0 where nothing lies behind the sheet.
+    id : str
+        By its number if left out.
+    countersink_mm, countersink_deg : float
+        Outer diameter (0: none) and full angle of a countersink.
+    filled : bool
+        Closed with sealant up to its ground.
+    """
 
     x_mm: float
     y_mm: float
     diameter_mm: float
     depth_mm: float = 4.0
     reflectance: float = 0.1
+    id: str = ""
+    countersink_mm: float = 0.0
+    countersink_deg: float = 100.0
+    filled: bool = False
 
     def __post_init__(self) -> None:
         _require(0 < self.diameter_mm <= 40, "hole diameter_mm", self.diameter_mm, "above 0, up to 40 mm")
         _require(0 < self.depth_mm <= 20, "hole depth_mm", self.depth_mm, "above 0, up to 20 mm")
+        if self.countersink_mm:
+            _require(self.diameter_mm < self.countersink_mm <= 40, "hole countersink_mm", self.countersink_mm,
+                     "wider than the bore, up to 40 mm")  # fmt: skip
+            _require(60 <= self.countersink_deg <= 150, "hole countersink_deg", self.countersink_deg, "60 to 150")
+            _require(self.countersink_depth_mm <= self.depth_mm, "hole depth_mm", self.depth_mm,
+                     f"at least the countersink's depth of {self.countersink_depth_mm:.2f} mm")  # fmt: skip
+
+    @property
+    def countersink_depth_mm(self) -> float:
+        """How deep the cone reaches."""
+        if not self.countersink_mm:
+            return 0.0
+        return 0.5 * (self.countersink_mm - self.diameter_mm) / math.tan(math.radians(self.countersink_deg / 2))
+
+
+@dataclass(frozen=True)
+class Cleco:
+    """A temporary fastener: a round body that stands far out of the skin, with its plunger on top."""
+
+    x_mm: float
+    y_mm: float
+    diameter_mm: float = 8.0
+    height_mm: float = 14.0
+    plunger_mm: float = 4.0
+    plunger_height_mm: float = 5.0
+    reflectance: float = 0.6
+    id: str = ""
+
+    def __post_init__(self) -> None:
+        _require(2 <= self.diameter_mm <= 20, "cleco diameter_mm", self.diameter_mm, "2 to 20 mm")
+        _require(1 <= self.height_mm <= 22, "cleco height_mm", self.height_mm, "1 to 22 mm")
+        _require(0 < self.plunger_mm < self.diameter_mm, "cleco plunger_mm", self.plunger_mm, "less than its diameter")
+        _require(0 <= self.plunger_height_mm <= 10, "cleco plunger_height_mm", self.plunger_height_mm, "0 to 10 mm")
+
+
+@dataclass(frozen=True)
+class Speck:
+    """A drill chip (flat, inclined) or a drop (`crown_mm`) that lies on the skin, without a ring."""
+
+    x_mm: float
+    y_mm: float
+    diameter_mm: float
+    height_mm: float = 0.1
+    tilt_deg: float = 0.0
+    tilt_azimuth_deg: float = 0.0
+    crown_mm: float = 0.0
+    reflectance: float = 1.5
+
+    def __post_init__(self) -> None:
+        _require(0.1 <= self.diameter_mm <= 15, "speck diameter_mm", self.diameter_mm, "0.1 to 15 mm")
+        _require(0 < self.height_mm <= 3, "speck height_mm", self.height_mm, "above 0, up to 3 mm")
+        _require(0 <= self.tilt_deg <= 30, "speck tilt_deg", self.tilt_deg, "0 to 30 degrees")
+        _require(0 <= self.crown_mm <= self.diameter_mm / 4, "speck crown_mm", self.crown_mm, "0 to d/4")
+        _require(0 <= self.reflectance <= 3, "speck reflectance", self.reflectance, "0 to 3")
 
 
 @dataclass(frozen=True)
 class Seam:
-    """A butt joint between two plates.
+    """A joint between two plates.
 
     Attributes
     ----------
@@ -157,6 +241,11 @@ class Seam:
         Of the gap's floor and of the chamfers, relative to the skin's.
     starts_at, ends_at : str or None
         Another seam's id where this one begins or ends (a T joint). None: at the panel's border.
+    joint : "butt" or "lap"
+        A lap's higher plate ends at the course on top of the lower one: no gap, so its width is 0, and only the higher
+        plate's edge is broken.
+    edge_radius_mm : float
+        Edges rounded with that radius in place of a chamfer (0: not).
     """
 
     id: str
@@ -172,12 +261,23 @@ class Seam:
     edge_reflectance: float = 0.85
     starts_at: str | None = None
     ends_at: str | None = None
+    joint: Literal["butt", "lap"] = "butt"
+    edge_radius_mm: float = 0.0
 
     def __post_init__(self) -> None:
         where = f"seam {self.id}"
         _require(len(self.points_mm) >= 2, f"{where} points_mm", self.points_mm, "at least two points")
         _require(self.course in ("smooth", "polyline"), f"{where} course", self.course, "smooth or polyline")
-        _require(all(0.05 <= w <= 30 for w in self.width_mm), f"{where} width_mm", self.width_mm, "0.05 to 30 mm each")
+        _require(self.joint in ("butt", "lap"), f"{where} joint", self.joint, "butt or lap")
+        if self.joint == "lap":
+            _require(not any(self.width_mm), f"{where} width_mm", self.width_mm, "0 in a lap joint")
+            _require(not self.filled, f"{where} filled", self.filled, "false in a lap joint; lay a bead over it")
+        else:
+            _require(all(0.05 <= w <= 30 for w in self.width_mm), f"{where} width_mm", self.width_mm,
+                     "0.05 to 30 mm each")  # fmt: skip
+        _require(0 <= self.edge_radius_mm <= 3, f"{where} edge_radius_mm", self.edge_radius_mm, "0 to 3 mm")
+        _require(not (self.chamfer_mm and self.edge_radius_mm), f"{where} edge_radius_mm", self.edge_radius_mm,
+                 "0 beside a chamfer")  # fmt: skip
         _require(all(abs(s) <= 10 for s in self.step_mm), f"{where} step_mm", self.step_mm, "at most 10 mm each")
         _require(bool(self.width_mm and self.step_mm), where, "no width or step", "at least one value of each")
         _require(0 <= self.chamfer_mm <= 3, f"{where} chamfer_mm", self.chamfer_mm, "0 to 3 mm")
@@ -208,6 +308,24 @@ class Cable:
 
 
 @dataclass(frozen=True)
+class Bead:
+    """A bead of sealant over whatever lies under its course: a seam, the edge of a lap (a fillet), a row of rivets.
+
+    Its surface leads from the plates on one side to those on the other and bulges by `height_mm` between them.
+    """
+
+    points_mm: tuple[Point, ...]
+    width_mm: float = 6.0
+    height_mm: float = 0.5
+    reflectance: float = 0.7
+
+    def __post_init__(self) -> None:
+        _require(len(self.points_mm) >= 2, "bead points_mm", self.points_mm, "at least two points")
+        _require(1 <= self.width_mm <= 40, "bead width_mm", self.width_mm, "1 to 40 mm")
+        _require(0 <= self.height_mm <= self.width_mm / 4, "bead height_mm", self.height_mm, "0 to a quarter width")
+
+
+@dataclass(frozen=True)
 class Scratch:
     """A scratch or a painted line: straight, without relief; `contrast` −1 … 1 darkens or brightens."""
 
@@ -219,19 +337,26 @@ class Scratch:
 
 @dataclass(frozen=True)
 class Patch:
-    """A patch without relief: a sticker (rectangle), a disc, or a smudge (soft); `contrast` −1 … 1."""
+    """A sticker (rectangle), a disc, a painted ring or a smudge (soft); `contrast` −1 … 1.
 
-    shape: Literal["rectangle", "disc", "smudge"]
+    `line_mm` is the width of a ring's line, `thickness_mm` how far the patch stands above the skin.
+    """
+
+    shape: Literal["rectangle", "disc", "smudge", "ring"]
     x_mm: float
     y_mm: float
     size_mm: Point
     angle_deg: float = 0.0
     contrast: float = -0.4
+    line_mm: float = 1.0
+    thickness_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        shapes = ("rectangle", "disc", "smudge")
-        _require(self.shape in shapes, "patch shape", self.shape, "rectangle, disc or smudge")
+        shapes = ("rectangle", "disc", "smudge", "ring")
+        _require(self.shape in shapes, "patch shape", self.shape, "rectangle, disc, smudge or ring")
         _require(min(self.size_mm) > 0, "patch size_mm", self.size_mm, "two positive lengths")
+        _require(self.line_mm > 0, "patch line_mm", self.line_mm, "a positive length")
+        _require(0 <= self.thickness_mm <= 0.15, "patch thickness_mm", self.thickness_mm, "0 to 0.15 mm")
 
 
 @dataclass(frozen=True)
@@ -253,6 +378,7 @@ class Surface:
     scratches : tuple of Scratch; patches : tuple of Patch
     random_scratches : int
         That many more, drawn at random.
+    stencils : tuple of Stencil; strokes : tuple of Stroke
     """
 
     reflectance: float = 0.5
@@ -267,6 +393,8 @@ class Surface:
     scratches: tuple[Scratch, ...] = ()
     patches: tuple[Patch, ...] = ()
     random_scratches: int = 0
+    stencils: tuple[Stencil, ...] = ()
+    strokes: tuple[Stroke, ...] = ()
 
     def __post_init__(self) -> None:
         _require(0 < self.reflectance <= 1, "reflectance", self.reflectance, "above 0, up to 1")
@@ -293,13 +421,25 @@ class Panel:
     surface: Surface = field(default_factory=Surface)
     background_mm: float = 40.0
     background_reflectance: float = 0.05
+    dents: tuple[Dent, ...] = ()
+    gouges: tuple[Gouge, ...] = ()
+    hail: tuple[Hail, ...] = ()
+    clecos: tuple[Cleco, ...] = ()
+    specks: tuple[Speck, ...] = ()
+    beads: tuple[Bead, ...] = ()
 
     def __post_init__(self) -> None:
         _require(min(self.width_mm, self.height_mm) > 10, "panel size", (self.width_mm, self.height_mm), "above 10 mm")
         _require(self.background_mm >= 25, "background_mm", self.background_mm, "at least 25 mm")
-        _require(len(self.rivets) + len(self.holes) <= 500, "rivets", len(self.rivets), "at most 500 with the holes")
-        _require(len(self.seams) + len(self.cables) <= 20, "seams", len(self.seams), "at most 20 with the cables")
-        for kind, ids in (("rivet", [r.id for r in self.rivets]), ("seam", [s.id for s in self.seams])):
+        round_ones = len(self.rivets) + len(self.holes) + 2 * len(self.clecos) + len(self.specks)
+        _require(round_ones <= 500, "rivets", round_ones, "at most 500 with holes, specks and twice the clecos")
+        lines = len(self.seams) + len(self.cables) + len(self.beads)
+        _require(lines <= 20, "seams", lines, "at most 20 with cables and beads")
+        for kind, ids in (
+            ("rivet", [r.id for r in self.rivets]),
+            ("seam", [s.id for s in self.seams]),
+            ("dent", [d.id for d in self.all_dents] + [g.id for g in self.gouges]),
+        ):
             _require(len(set(ids)) == len(ids), f"{kind} ids", ids, "each only once")
         names = {s.id for s in self.seams}
         for seam in self.seams:
@@ -307,6 +447,19 @@ class Panel:
                 _require(other is None or (other in names and other != seam.id), f"seam {seam.id}", other,
                          "the id of another seam")  # fmt: skip
         places = [(r.id, r.x_mm, r.y_mm) for r in self.rivets] + [("a hole", h.x_mm, h.y_mm) for h in self.holes]
+        places += [("a cleco", c.x_mm, c.y_mm) for c in self.clecos] + [
+            ("a speck", k.x_mm, k.y_mm) for k in self.specks
+        ]
         for name, x, y in places:
             inside = abs(x) < self.width_mm / 2 and abs(y) < self.height_mm / 2
             _require(inside, f"position of {name}", (x, y), "on the panel")
+
+    @property
+    def all_dents(self) -> tuple[Dent, ...]:
+        """The dents that are given, and those of the hail."""
+        numbered = [
+            replace(dent, id=f"{dent.id}-{k + 1}") if k else dent
+            for k, hail in enumerate(self.hail)
+            for dent in hail.dents()
+        ]
+        return (*self.dents, *numbered)

@@ -38,12 +38,15 @@ class Beamer:
         Bits per pixel of what it shows; 0 shows any value.
     black : float
         Light of a black pixel, relative to a white one.
+    fill : float
+        Share of a pixel's width and height that is lit: below 1 the gaps between pixels show.
     """
 
     gamma: float = 1.0
     blur_px: float = 0.8
     bits: int = 8
     black: float = 0.002
+    fill: float = 1.0
 
     def __post_init__(self) -> None:
         if self.gamma <= 0:
@@ -54,6 +57,8 @@ class Beamer:
             raise SpecError(f"projector bits: found {self.bits}, expected 0 to 16")
         if not 0 <= self.black < 1:
             raise SpecError(f"projector black: found {self.black}, expected 0 to below 1")
+        if not 0.25 <= self.fill <= 1:
+            raise SpecError(f"projector fill: found {self.fill}, expected 0.25 to 1")
 
     def light(self, values: Floats) -> Floats:
         """Relative light of pixel values in [0, 1]."""
@@ -61,6 +66,12 @@ class Beamer:
             top = 2**self.bits - 1
             values = np.rint(values * top) / top
         return self.black + (1 - self.black) * values**self.gamma
+
+    def lit(self, fine: int, pixels: int) -> Floats:
+        """(pixels · fine,) light across a row of pixels, `fine` places in each: their mean stays 1."""
+        middle = np.abs((np.arange(fine) + 0.5) / fine - 0.5)
+        one = np.clip((0.5 * self.fill - middle) * fine + 0.5, 0.0, 1.0)
+        return np.tile(one / one.mean(), pixels)
 
 
 @dataclass(frozen=True)
@@ -93,6 +104,8 @@ def _spread(lines: Floats, beamer: Beamer) -> Float32:
     """Lines of pixels after the lens, tabulated."""
     padded = np.pad(lines, ((0, 0), (_MARGIN, _MARGIN)))
     fine = np.repeat(padded, _FINE, axis=1)
+    if beamer.fill < 1:
+        fine = fine * beamer.lit(_FINE, padded.shape[1])
     if beamer.blur_px > 0:
         fine = gaussian_filter1d(fine, beamer.blur_px * _FINE, axis=1, mode="constant", truncate=5)
     return np.ascontiguousarray(fine, np.float32)
@@ -107,6 +120,8 @@ def project_image(image: NDArray[np.generic], beamer: Beamer) -> Float32:
     """
     light = np.pad(beamer.light(np.asarray(image, float)), _MARGIN)
     fine = np.repeat(np.repeat(light, _COARSE, axis=0), _COARSE, axis=1).astype(np.float32)
+    if beamer.fill < 1:
+        fine *= np.outer(beamer.lit(_COARSE, light.shape[0]), beamer.lit(_COARSE, light.shape[1])).astype(np.float32)
     if beamer.blur_px > 0:
         fine = gaussian_filter(fine, beamer.blur_px * _COARSE, mode="constant", truncate=5)
     return np.ascontiguousarray(fine)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import erf
 
 from simulator.panel import Cable, Hole, Panel, Patch, Rivet, Scratch, Seam, Skin, Slot, Surface
+from simulator.random_clutter import Clutter, with_clutter
 from simulator.spec import Placement
 
 Range = tuple[float, float]
@@ -109,7 +110,7 @@ def _patch(rng: np.random.Generator, variety: Variety, shape: str, least: float,
 
 def random_panel(
     rng: np.random.Generator, variety: Variety | None = None, seams: tuple[Seam, ...] = (),
-    blur_px: float = 0.75, pixel_mm: float = 0.2,
+    blur_px: float = 0.75, pixel_mm: float = 0.2, clutter: Clutter | None = None,
 ) -> Panel:  # fmt: skip
     """A panel with rivets and clutter around the given seams.
 
@@ -117,6 +118,8 @@ def random_panel(
     ----------
     blur_px, pixel_mm : float
         Camera blur and size of a pixel on the panel, to which the rings' contrast refers.
+    clutter : Clutter, optional
+        What a hall adds, drawn last: without it the panel is the same.
     """
     variety = variety or Variety()
     width, height = variety.size_mm
@@ -138,10 +141,11 @@ def random_panel(
         angle = rng.uniform(0, math.pi)
         dx, dy, x, y = 150 * math.cos(angle), 150 * math.sin(angle), *rng.uniform(-0.3, 0.3, 2) * (width, height)
         cables.append(Cable(((x - dx, y - dy), (x + dx, y + dy)), rng.uniform(0.8, 2.5), rng.uniform(0.1, 0.5)))
-    return Panel(
+    panel = Panel(
         width, height, random_skin(rng, variety), tuple(rivets), seams, tuple(holes), tuple(cables),
         random_surface(rng, variety),
     )  # fmt: skip
+    return with_clutter(rng, panel, clutter, places.find) if clutter else panel
 
 
 def _rivet(

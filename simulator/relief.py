@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.compiled import kernel
+from simulator.overlay import coat_height, dent_drop
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # What a piece is.
-PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE = range(9)
+PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE, CONE, BEAD = range(11)
 
 # Entries of Relief.frame: curvatures (1/mm, + convex), cos and sin of the direction of the first, waviness amplitude
 # (mm), its wave numbers (rad/mm) and phase; the panel's limits and the height of the background behind it; the corner
@@ -31,21 +32,25 @@ PLATE, FLOOR, HEAD, RING, FILLED_RING, SLOT, BACKGROUND, HOLE, CABLE = range(9)
     F_X_MIN, F_X_MAX, F_Y_MIN, F_Y_MAX, F_BACKGROUND, F_ORIGIN_X, F_ORIGIN_Y, F_ABOVE, F_BELOW, F_SIZE,
 ) = range(18)  # fmt: skip
 
-# Columns of Relief.rivets; from R_SIZE on start and end (rad) of the ring's open arcs, NaN where unused.
+# Columns of Relief.rivets; from R_SIZE on start and end (rad) of the ring's open arcs, NaN where unused. A countersunk
+# hole's R_RADIUS is its bore's, R_CONE the depth of its cone per mm across; R_RECESS is the shape of a head's recess.
 (
     R_HEAD_X, R_HEAD_Y, R_HEAD_Z, R_HEAD_GX, R_HEAD_GY, R_RADIUS, R_DOME,
     R_RING_X, R_RING_Y, R_RING_GX, R_RING_GY, R_OUTER, R_RING_DEPTH,
     R_SLOT_COS, R_SLOT_SIN, R_SLOT_LENGTH, R_SLOT_WIDTH, R_SLOT_DEPTH, R_SLOT_CROSS, R_IS_HOLE,
-    R_HEAD_REFLECTANCE, R_RING_REFLECTANCE, R_SIZE,
-) = range(23)  # fmt: skip
+    R_HEAD_REFLECTANCE, R_RING_REFLECTANCE, R_CONE, R_RECESS, R_SIZE,
+) = range(25)  # fmt: skip
 
-# Columns of Relief.seams. S_BOUNDS: twice another seam's index (−1: none) and the side (0 or 1) of it on which this
-# seam exists. From S_SIZE on the tables of COURSE, WIDTH and STEP: of each k pieces the k breaks and the 4 k
-# coefficients.
+WINGS, TORQ_SET, HEXAGON = range(3)
+HEX_COS, HEX_SIN = 0.5, math.sqrt(0.75)
+
+# Columns of Relief.seams. S_CABLE: 1 for a cable, 2 for a bead of sealant; S_ROUND: broken edges are rounded. S_BOUNDS:
+# twice another seam's index (−1: none) and the side (0 or 1) of it on which this seam exists. From S_SIZE on the tables
+# of COURSE, WIDTH and STEP: of each k pieces the k breaks and the 4 k coefficients.
 (
     S_X, S_Y, S_EX, S_EY, S_CHAMFER, S_SLOPE, S_DEPTH, S_FILLED, S_CABLE,
-    S_FLOOR_REFLECTANCE, S_EDGE_REFLECTANCE, S_BOUNDS,
-) = range(12)  # fmt: skip
+    S_FLOOR_REFLECTANCE, S_EDGE_REFLECTANCE, S_LAP, S_ROUND, S_BOUNDS,
+) = range(14)  # fmt: skip
 S_SIZE = S_BOUNDS + 4
 COURSE, WIDTH, STEP = range(3)
 
@@ -60,12 +65,18 @@ class Relief(NamedTuple):
     seams : (m, S_SIZE + 15 pieces) float64
     cells : (rows, columns, k) int32
         For each cell of 1 mm the indices of the rivets near it, −1 where none; last, whether a seam is near (0 or 1).
+    dents : (d, D_SIZE) float64
+        Dents and scratches (`simulator.overlay`); they belong to the plates.
+    coat : (rows, columns) float32
+        Thickness of what is painted or stuck on the plates, mm; (0, 0) where nothing is.
     """
 
     frame: Floats
     rivets: Floats
     seams: Floats
     cells: NDArray[np.int32]
+    dents: Floats
+    coat: NDArray[np.float32]
 
 
 @kernel
@@ -147,7 +158,23 @@ def plate_height(relief: Relief, x: float, y: float, sides: int, without: int) -
         if s != without and relief.seams[s, S_CABLE] == 0.0 and exists(relief, s, sides):
             half = 0.5 * table(relief, s, STEP, along(relief, s, x, y))[0]
             z += half if (sides >> s) & 1 else -half
+    for k in range(relief.dents.shape[0]):
+        z -= dent_drop(relief.dents, k, x, y)
     return z
+
+
+@kernel
+def coat_at(relief: Relief, x: float, y: float) -> float:
+    """Thickness of what is painted or stuck on the plates at (x, y), mm."""
+    return coat_height(relief.coat, relief.frame[F_X_MIN], relief.frame[F_Y_MIN], x, y)
+
+
+@kernel
+def broken(relief: Relief, seam: int, t: float, xi: float) -> bool:
+    """Whether a seam's edge is broken on the side of t: a lap's is on its higher side only."""
+    if relief.seams[seam, S_LAP] == 0.0:
+        return True
+    return (t > 0.0) == (table(relief, seam, STEP, xi)[0] > 0.0)
 
 
 @kernel
@@ -159,8 +186,12 @@ def chamfer_cut(relief: Relief, x: float, y: float, sides: int) -> float:
         if chamfer > 0.0 and exists(relief, s, sides):
             t, xi = lateral(relief, s, x, y)
             rest = 0.5 * table(relief, s, WIDTH, xi)[0] + chamfer - abs(t)
-            if rest > 0.0:
-                cut = max(cut, min(rest, chamfer) * relief.seams[s, S_SLOPE])
+            if rest > 0.0 and broken(relief, s, t, xi):
+                rest = min(rest, chamfer)
+                if relief.seams[s, S_ROUND] > 0.0:
+                    cut = max(cut, chamfer - math.sqrt(max(chamfer * chamfer - rest * rest, 0.0)))
+                else:
+                    cut = max(cut, rest * relief.seams[s, S_SLOPE])
     return cut
 
 
@@ -181,9 +212,17 @@ def _in_slot(rivet: Floats, x: float, y: float) -> bool:
     if rivet[R_SLOT_WIDTH] <= 0.0:
         return False
     dx, dy = x - rivet[R_HEAD_X], y - rivet[R_HEAD_Y]
-    a = abs(rivet[R_SLOT_COS] * dx + rivet[R_SLOT_SIN] * dy)
-    b = abs(-rivet[R_SLOT_SIN] * dx + rivet[R_SLOT_COS] * dy)
+    a = rivet[R_SLOT_COS] * dx + rivet[R_SLOT_SIN] * dy
+    b = -rivet[R_SLOT_SIN] * dx + rivet[R_SLOT_COS] * dy
     length, width = 0.5 * rivet[R_SLOT_LENGTH], 0.5 * rivet[R_SLOT_WIDTH]
+    if rivet[R_RECESS] == TORQ_SET:
+        width *= 2.0
+        if (0.0 <= a < length and 0.0 <= b < width) or (-length < a <= 0.0 and -width < b <= 0.0):
+            return True
+        return (-width < a <= 0.0 and 0.0 <= b < length) or (0.0 <= a < width and -length < b <= 0.0)
+    a, b = abs(a), abs(b)
+    if rivet[R_RECESS] == HEXAGON:
+        return a < length and HEX_COS * a + HEX_SIN * b < length
     if a < length and b < width:
         return True
     return rivet[R_SLOT_CROSS] > 0.0 and b < length and a < width
@@ -210,13 +249,17 @@ def piece_at(relief: Relief, row: int, column: int, x: float, y: float) -> tuple
     frame = relief.frame
     if x < frame[F_X_MIN] or x > frame[F_X_MAX] or y < frame[F_Y_MIN] or y > frame[F_Y_MAX]:
         return BACKGROUND, 0, 0
-    sides, grooves = 0, 0
+    sides, grooves, bead = 0, 0, -1
     for s in range(relief.seams.shape[0]):
         t, xi = lateral(relief, s, x, y)
         if t > 0.0:
             sides |= 1 << s
         if abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0]:
             grooves |= 1 << s
+            if relief.seams[s, S_CABLE] == 2.0:
+                bead = s
+    if bead >= 0:
+        return BEAD, bead, sides
     if row >= 0:
         for k in range(relief.cells.shape[2] - 1):
             r = relief.cells[row, column, k]
@@ -226,7 +269,8 @@ def piece_at(relief: Relief, row: int, column: int, x: float, y: float) -> tuple
             outer = circle(rivet, False, x, y) < rivet[R_OUTER] ** 2
             if rivet[R_IS_HOLE] > 0.0:
                 if outer:
-                    return HOLE, r, sides
+                    bore = rivet[R_CONE] == 0.0 or circle(rivet, False, x, y) < rivet[R_RADIUS] ** 2
+                    return (HOLE if bore else CONE), r, sides
                 continue
             if circle(rivet, True, x, y) < rivet[R_RADIUS] ** 2:
                 return (SLOT if _in_slot(rivet, x, y) else HEAD), r, sides
@@ -243,6 +287,21 @@ def piece_at(relief: Relief, row: int, column: int, x: float, y: float) -> tuple
 
 
 @kernel
+def _bead_height(relief: Relief, bead: int, x: float, y: float) -> float:
+    """A bead's surface: from the plates on one side of each seam to those on the other over its width, and a bulge."""
+    t, xi = lateral(relief, bead, x, y)
+    half = 0.5 * table(relief, bead, WIDTH, xi)[0]
+    z = skin_height(relief.frame, x, y) + relief.seams[bead, S_DEPTH] * (1.0 - (t / half) ** 2)
+    for s in range(relief.seams.shape[0]):
+        if relief.seams[s, S_CABLE] == 0.0:
+            across, at = lateral(relief, s, x, y)
+            z += 0.5 * table(relief, s, STEP, at)[0] * min(max(across / half, -1.0), 1.0)
+    for k in range(relief.dents.shape[0]):
+        z -= dent_drop(relief.dents, k, x, y)
+    return z
+
+
+@kernel
 def _head_plane(rivet: Floats, x: float, y: float) -> float:
     rise = rivet[R_HEAD_GX] * (x - rivet[R_HEAD_X]) + rivet[R_HEAD_GY] * (y - rivet[R_HEAD_Y])
     return float(rivet[R_HEAD_Z] + rise)
@@ -254,7 +313,7 @@ def piece_height(relief: Relief, kind: int, index: int, sides: int, x: float, y:
     if kind == BACKGROUND:
         return relief.frame[F_BACKGROUND]
     if kind == PLATE:
-        return plate_height(relief, x, y, sides, -1) - chamfer_cut(relief, x, y, sides)
+        return plate_height(relief, x, y, sides, -1) - chamfer_cut(relief, x, y, sides) + coat_at(relief, x, y)
     if kind == FLOOR:
         z = plate_height(relief, x, y, sides, index) - relief.seams[index, S_DEPTH]
         if relief.seams[index, S_FILLED] > 0.0:
@@ -265,6 +324,8 @@ def piece_height(relief: Relief, kind: int, index: int, sides: int, x: float, y:
         t, xi = lateral(relief, index, x, y)
         half = 0.5 * table(relief, index, WIDTH, xi)[0]
         return plate_height(relief, x, y, sides, -1) + math.sqrt(max(half * half - t * t, 0.0))
+    if kind == BEAD:
+        return _bead_height(relief, index, x, y)
     rivet = relief.rivets[index]
     if kind == HEAD:
         gx, gy = rivet[R_HEAD_GX], rivet[R_HEAD_GY]
@@ -278,4 +339,6 @@ def piece_height(relief: Relief, kind: int, index: int, sides: int, x: float, y:
         outer = max(rivet[R_OUTER] - math.sqrt(circle(rivet, False, x, y)), 0.0)
         share = inner / max(inner + outer, 1e-12)
         return (1.0 - share) * _head_plane(rivet, x, y) + share * plate
+    if kind == CONE:
+        return plate - (rivet[R_OUTER] - math.sqrt(circle(rivet, False, x, y))) * rivet[R_CONE]
     return plate - rivet[R_RING_DEPTH]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Any
 
@@ -23,6 +23,7 @@ from simulator.rig import aim_frame, virtual_rig, warmed
 from simulator.spec import Placement, SimulationSpec
 from simulator.trace import Float32, Hits, Light, ReflectanceMap, trace
 from simulator.truth import Pose, Truth, truth
+from simulator.vibration import moved_texture, sway_of
 
 Frames = NDArray[np.uint8] | NDArray[np.uint16]
 Progress = Callable[[float, str], None]
@@ -128,10 +129,22 @@ def fringe_light(spec: SimulationSpec, stage: Stage, rng: np.random.Generator) -
     stripes = project_stripes(spec.fringe, projector.width, projector.height, spec.projector)
     shifts = rng.normal(0, 1, spec.fringe.frames) * spec.disturbances.vibration_px
     drift = np.linspace(-0.5, 0.5, spec.fringe.frames) * spec.disturbances.ambient_drift
+    disturbances = spec.disturbances
+    if disturbances.flicker:
+        lamp = 1 + disturbances.flicker * rng.standard_normal(spec.fringe.frames)
+        stripes = replace(stripes, light=stripes.light * lamp[:, None].astype(np.float32))
+    moves = (
+        disturbances.vibration_mm * rng.standard_normal((spec.fringe.frames, 3)) if disturbances.vibration_mm else None
+    )
     light = {}
     for side in ("left", "right"):
         hits: Hits = getattr(stage, side)
-        light[side] = receive_stripes(hits, stripes, shifts, 1 + drift)
+        if moves is None:
+            light[side] = receive_stripes(hits, stripes, shifts, 1 + drift)
+        else:
+            sway = sway_of(stage.rig, side, stage.pose, spec.fringe.axis)
+            still = receive_stripes(hits, stripes, shifts + moves @ sway.pattern, 1 + drift)
+            light[side] = moved_texture(still, hits, moves @ sway.image)
     return light
 
 
@@ -201,7 +214,7 @@ def simulate(
         for repeat in range(spec.repeats):
             rng = np.random.default_rng([spec.seed, 2, k, repeat])
             # Only a shaking projector makes a difference between repeats before the sensor.
-            if light is None or spec.disturbances.vibration_px:
+            if light is None or spec.disturbances.shaken:
                 light = fringe_light(spec, stage, rng)
             frames = {side: expose(spec, light[side], rng) for side in ("left", "right")}
             station = placement.station or spec.scene.station

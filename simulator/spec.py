@@ -131,17 +131,29 @@ class Disturbances:
         Relative change of the ambient light from the first frame to the last.
     warming_k : float
         By how much the rig's frame is warmer than when it was calibrated.
+    vibration_mm : float
+        Standard deviation, along each axis, of the panel's place against the rig from frame to frame.
+    flicker : float
+        Relative standard deviation of the projector's brightness from frame to frame.
     """
 
     vibration_px: float = 0.0
     ambient_drift: float = 0.0
     warming_k: float = 0.0
+    vibration_mm: float = 0.0
+    flicker: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.vibration_px < 0:
-            raise SpecError(f"vibration_px: found {self.vibration_px}, expected 0 or more")
+        for name, most in (("vibration_px", 10.0), ("vibration_mm", 0.2), ("flicker", 0.3)):
+            if not 0 <= getattr(self, name) <= most:
+                raise SpecError(f"{name}: found {getattr(self, name)}, expected 0 to {most:g}")
         if abs(self.ambient_drift) > 1:
             raise SpecError(f"ambient_drift: found {self.ambient_drift}, expected −1 to 1")
+
+    @property
+    def shaken(self) -> bool:
+        """Whether the light itself differs from scan to scan."""
+        return bool(self.vibration_px or self.vibration_mm or self.flicker)
 
 
 @dataclass(frozen=True)

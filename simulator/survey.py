@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from simulator import cast as _cast
+from simulator import overlay as _overlay
 from simulator import relief as _relief
 from simulator.cast import MAX_BORDERS, cast, lit
 from simulator.compiled import entry, fingerprint
@@ -51,7 +52,7 @@ def _build(source_fingerprint: int) -> tuple[Any, Any, Any, Any, Any]:
     return sides, plates, surface, sight, meet
 
 
-_sides, _plates, _surface, _sight, _meet = _build(fingerprint(_relief, _cast))
+_sides, _plates, _surface, _sight, _meet = _build(fingerprint(_relief, _overlay, _cast))
 
 
 def sides_at(relief: Relief, x: Floats, y: Floats) -> Ints:

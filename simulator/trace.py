@@ -21,12 +21,15 @@ from scipy.special import ndtri
 from metrology.rig import Device
 from simulator import cast as _cast
 from simulator import lens as _lens
+from simulator import overlay as _overlay
 from simulator import relief as _relief
 from simulator.cast import MAX_BORDERS, beside_border, cast, cell_of, lit
 from simulator.compiled import entry, fingerprint, kernel
 from simulator.lens import pack_device, pixel, ray
+from simulator.overlay import D_SHARP, near_dent
 from simulator.relief import (
     BACKGROUND,
+    BEAD,
     CABLE,
     F_X_MIN,
     F_Y_MIN,
@@ -34,6 +37,7 @@ from simulator.relief import (
     HEAD,
     HOLE,
     PLATE,
+    R_CONE,
     R_HEAD_REFLECTANCE,
     R_IS_HOLE,
     R_OUTER,
@@ -50,7 +54,9 @@ from simulator.relief import (
     WIDTH,
     Floats,
     Relief,
+    broken,
     circle,
+    coat_at,
     exists,
     lateral,
     piece_height,
@@ -138,13 +144,14 @@ def _paint(relief, light, kind, index, sides, wall, x, y):  # type: ignore[no-un
         return relief.rivets[index, R_HEAD_REFLECTANCE]
     if kind in (RING, HOLE):
         return relief.rivets[index, R_RING_REFLECTANCE]
-    if kind in (FLOOR, CABLE):
+    if kind in (FLOOR, CABLE, BEAD):
         return relief.seams[index, S_FLOOR_REFLECTANCE]
     if kind == PLATE:
         for s in range(relief.seams.shape[0]):
             if relief.seams[s, S_CHAMFER] > 0.0 and exists(relief, s, sides):
                 t, xi = lateral(relief, s, x, y)
-                if abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0] + relief.seams[s, S_CHAMFER]:
+                near = abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0] + relief.seams[s, S_CHAMFER]
+                if near and broken(relief, s, t, xi):
                     return relief.seams[s, S_EDGE_REFLECTANCE]
     return 1.0
 
@@ -231,6 +238,14 @@ def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
         for k in range(2):
             if abs(x - relief.frame[F_X_MIN + k]) < tolerance or abs(y - relief.frame[F_Y_MIN + k]) < tolerance:
                 return True
+    for k in range(relief.dents.shape[0]):
+        if relief.dents[k, D_SHARP] > 0.0 and near_dent(relief.dents, k, x, y):
+            return True
+    if relief.coat.shape[0] > 0:
+        low, high = coat_at(relief, x - tolerance, y - tolerance), coat_at(relief, x + tolerance, y + tolerance)
+        left, right = coat_at(relief, x - tolerance, y + tolerance), coat_at(relief, x + tolerance, y - tolerance)
+        if max(low, high, left, right) - min(low, high, left, right) > 1e-3:
+            return True
     row, column = cell_of(relief, x, y)
     if row < 0:
         return False
@@ -240,6 +255,8 @@ def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
             break
         rivet = relief.rivets[r]
         if abs(math.sqrt(circle(rivet, False, x, y)) - rivet[R_OUTER]) < tolerance:
+            return True
+        if rivet[R_CONE] > 0.0 and circle(rivet, False, x, y) < rivet[R_OUTER] ** 2:
             return True
         if rivet[R_IS_HOLE] == 0.0:
             rho = math.sqrt(circle(rivet, True, x, y))
@@ -324,7 +341,7 @@ def _build(source_fingerprint: int) -> tuple[Any, Any]:
     return look, gather
 
 
-_look, _gather = _build(fingerprint(_relief, _cast, _lens))
+_look, _gather = _build(fingerprint(_relief, _overlay, _cast, _lens))
 
 
 def spread(samples: int, sigma_px: float) -> Floats:

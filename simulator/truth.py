@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from metrology.rig import Rig
 from simulator import relief as r
 from simulator.pack import evaluate, head_pose
-from simulator.panel import Panel, Rivet, Seam
+from simulator.panel import Cleco, Hole, Panel, Rivet, Seam
 from simulator.relief import Floats, Ints, Relief
 from simulator.survey import plate_heights, plate_normals, seen, sides_at, survey
+from simulator.true_dents import TrueDent, true_dents
 
 STATION_MM = 1.0
 _CLEAR_MM = 1.0  # a station nearer than that to a border or to another seam's edge is not counted as visible
@@ -47,6 +48,7 @@ class TrueRivet:
     height_mean_mm : distance of the head to the skin's tangent plane at its centre, + proud, mean over the head.
     head_edge_rise_mm : how far the rim rises and falls about that by the tilt alone.
     visible : inside both images and the projector's field, and not hidden.
+    kind : "head", or "recessed" where it has a recess.
     """
 
     id: str
@@ -58,6 +60,36 @@ class TrueRivet:
     head_edge_rise_mm: float
     tilt_deg: float
     dome_mm: float
+    kind: str = "head"
+
+
+@dataclass(frozen=True)
+class TrueHole:
+    """An open hole, a hole filled with sealant ("hole") or a temporary fastener ("cleco"): among the rivets in a file.
+
+    Attributes
+    ----------
+    xyz_mm, uv_px : middle of its outer border on the skin (a cleco: of its top) in the rig frame and the left image.
+    diameter_mm : of the bore, or of a cleco's body.
+    height_mean_mm : of its ground (negative), or of a cleco's top, above the skin.
+    countersink_mm, countersink_depth_mm, countersink_deg : 0 without a countersink.
+    filled : closed with sealant up to its ground.
+    """
+
+    id: str
+    xyz_mm: list[float]
+    uv_px: list[float]
+    diameter_mm: float
+    visible: bool
+    height_mean_mm: float
+    kind: str
+    countersink_mm: float = 0.0
+    countersink_depth_mm: float = 0.0
+    countersink_deg: float = 0.0
+    filled: bool = False
+    head_edge_rise_mm: float = 0.0
+    tilt_deg: float = 0.0
+    dome_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +101,8 @@ class TrueSeam:
     xyz_mm, uv_px : midpoint of the ideal edges D′ and G′ in the rig frame and the left image.
     step_mm : height of side B minus side A, eqs 6–8 with their signs.
     width_mm : eqs 9–11.
-    chamfer_mm : width of the broken edges.
+    chamfer_mm, edge_radius_mm : width of the broken edges, or their radius.
+    kind : "butt", "sealed" (a butt joint filled with sealant) or "lap".
     visible : both edges and some skin beside them are in both images, lit, and clear of borders and other seams.
     """
 
@@ -80,6 +113,8 @@ class TrueSeam:
     step_mm: list[float]
     width_mm: list[float]
     chamfer_mm: float
+    kind: str = "butt"
+    edge_radius_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -88,10 +123,16 @@ class Truth:
 
     rivets: tuple[TrueRivet, ...]
     seams: tuple[TrueSeam, ...]
+    holes: tuple[TrueHole, ...] = ()
+    dents: tuple[TrueDent, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """As truth.json has it."""
-        return {"rivets": [asdict(v) for v in self.rivets], "seams": [asdict(v) for v in self.seams]}
+        """As truth.json has it: holes and temporary fasteners are among the rivets there, told by their kind."""
+        return {
+            "rivets": [asdict(v) for v in self.rivets] + [asdict(v) for v in self.holes],
+            "seams": [asdict(v) for v in self.seams],
+            "dents": [asdict(v) for v in self.dents],
+        }
 
 
 def truth(panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> Truth:
@@ -107,7 +148,18 @@ def truth(panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> Truth:
     pose : Pose
     """
     rivets = tuple(_rivet(rivet, relief, rig, pose) for rivet in panel.rivets)
-    return Truth(rivets, tuple(_seam(k, seam, panel, relief, rig, pose) for k, seam in enumerate(panel.seams)))
+    seams = tuple(_seam(k, seam, panel, relief, rig, pose) for k, seam in enumerate(panel.seams))
+    holes = [_hole(hole, f"H{k:02d}", relief, rig, pose) for k, hole in enumerate(panel.holes, 1)]
+    clecos = [_cleco(cleco, f"C{k:02d}", relief, rig, pose) for k, cleco in enumerate(panel.clecos, 1)]
+
+    def visible(points: Floats) -> NDArray[np.bool_]:
+        return _in_all_fields(rig, pose.to_rig(points)) & _unhidden(relief, rig, pose, points)
+
+    def place(point: Floats) -> tuple[list[float], list[float]]:
+        at = pose.to_rig(point)
+        return at.tolist(), rig.left.project(at).tolist()
+
+    return Truth(rivets, seams, (*holes, *clecos), true_dents(panel, relief, place, visible))
 
 
 def _in_all_fields(rig: Rig, points: Floats) -> NDArray[np.bool_]:
@@ -133,8 +185,42 @@ def _rivet(rivet: Rivet, relief: Relief, rig: Rig, pose: Pose) -> TrueRivet:
     rise = rivet.diameter_mm / 2 * math.sin(math.radians(rivet.tilt_deg))
     return TrueRivet(
         rivet.id, centre.tolist(), rig.left.project(centre).tolist(), rivet.diameter_mm, bool(shown),
-        rivet.height_mm, rise, rivet.tilt_deg, rivet.crown_mm,
+        rivet.height_mm, rise, rivet.tilt_deg, rivet.crown_mm, "recessed" if rivet.slot else "head",
     )  # fmt: skip
+
+
+def _hole(hole: Hole, name: str, relief: Relief, rig: Rig, pose: Pose) -> TrueHole:
+    point, normal = survey(relief, hole.x_mm, hole.y_mm)
+    outer = max(hole.diameter_mm, hole.countersink_mm)
+    shown = _shows_round(point + _LIFT * normal, outer + 0.2, relief, rig, pose)
+    centre = pose.to_rig(point)
+    return TrueHole(
+        hole.id or name, centre.tolist(), rig.left.project(centre).tolist(), hole.diameter_mm, shown, -hole.depth_mm,
+        "hole", hole.countersink_mm, hole.countersink_depth_mm,
+        hole.countersink_deg if hole.countersink_mm else 0.0, hole.filled,
+    )  # fmt: skip
+
+
+def _cleco(cleco: Cleco, name: str, relief: Relief, rig: Rig, pose: Pose) -> TrueHole:
+    point, _ = survey(relief, cleco.x_mm, cleco.y_mm)
+    height = cleco.height_mm + cleco.plunger_height_mm
+    top = point + np.array([0.0, 0.0, height + _LIFT])
+    shown = _shows_round(top, 0.5 * cleco.plunger_mm, relief, rig, pose)
+    centre = pose.to_rig(top)
+    return TrueHole(
+        cleco.id or name, centre.tolist(), rig.left.project(centre).tolist(), cleco.diameter_mm, shown, height, "cleco"
+    )
+
+
+def _shows_round(centre: Floats, diameter: float, relief: Relief, rig: Rig, pose: Pose) -> bool:
+    """Whether a circle just above the surface is in all fields, and half of its edge at least is not hidden."""
+    angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    around = centre + np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (diameter / 2)
+    if not _in_all_fields(rig, pose.to_rig(around)).all():
+        return False
+    x, y = around[:, 0].copy(), around[:, 1].copy()
+    around[:, 2] = np.maximum(around[:, 2], plate_heights(relief, x, y, sides_at(relief, x, y)) + _LIFT)
+    return bool(_unhidden(relief, rig, pose, around).mean() >= 0.5)
 
 
 def stations(seam: int, relief: Relief, panel: Panel) -> Floats:
@@ -198,7 +284,9 @@ def _edge(relief: Relief, seam: int, xi: Floats, t: Floats, sides: Ints, along: 
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     normal = np.cross(along, across)
     row = relief.seams[seam]
-    inflection = skin - np.array([0.0, 0.0, row[r.S_CHAMFER] * row[r.S_SLOPE]])
+    # A lap has one broken edge, and its step is told by the skin lines alone.
+    drop = 0.0 if row[r.S_LAP] else row[r.S_CHAMFER] * row[r.S_SLOPE]
+    inflection = skin - np.array([0.0, 0.0, drop])
     ideal = skin + np.sum((inflection - skin) * across, axis=1, keepdims=True) * across
     return _Edge(skin, inflection, ideal, normal, across)
 
@@ -242,7 +330,8 @@ def _seam(index: int, seam: Seam, panel: Panel, relief: Relief, rig: Rig, pose: 
     sign = 1.0 if np.median(towards[:, axis]) > 0 else -1.0
     return TrueSeam(
         seam.id, _visible(index, xi, panel, relief, rig, pose).tolist(), uv.tolist(), middle.tolist(),
-        (sign * step).tolist(), width.tolist(), seam.chamfer_mm,
+        (sign * step).tolist(), (width if seam.joint == "butt" else 0.0 * width).tolist(), seam.chamfer_mm,
+        "lap" if seam.joint == "lap" else "sealed" if seam.filled else "butt", seam.edge_radius_mm,
     )  # fmt: skip
 
 

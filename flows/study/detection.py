@@ -9,17 +9,23 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from flows.study.clutter import kinds_table
 from flows.study.conditions import equipment
 from flows.study.coverage import coverage_section
 from flows.study.document import Cell, Column, Section, Table
 from flows.study.series import RigKind, Series
 from flows.study.spec import DetectionSpec
 from flows.study.values import found_rivets, rivet_values
+from simulator.random_clutter import Clutter
 from simulator.random_panel import Variety, random_panel, random_placement
 from simulator.spec import SimulationSpec
 from simulator.truth import TrueRivet
 from storage.archive import Store
 
+_CLUTTER = (
+    "Every panel carries letters, painted rings, stickers, grease pencil, chips and drops, open holes, "
+    "temporary fasteners, recessed heads, dents and scratches. "
+)
 _RIG: RigKind = "calibrated"
 _SKIN_LEVEL = 100.0  # grey level of the skin to which the rings' contrast refers
 
@@ -50,8 +56,12 @@ class Counts:
 
 
 def count(trues: Sequence[TrueRivet], rows: Sequence[dict[str, Any]]) -> Counts:
-    """Match in the left image: a row belongs to a rivet whose centre lies in the inner half of the row's ellipse."""
+    """Match in the left image: a row belongs to a rivet whose centre lies in the inner half of the row's ellipse.
+
+    What a scan lists as unconfirmed is not reported as a rivet.
+    """
     visible = np.array([true.visible for true in trues], bool)
+    rows = [row for row in rows if row.get("decision") != "unconfirmed"]
     if not (trues and rows):
         return Counts(int(visible.sum()), 0, len(rows), 0)
     at = np.array([(row["u_px"], row["v_px"]) for row in rows])
@@ -65,6 +75,7 @@ class Detection:
 
     def __init__(self, asked: DetectionSpec, simulation: SimulationSpec) -> None:
         self._levels = asked.ring_levels
+        self._clutter = asked.clutter
         self.series = tuple(
             Series(f"CONTRAST-{level:g}-{number + 1}", _simulation(asked, simulation, level, number), (_RIG,))
             for level in asked.ring_levels
@@ -103,11 +114,13 @@ class Detection:
             f"Simulated: {panels} random panels of each contrast, one scan of each, inspected with the calibrated rig: "
             "heads of 4 to 12 mm with partly filled rings, slots, scratches, stickers and smudges, on skins of 0.9 m "
             f"radius and more, tilted up to 10°. {equipment(self.series[0].simulation)}",
+            f"{_CLUTTER if self._clutter else ''}"
             "Contrast: how much darker a ring's middle is in the image than a skin of "
             f"{_SKIN_LEVEL:.0f} grey levels. A ring of the first contrast is hardly above the skin's own grain.",
         )
+        tables = (Table("detection", "Rivets", columns, rows), kinds_table(store, self.series, _RIG))
         return [
-            Section("Detection against contrast", text, (Table("detection", "Rivets", columns, rows),), (figure,)),
+            Section("Detection against contrast", text, tables, (figure,)),
             coverage_section(values, "random panels"),
         ]
 
@@ -117,6 +130,7 @@ def _simulation(asked: DetectionSpec, simulation: SimulationSpec, level: float, 
     rng = np.random.default_rng([asked.seed, number])
     placement = random_placement(rng)
     variety = Variety(ring_levels=(level, level), skin_level=_SKIN_LEVEL, reflectance=(0.6, 0.6))
-    panel = random_panel(rng, variety, blur_px=simulation.camera.blur_px)
+    clutter = Clutter() if asked.clutter else None
+    panel = random_panel(rng, variety, blur_px=simulation.camera.blur_px, clutter=clutter)
     scene = replace(simulation.scene, panel=f"RANDOM-{number + 1}")
     return replace(simulation, panel=panel, placements=(placement,), scene=scene, repeats=1, seed=asked.seed + number)

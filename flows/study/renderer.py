@@ -40,7 +40,7 @@ class Renderer:
             self._stage = (view, set_up(simulation, rig, simulation.placements[placement]))
         shown = (view, simulation.fringe, simulation.projector, simulation.disturbances)
         # Only a shaking projector makes a difference between repeats before the sensor.
-        if self._light is None or self._light[0] != shown or simulation.disturbances.vibration_px:
+        if self._light is None or self._light[0] != shown or simulation.disturbances.shaken:
             self._light = (shown, fringe_light(simulation, self._stage[1], rng))
         return self._light[1]
 

@@ -104,12 +104,15 @@ class DetectionSpec:
     panels : int
         Panels of each contrast.
     seed : int
+    clutter : bool
+        Add what a hall adds: letters, marks, chips, open holes, temporary fasteners, recesses, dents and scratches.
     """
 
     simulation: str = "skin"
     ring_levels: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
     panels: int = 2
     seed: int = 1
+    clutter: bool = False
 
     def __post_init__(self) -> None:
         _at_least(1, "panels", self.panels)
