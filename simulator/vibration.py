@@ -44,7 +44,8 @@ def sway_of(rig: Rig, side: str, pose: Pose, axis: str) -> Sway:
     view /= np.linalg.norm(view)
     # A pixel sees the skin farther along its ray by the motion along the normal.
     along = view / (view @ normal)
-    run = (rig.projector.project(aim + h * along) - rig.projector.project(aim - h * along)) / (2 * h)
+    projector = rig.with_projector()
+    run = (projector.project(aim + h * along) - projector.project(aim - h * along)) / (2 * h)
     column = float(run[0 if axis == "x" else 1])
     return Sway(np.array([0.0, 0.0, column]), image)
 
