@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrology.results import Rivet, SeamStation
+from metrology.results import Decision, Rivet, SeamStation
 
 # A head's height or the height of its rim known to no better than a tenth of its diameter (half a millimetre for the
 # usual ones, several times any limit) says nothing about flushness.
@@ -53,13 +53,25 @@ def plausible_station(station: SeamStation) -> SeamStation:
 def without_height(rivet: Rivet, reason: str) -> Rivet:
     """A rivet without its height in any form."""
     bare = replace(rivet, height_mean_mm=None, height_min_mm=None, height_max_mm=None, height_u95_mm=None)
-    return replace(bare, crown_mm=None, decision="not measured", reason=_with(rivet.reason, reason))
+    return replace(bare, crown_mm=None, decision=_unmeasured(rivet), reason=_with(rivet.reason, reason))
 
 
 def without_tilt(rivet: Rivet, reason: str) -> Rivet:
     """A rivet without its tilt, nor the least and greatest height that follow from it."""
     bare = replace(rivet, tilt_deg=None, tilt_u95_deg=None, height_min_mm=None, height_max_mm=None)
-    return replace(bare, decision="not measured", reason=_with(rivet.reason, reason))
+    return replace(bare, decision=_unmeasured(rivet), reason=_with(rivet.reason, reason))
+
+
+def unjudged(rivet: Rivet) -> Rivet:
+    """What may be no fastener, with its place and size alone: it has no flushness until a person confirms it."""
+    bare = replace(rivet, height_mean_mm=None, height_min_mm=None, height_max_mm=None, height_u95_mm=None)
+    bare = replace(bare, tilt_deg=None, tilt_u95_deg=None, crown_mm=None)
+    return replace(bare, severity=None, decision="unconfirmed")
+
+
+def _unmeasured(rivet: Rivet) -> Decision:
+    """Doubt about what something is outlives what was measured of it."""
+    return "unconfirmed" if rivet.decision == "unconfirmed" else "not measured"
 
 
 def without_step(station: SeamStation, reason: str) -> SeamStation:

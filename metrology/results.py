@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Severity = Literal["green", "blue", "red"]
-Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "no limit"]
+Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "unconfirmed", "no limit"]
+FoundBy = Literal["image", "relief"]
 
 # From a standard deviation to U95: two-sided 95 % of a normal distribution.
 COVERAGE_95 = 1.96
@@ -40,6 +41,10 @@ class RivetDetection:
         Where the right camera sees the head's centre.
     rim_sigma_px : float or None
         Half-width of the rim's image (standard deviation of gap and blur together).
+    doubt : str or None
+        Why it may be no fastener; None where it is one.
+    found_by : "image" or "relief"
+        What showed it: the ring in the image, or the deviation of the cloud from the skin.
     """
 
     u_px: float
@@ -52,6 +57,8 @@ class RivetDetection:
     u_right_px: float | None = None
     v_right_px: float | None = None
     rim_sigma_px: float | None = None
+    doubt: str | None = None
+    found_by: FoundBy = "image"
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,7 @@ class Rivet:
     zone: str | None = None
     diameter_u95_mm: float | None = None
     diameter_nominal_mm: float | None = None
+    found_by: FoundBy | None = None
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ beyond the serious limits. The decision also looks at the value's expanded uncer
     conditional fail   outside, but by no more than U95
     fail               outside by more than U95
 
+What was found and may be no fastener is unconfirmed: it is judged by nobody but a person.
 What was not measured is its own state and never a pass; what has no limit is judged neither way. A value whose U95 is
 wider than the range that its limits leave cannot be judged by them and counts as not measured.
 
@@ -22,7 +23,7 @@ from dataclasses import dataclass, replace
 
 from metrology.fastener import size_said, size_verdict
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
-from metrology.plausibility import without_height, without_step, without_tilt, without_width
+from metrology.plausibility import unjudged, without_height, without_step, without_tilt, without_width
 from metrology.requirements import Requirement, downstream_of, limit_of, rivet_requirements, station_requirements
 from metrology.results import Decision, Rivet, SeamStation, Severity
 from metrology.verdicts import DECISIONS, SEVERITIES
@@ -106,6 +107,9 @@ def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
     """The rivets with severity, decision and the reason for anything short of a pass."""
     judged = []
     for measured in rivets:
+        if measured.decision == "unconfirmed":
+            judged.append(unjudged(measured))
+            continue
         rivet = _judgeable_rivet(measured, spec.zone(measured.zone))
         parts = [_judge_size(rivet), *(_judge(required) for required in rivet_requirements(rivet, spec))]
         verdict = _gravest(parts, rivet.reason)

@@ -134,7 +134,7 @@ def register(
         tuple(relabel_stations(stations, known, reconstruction, layout.seams, settings.gap_mm)),
         matched=tuple(rivet.rivet_id for rivet in known.rivets.values()),
         missing=tuple(rivet.rivet_id for rivet in known.missing),
-        unlisted=tuple(rivet.rivet_id for rivet in named if rivet.rivet_id not in listed),
+        unlisted=tuple(r.rivet_id for r in named if r.rivet_id not in listed and r.decision != "unconfirmed"),
         rms_mm=float(np.sqrt((distances**2).mean())) if len(distances) else None,
         shift_mm=shift,
         turn_deg=turn_deg,

@@ -7,17 +7,16 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection
+from metrology.rivets.confirm import confirm_rings, steps_up
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import circle_shapes, nearby_plane
-from metrology.rivets.relief import HeadRelief, PlainHead, head_relief, plain_heads, relief_map
+from metrology.rivets.relief import PlainHead, plain_heads, relief_map
+from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
 
 Array = NDArray[np.float64]
-
-_SURROUNDED = 0.9  # of the pixels round a weak ring must have points
-_LEAST_STEP = 0.6  # of a head's height in the height map, between the points inside and outside its border
 
 
 def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None = None) -> list[RivetDetection]:
@@ -29,7 +28,7 @@ def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None
     Returns
     -------
     list of RivetDetection
-        In reading order: rows from the top, each from the left.
+        In reading order: rows from the top, each from the left. What may be no rivet has a doubt.
     """
     settings = settings or RivetSettings()
     shapes, scale = circle_shapes(reconstruction)
@@ -40,34 +39,14 @@ def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None
     least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
     most = 0.5 * settings.max_diameter_mm * scale.max()
     rings = detect_ellipses(texture, settings, shapes, (least, most))
-    rings = [r for r in rings if _borne_out(r, head_relief(reconstruction, r.ellipse), settings)]
-    found = [_detection(ring, reconstruction) for ring in rings]
+    confirmed = confirm_rings(rings, reconstruction, settings)
+    found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
     if settings.plain_heads:
         heads = plain_heads(reconstruction, relief_map(reconstruction, most), shapes, (least, most))
-        free = [h for h in heads if not any(_overlap(h.ellipse, r.ellipse) for r in rings)]
-        free = [h for h in free if _steps_up(h, reconstruction)]
+        free = [h for h in heads if not any(_overlap(h.ellipse, c.ring.ellipse) for c in confirmed)]
+        free = [h for h in free if steps_up(h.height_mm, rim_step(reconstruction, h.ellipse))]
         found += [_plain_detection(head, reconstruction) for head in free]
     return _in_reading_order(found)
-
-
-def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
-    """Whether ring and cloud together make a rivet.
-
-    A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain
-    needs a step in height to be believed, and skin all round: beside the panel's border there are other steps.
-    """
-    if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
-        return False
-    if ring.quality >= settings.sure_quality:
-        return True
-    on_skin = relief.outer_share > _SURROUNDED and abs(relief.step_mm) < settings.max_sunk_mm
-    return on_skin and relief.significance >= settings.sure_relief
-
-
-def _steps_up(head: PlainHead, reconstruction: Reconstruction) -> bool:
-    """Whether the points beside the disc bear its height out: waves of the skin do not step at its border."""
-    step = head_relief(reconstruction, head.ellipse).step_mm
-    return bool(step * np.sign(head.height_mm) > _LEAST_STEP * abs(head.height_mm))
 
 
 def _overlap(one: Ellipse, other: Ellipse) -> bool:
@@ -92,7 +71,7 @@ def reading_order(detections: list[RivetDetection]) -> list[int]:
     return [i for row in rows for i in sorted(row, key=lambda i: (detections[i].u_px, detections[i].v_px))]
 
 
-def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
+def _detection(ring: Ring, reconstruction: Reconstruction, doubt: str | None = None) -> RivetDetection:
     e = ring.ellipse
     right = _in_right_camera(e, reconstruction)
     return RivetDetection(
@@ -106,6 +85,7 @@ def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
         u_right_px=right[0] if right else None,
         v_right_px=right[1] if right else None,
         rim_sigma_px=ring.fit.sigma_px,
+        doubt=doubt,
     )
 
 
@@ -124,6 +104,7 @@ def _plain_detection(head: PlainHead, reconstruction: Reconstruction) -> RivetDe
         covariance=np.diag([place, place, 4 * place, 4 * place, 100.0]),
         u_right_px=right[0] if right else None,
         v_right_px=right[1] if right else None,
+        found_by="relief",
     )
 
 

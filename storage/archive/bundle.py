@@ -216,6 +216,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
     sigma = result.reconstruction.sigma_z[valid]
     spec, registration = result.panel_spec, result.registration
     missing, unlisted = registration.get("missing", ()), registration.get("unlisted", ())
+    confirmed = [rivet for rivet in result.rivets if rivet.decision != "unconfirmed"]
     return {
         "run_id": run_id,
         "rig_id": result.reconstruction.rig.id,
@@ -236,7 +237,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "epipolar_rms_px": result.epipolar_rms_px,
         "projector_rms_px": result.projector_rms_px,
         "rig_verdict": result.rig_verdict,
-        "n_rivets": len(result.rivets) - len(missing),
+        "n_rivets": len(confirmed) - len(missing),
         "n_seams": len({station.seam_id for station in result.stations}),
         "n_stations": len(result.stations),
         "registration": registration.get("status"),

@@ -116,7 +116,7 @@ sigma_z_median_mm DOUBLE median standard deviation of a point's depth, mm
 epipolar_rms_px DOUBLE how far features seen by both cameras lie from their epipolar lines, RMS px; NULL where unknown
 projector_rms_px DOUBLE how far decoded projector coordinates lie from where the rig projects their points, RMS px
 rig_verdict VARCHAR whether the rig fits the scan: ok, warning, or unjudged (the scan cannot tell); NULL in older runs
-n_rivets INTEGER rivets found
+n_rivets INTEGER rivets found, without unconfirmed ones
 n_seams INTEGER seams found
 n_stations INTEGER positions measured along seams
 registration VARCHAR whether the panel's pattern was recognised, not recognised, enrolled by this scene or not enrolled
@@ -154,6 +154,7 @@ major_px DOUBLE major axis (whole length) of the head's ellipse in the left imag
 minor_px DOUBLE minor axis (whole length) of the head's ellipse in the left image, px
 angle_deg DOUBLE direction of the major axis from +u towards +v, degrees
 confidence DOUBLE of the detection, 0 to 1
+found_by VARCHAR what showed it: image (its ring) or relief (the cloud's deviation from the skin); NULL in older runs
 height_mean_mm DOUBLE mean height of the head above the skin, mm; positive stands proud
 height_min_mm DOUBLE least height of the head above the skin, mm
 height_max_mm DOUBLE greatest height of the head above the skin, mm
@@ -172,7 +173,7 @@ y_panel_mm DOUBLE the same point in the panel's frame, mm
 z_panel_mm DOUBLE the same point in the panel's frame, mm
 zone VARCHAR tolerance zone of the panel specification
 severity VARCHAR green meets the limits, blue slightly outside, red seriously outside
-decision VARCHAR pass, conditional pass, conditional fail, fail, not measured, no limit
+decision VARCHAR pass, conditional pass, conditional fail, fail, not measured, unconfirmed (perhaps no rivet), no limit
 reason VARCHAR why there is no value, or why the decision is not a pass
 """),
 )
