@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from metrology.cloud import DecodedView, PixelFlag, Reconstruction
 from metrology.fits import FittedRivet, FittedStation, HeadFit, SectionFit, SkinLine
 from metrology.inspection import InspectionResult
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.overlay import draw_overlay
 from metrology.results import Rivet, SceneKey, SeamStation
 from metrology.rig import Device, Rig
 from metrology.rivets.flushness import mean_height
 from metrology.seams.gap import GapEdge, gap_width, step_height
 from metrology.surfaces import Frame, monomials
-from metrology.tolerance import judge_rivets, judge_stations
+from metrology.tolerance import judge
 from storage.panel_spec import load_panel_spec
 from storage.rig import rig_document
 
@@ -100,15 +101,16 @@ def synthetic_result(recipe: Recipe) -> InspectionResult:
     heads = _heads(recipe)
     reconstruction, preview = _cloud(rig, recipe, heads, rng)
     spec = load_panel_spec()
-    rivets = judge_rivets(_rivets(rig, recipe, heads, rng), spec.limits)
-    stations = judge_stations(_stations(rig, recipe, rng), spec.limits)
+    features = {
+        RIVET.name: tuple(judge(RIVET, _rivets(rig, recipe, heads, rng), spec.limits)),
+        SEAM_STATION.name: tuple(judge(SEAM_STATION, _stations(rig, recipe, rng), spec.limits)),
+    }
     title = (f"{recipe.key.panel} {recipe.key.station}", f"{recipe.key.captured_at:%Y-%m-%d %H:%M}")
     return InspectionResult(
         key=recipe.key,
         reconstruction=reconstruction,
-        rivets=tuple(rivets),
-        stations=tuple(stations),
-        overlay=draw_overlay(rivets, stations, reconstruction, title),
+        features=features,
+        overlay=draw_overlay(features, reconstruction, title),
         preview=preview,
         rig_document=rig_document(rig),
         settings={"rivets": {"reference": "quadric"}},

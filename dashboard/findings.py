@@ -10,9 +10,10 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.palette import OPEN_DECISIONS
+from metrology.kinds import BY_NAME, KINDS
 from storage.archive.views import RANK_SQL
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, findings_sql
-from storage.review import Feature, FeatureKind
+from storage.review import Feature
 
 MOST_ROWS = 500
 LAST_NIGHT, LAST_WEEK = "last night", "last 7 days"
@@ -79,13 +80,14 @@ class Wanted:
     Attributes
     ----------
     decisions : tuple of str
-    kinds : tuple of "rivet", "seam station"
+    kinds : tuple of str
+        Their names.
     state : "open", "open work", "decided" or "all"
         Open: waiting for a decision, or with open work.
     """
 
     decisions: tuple[str, ...] = OPEN_DECISIONS
-    kinds: tuple[FeatureKind, ...] = ("rivet", "seam station")
+    kinds: tuple[str, ...] = tuple(BY_NAME)
     state: str = "open"
     selection: Selection = field(default_factory=Selection)
 
@@ -112,7 +114,7 @@ def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
     verdict = f"decision IN ({', '.join('?' * len(decisions))})"
     # Open work is listed whatever a later run of its scan says, unless verdicts are chosen.
     worked, worked_decisions = ("true", list[str]()) if set(decisions) == set(OPEN_DECISIONS) else (verdict, decisions)
-    sql = findings_sql(wanted.kinds, verdict, worked, near, scenes)
+    sql = findings_sql([BY_NAME[name] for name in wanted.kinds], verdict, worked, near, scenes)
     states = {OPEN: UNRESOLVED, ALL: ()}.get(wanted.state, (wanted.state,))
     condition = f"WHERE state IN ({', '.join('?' * len(states))})" if states else ""
     of_kind = [*decisions, *near_selected, *near_selected, *worked_decisions, *decisions]
@@ -126,12 +128,11 @@ def feature_of(row: Any) -> Feature:
 
 def feature_parameter(feature: Feature) -> str:
     """A feature as the URL has it."""
-    return f"{'rivet' if feature.kind == 'rivet' else 'station'}:{feature.id}"
+    return f"{BY_NAME[feature.kind].parameter}:{feature.id}"
 
 
 def feature_from_parameter(text: str | None) -> Feature | None:
     """The feature that a URL names; None where it names none."""
-    kind, _, name = (text or "").partition(":")
-    if not name:
-        return None
-    return {"rivet": Feature("rivet", name), "station": Feature("seam station", name)}.get(kind)
+    parameter, _, name = (text or "").partition(":")
+    kind = next((kind for kind in KINDS if kind.parameter == parameter), None)
+    return Feature(kind.name, name) if kind and name else None

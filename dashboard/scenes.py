@@ -8,12 +8,13 @@ import numpy as np
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
-from metrology.requirements import Requirement, rivet_requirements, station_requirements
-from metrology.results import Rivet, SeamStation
+from metrology.kinds import BY_NAME, KINDS
+from metrology.requirements import Requirement
+from metrology.requirements import requirements as what_is_required
+from metrology.tolerance import PanelSpec
 from metrology.verdicts import OPEN, gravity
 from storage.archive.rows import result_of
-from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, Table
-from storage.archive.work import STATION_ID
+from storage.archive.schema import OF_KIND, SCENES, Table
 from storage.review import Feature
 
 
@@ -24,45 +25,47 @@ def load_scene_row(archive: Archive, scene_id: str) -> Any | None:
 
 
 def load_features(archive: Archive, scene: Any) -> SceneFeatures:
-    """Rivets and seam stations of a row of `scenes`."""
+    """What was found on a row of `scenes`."""
     # The time adds nothing but speed: rows lie about in its order, so most of a table need not be looked at.
-    this, key = "captured_at = ? AND scene_id = ?", [scene.captured_at.to_pydatetime(), str(scene.scene_id)]
-    rivets = archive.rows(f"SELECT {_names(RIVETS)} FROM rivets WHERE {this} ORDER BY rivet_id", key)
-    stations = archive.rows(
-        f"SELECT {_names(SEAM_STATIONS)}, {STATION_ID} AS feature_id FROM seam_stations WHERE {this} "
-        "ORDER BY seam_id, s_mm",
-        key,
-    )
+    key = [scene.captured_at.to_pydatetime(), str(scene.scene_id)]
+    found = {
+        kind.name: archive.rows(
+            f"SELECT {_names(OF_KIND[kind.name])}, {kind.id_sql} AS feature_id FROM {kind.table} "
+            f"WHERE captured_at = ? AND scene_id = ? ORDER BY {', '.join(kind.id_columns)}",
+            key,
+        )
+        for kind in KINDS
+    }
     # What is not finite is not a measurement.
-    return SceneFeatures(*(rows.replace([np.inf, -np.inf], np.nan) for rows in (rivets, stations)))
+    return {name: rows.replace([np.inf, -np.inf], np.nan) for name, rows in found.items()}
 
 
 def worst_feature(features: SceneFeatures) -> Feature | None:
-    """What to look at first: the gravest finding, else the first rivet or station."""
+    """What to look at first: the gravest finding, else the first feature."""
     candidates = [
-        (_grave(row.decision), -_size(row.height_mean_mm), Feature("rivet", str(row.rivet_id)))
-        for row in features.rivets.itertuples()
-    ] + [
-        (_grave(row.decision), -_size(row.step_mm), Feature("seam station", str(row.feature_id)))
-        for row in features.stations.itertuples()
+        (_grave(row.decision), -_size(getattr(row, kind.quantities[0].column)), Feature(kind.name, str(row.feature_id)))
+        for kind in KINDS
+        for row in features[kind.name].itertuples()
     ]
     return min(candidates, key=lambda entry: entry[:2])[2] if candidates else None
 
 
 def find_feature(features: SceneFeatures, feature: Feature) -> Any | None:
     """The row that a feature names; None where the scene has none."""
-    rows, name = (features.rivets, "rivet_id") if feature.kind == "rivet" else (features.stations, "feature_id")
-    return next(rows[rows[name] == feature.id].itertuples(), None)
+    rows = features[feature.kind]
+    return next(rows[rows["feature_id"] == feature.id].itertuples(), None)
 
 
 def requirements(archive: Archive, bundle: object, chosen: Feature, row: Any) -> list[Requirement] | None:
     """What a feature's row must meet, by the specification that judged it; None where that cannot be read."""
     spec = archive.specification(bundle)
-    if spec is None:
-        return None
-    if chosen.kind == "rivet":
-        return rivet_requirements(result_of(Rivet, row._asdict()), spec)
-    return station_requirements(result_of(SeamStation, row._asdict()), spec)
+    return None if spec is None else required_by(chosen, row, spec)
+
+
+def required_by(chosen: Feature, row: Any, spec: PanelSpec) -> list[Requirement]:
+    """What a feature's row must meet by a specification."""
+    kind = BY_NAME[chosen.kind]
+    return what_is_required(kind, result_of(kind.row_type, row._asdict()), spec)
 
 
 def _names(table: Table) -> str:

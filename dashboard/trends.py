@@ -12,7 +12,9 @@ import pandas as pd
 from dashboard.data import Archive
 from dashboard.findings import Selection
 from dashboard.standard import PLAIN, SIGNS, LimitGroup, Standard
+from metrology import kinds
 from metrology.errors import FlushlineError
+from metrology.kinds import KINDS, RIVET, Kind
 from metrology.requirements import limit_of
 from metrology.statistics import Capability, capability, capability_from_moments, pooled_sigma
 from metrology.tolerance import Limit, PanelSpec
@@ -23,13 +25,22 @@ _BINS = 60
 
 @dataclass(frozen=True)
 class Quantity:
-    """A measured quantity: its table and column, its unit and the name of its limit."""
+    """A measured quantity of a kind, with the title and unit that it is charted by."""
 
-    table: str
-    column: str
+    kind: Kind
+    measured_as: kinds.Quantity
     title: str
     unit: str
-    limit: str
+
+    @property
+    def table(self) -> str:
+        """The kind's table."""
+        return self.kind.table
+
+    @property
+    def column(self) -> str:
+        """The value's column."""
+        return self.measured_as.column
 
     @property
     def measured(self) -> str:
@@ -39,11 +50,10 @@ class Quantity:
     @property
     def downstream(self) -> str:
         """SQL for whether side B lies downstream, which tells the limits of a step; 0 where that is nothing to it."""
-        if self.column != "step_mm":
+        as_met = self.measured_as.into_wind
+        if not as_met:
             return "0"
-        return (
-            "CASE WHEN q.step_into_wind_mm IS NULL THEN 0 WHEN q.step_mm * q.step_into_wind_mm < 0 THEN -1 ELSE 1 END"
-        )
+        return f"CASE WHEN q.{as_met} IS NULL THEN 0 WHEN q.{self.column} * q.{as_met} < 0 THEN -1 ELSE 1 END"
 
     def against(self, standard: Standard) -> Quantity:
         """The quantity as a chart names it that holds it against a standard."""
@@ -51,17 +61,17 @@ class Quantity:
 
 
 QUANTITIES = {
-    "height": Quantity("rivets", "height_mean_mm", "Rivet height", "mm", "height_mm"),
-    "tilt": Quantity("rivets", "tilt_deg", "Rivet tilt", "°", "tilt_deg"),
-    "step": Quantity("seam_stations", "step_mm", "Seam step", "mm", "step_mm"),
-    "width": Quantity("seam_stations", "width_mm", "Seam width", "mm", "width_mm"),
+    quantity.name: Quantity(kind, quantity, quantity.title, quantity.unit)
+    for kind in KINDS
+    for quantity in kind.quantities
 }
 FASTENER_TYPE = "fastener type"
+BY_SUBJECT = {kind.subject: kind for kind in KINDS}
+"""The kinds whose values a trend follows name by name."""
 SUBJECTS = {
-    "rivet": ("height", "tilt"),
-    "seam": ("step", "width"),
-    "panel": ("height", "tilt", "step", "width"),
-    FASTENER_TYPE: ("height", "tilt"),
+    **{subject: tuple(quantity.name for quantity in kind.quantities) for subject, kind in BY_SUBJECT.items()},
+    "panel": tuple(QUANTITIES),
+    FASTENER_TYPE: tuple(quantity.name for quantity in RIVET.quantities),
 }
 """What a trend is about, and the quantities that fit."""
 TYPE_SQL = "round(diameter_mm * 2) / 2"
@@ -74,11 +84,12 @@ class Subject:
 
     Attributes
     ----------
-    kind : "rivet", "seam", "panel" or "fastener type"
+    kind : str
+        What a name stands for, "rivet" or "seam"; or "panel", or "fastener type".
     panel, station : str
-        Station only for rivets and seams.
+        Station only for names.
     name : str
-        Rivet or seam; the head's diameter in mm for a type.
+        The name; the head's diameter in mm for a type.
     """
 
     kind: str
@@ -91,16 +102,16 @@ class Subject:
         if self.kind == FASTENER_TYPE:
             return f"{TYPE_SQL} = ?", [_number(self.name)]
         conditions, parameters = ["panel = ?"], list[Any]([self.panel])
-        if self.kind in ("rivet", "seam"):
-            column = "rivet_id" if self.kind == "rivet" else "seam_id"
-            conditions += ["station = ?", f"{column} = ?"]
+        if kind := BY_SUBJECT.get(self.kind):
+            conditions += ["station = ?", f"{kind.id_columns[0]} = ?"]
             parameters += [self.station, self.name]
         return " AND ".join(conditions), parameters
 
     @property
     def averaged(self) -> bool:
         """Whether a point of the series is a mean of many values."""
-        return self.kind != "rivet"
+        kind = BY_SUBJECT.get(self.kind)
+        return kind is None or len(kind.id_columns) > 1
 
 
 def limit_groups(archive: Archive, subject: Subject, quantity: Quantity, selection: Selection) -> list[LimitGroup]:
@@ -109,7 +120,7 @@ def limit_groups(archive: Archive, subject: Subject, quantity: Quantity, selecti
     rows = archive.rows(
         "SELECT config_hash, panel_spec, zone, downstream, max(bundle_path) AS bundle_path, "
         # A step of nothing says nothing of the wind.
-        f"count(*) FILTER ({'v <> 0 OR downstream = 0' if quantity.column == 'step_mm' else 'true'}) AS n "
+        f"count(*) FILTER ({'v <> 0 OR downstream = 0' if quantity.measured_as.into_wind else 'true'}) AS n "
         f"FROM ({values}) WHERE v IS NOT NULL GROUP BY 1, 2, 3, 4 ORDER BY ALL",
         parameters,
     )
@@ -117,8 +128,8 @@ def limit_groups(archive: Archive, subject: Subject, quantity: Quantity, selecti
     for (config, named, zone), part in rows.groupby(["config_hash", "panel_spec", "zone"], sort=False):
         spec = _specification(archive, part["bundle_path"].iloc[0])
         counts = dict(zip(part["downstream"].astype(int), part["n"].astype(int), strict=True))
-        for sign in SIGNS if quantity.column == "step_mm" else (0,):
-            limit = limit_of(spec.zone(str(zone) or None), quantity.limit, sign) if spec else None
+        for sign in SIGNS if quantity.measured_as.into_wind else (0,):
+            limit = limit_of(spec.zone(str(zone) or None), quantity.measured_as, sign) if spec else None
             groups.append(
                 LimitGroup(str(config), str(named), str(zone), counts.get(sign, 0), sign, limit, spec is not None)
             )
@@ -166,7 +177,7 @@ def series(
     rig_id, software_version.
     """
     values, parameters = _values(subject, quantity, selection, standard)
-    by = "scene_id" if subject.kind in ("rivet", "seam") else "aircraft_serial"
+    by = "scene_id" if subject.kind in BY_SUBJECT else "aircraft_serial"
     return archive.rows(
         "SELECT max(taken_at) AS captured_at, avg(v) AS value, count(v) AS n, "
         "var_samp(v) AS variance, any_value(t.aircraft_serial) AS aircraft_serial, max(t.scene_id) AS scene_id, "
@@ -270,9 +281,10 @@ def options(archive: Archive, kind: str, panel: str, station: str) -> Sequence[s
             f"SELECT {TYPE_SQL} AS name FROM rivets WHERE diameter_mm IS NOT NULL GROUP BY 1 ORDER BY 1"
         )
         return [f"{name:g}" for name in rows["name"]]
-    table, column = ("rivets", "rivet_id") if kind == "rivet" else ("seam_stations", "seam_id")
+    named = BY_SUBJECT[kind]
     rows = archive.rows(
-        f"SELECT DISTINCT {column} AS name FROM {table} WHERE panel = ? AND station = ? ORDER BY 1", [panel, station]
+        f"SELECT DISTINCT {named.id_columns[0]} AS name FROM {named.table} WHERE panel = ? AND station = ? ORDER BY 1",
+        [panel, station],
     )
     return [str(name) for name in rows["name"]]
 
@@ -280,10 +292,9 @@ def options(archive: Archive, kind: str, panel: str, station: str) -> Sequence[s
 def failing_panels(archive: Archive, selection: Selection) -> dict[str, int]:
     """Findings outside their limits on the newest scans, by panel."""
     condition, parameters = selection.where()
+    outside = " UNION ALL ".join(f"SELECT scene_id, panel FROM {kind.table} WHERE {OUTSIDE_SQL}" for kind in KINDS)
     rows = archive.rows(
-        "SELECT panel, count(*) AS n FROM ("
-        f"SELECT scene_id, panel FROM rivets WHERE {OUTSIDE_SQL} UNION ALL "
-        f"SELECT scene_id, panel FROM seam_stations WHERE {OUTSIDE_SQL}) "
+        f"SELECT panel, count(*) AS n FROM ({outside}) "
         f"SEMI JOIN (SELECT scene_id FROM latest_scenes WHERE {condition}) USING (scene_id) GROUP BY 1",
         parameters,
     )
@@ -297,7 +308,8 @@ def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selectio
     stations side by side.
     """
     values, parameters = _values(Subject("panel", panel), quantity, selection, standard)
-    name = "rivet_id" if quantity.table == "rivets" else "seam_id || ' @ ' || round(s_mm)::INT"
+    column, *positions = quantity.kind.id_columns
+    name = " || ' @ ' || ".join([column, *(f"round({position})::INT" for position in positions)])
     rows = archive.rows(
         f"SELECT station, {name} AS name, avg(v) AS mean, stddev_samp(v) AS sd, count(v) AS n, "
         f"avg(({OUTSIDE_SQL})::INT) AS outside, "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from rich.table import Table
 from flows.inspect_scene import Inspected, Job, inspect_scene
 from flows.progress import progress_bar
 from flows.simulate import RIG_FILE, simulate_folders
-from metrology.results import Rivet, SeamStation
+from metrology.results import Rivet, SeamStation, of_type
 from simulator.spec import shipped_spec
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
@@ -69,13 +70,14 @@ def run_demo(out: Path, keep: bool) -> int:
 
 def compare(inspected: Inspected, truth: dict[str, Any]) -> list[Pair]:
     """What was found beside the truth of a rendered scene: each rivet's height, each seam's mean step and width."""
+    rivets, stations = of_type(inspected.features, Rivet), of_type(inspected.features, SeamStation)
     return [
-        *(_rivet_pair(true, inspected.rivets) for true in truth["rivets"] if true.get("visible", True)),
-        *(pair for true in truth["seams"] for pair in _seam_pairs(str(true["id"]), true, inspected.stations)),
+        *(_rivet_pair(true, rivets) for true in truth["rivets"] if true.get("visible", True)),
+        *(pair for true in truth["seams"] for pair in _seam_pairs(str(true["id"]), true, stations)),
     ]
 
 
-def _rivet_pair(true: dict[str, Any], rivets: tuple[Rivet, ...]) -> Pair:
+def _rivet_pair(true: dict[str, Any], rivets: Sequence[Rivet]) -> Pair:
     placed = [rivet for rivet in rivets if rivet.x_mm is not None]
     name, height = str(true["id"]), float(true["height_mean_mm"])
     if placed:
@@ -87,7 +89,7 @@ def _rivet_pair(true: dict[str, Any], rivets: tuple[Rivet, ...]) -> Pair:
     return Pair(name, "height", None, height, None, "not found")
 
 
-def _seam_pairs(name: str, true: dict[str, Any], stations: tuple[SeamStation, ...]) -> list[Pair]:
+def _seam_pairs(name: str, true: dict[str, Any], stations: Sequence[SeamStation]) -> list[Pair]:
     """Means over the stations that lie on the seam, against the truth at the same places."""
     course = np.array(true["xyz_mm"])
     rows: dict[str, list[tuple[float, float, float]]] = {"step": [], "width": []}

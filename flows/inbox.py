@@ -20,6 +20,7 @@ from flows.inspect_scene import Job, inspect_scene
 from flows.memory import share_heap
 from flows.workers import ProcessDied, worker_processes
 from metrology.errors import FlushlineError, RigError, SceneError, SpecError, StoreError, UsageError
+from metrology.kinds import KINDS
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.archive.compaction import compact
@@ -145,7 +146,7 @@ def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
         return Outcome(folder, "failed", scene_id, printable(str(problem)))
     except Exception as problem:  # one scene's bug or bad luck must not stop the others
         return Outcome(folder, "failed", scene_id, printable(f"{folder}: found {_in_words(problem)}"))
-    found = f"{len(inspected.rivets)} rivets, {len({s.seam_id for s in inspected.stations})} seams"
+    found = ", ".join(f"{len(kind.names(inspected.features.get(kind.name, ())))} {kind.subject}s" for kind in KINDS)
     return Outcome(folder, "inspected", scene_id, found, time.perf_counter() - start)
 
 

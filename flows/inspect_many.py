@@ -14,7 +14,8 @@ from flows.memory import share_heap
 from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
 from metrology.errors import FlushlineError
-from metrology.results import Rivet, SeamStation
+from metrology.kinds import KINDS, Kind
+from metrology.results import Feature
 from storage.archive import Store
 from storage.documents import printable
 from storage.panel_spec import load_panel_spec
@@ -76,13 +77,9 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
 
 def describe(inspected: Inspected) -> str:
     """A scene's result in a few lines."""
-    rivets, stations = _decisions(inspected.rivets), _decisions(inspected.stations)
-    seams = len({station.seam_id for station in inspected.stations})
-    positions = f" with {counted(len(inspected.stations), 'position')}{stations}" if seams else ""
+    found = [_found(kind, inspected.features.get(kind.name, ())) for kind in KINDS]
     lines = [
-        f"{inspected.key}: {counted(len(inspected.rivets), 'rivet')}{rivets}; "
-        f"{counted(seams, 'seam')}{positions}; "
-        f"{inspected.seconds['total']:.1f} s",
+        f"{inspected.key}: {'; '.join(found)}; {inspected.seconds['total']:.1f} s",
         f"  scene id {inspected.key.scene_id}",
         *(f"  warning: {warning}" for warning in inspected.warnings),
     ]
@@ -130,6 +127,8 @@ def _passes(work: Callable[[], object], job: Job, debug: bool) -> bool:
     return True
 
 
-def _decisions(features: Sequence[Rivet | SeamStation]) -> str:
-    decisions = Counter(feature.decision for feature in features)
-    return f" ({', '.join(f'{n} {decision}' for decision, n in decisions.most_common())})" if decisions else ""
+def _found(kind: Kind, rows: Sequence[Feature]) -> str:
+    """How many there are and how they were judged."""
+    positions = f" with {counted(len(rows), 'position')}" if rows and len(kind.id_columns) > 1 else ""
+    decisions = ", ".join(f"{n} {decision}" for decision, n in Counter(row.decision for row in rows).most_common())
+    return counted(len(kind.names(rows)), kind.subject) + positions + (f" ({decisions})" if decisions else "")

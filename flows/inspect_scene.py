@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from metrology.results import Rivet, SceneKey, SeamStation
+from metrology.kinds import RIVET, SEAM_STATION
+from metrology.results import Features, SceneKey
 from metrology.rig_health import RigHealth
 from storage.archive import Store
 from storage.archive.panels import PatternTaken
@@ -59,8 +60,8 @@ class Inspected:
     ----------
     key : SceneKey
     run_id : str
-    rivets, stations : tuple
-        Judged.
+    features : mapping
+        Judged, by kind.
     warnings : tuple of str
     seconds : mapping
         Wall time of each step, of publishing, and in total.
@@ -68,8 +69,7 @@ class Inspected:
 
     key: SceneKey
     run_id: str
-    rivets: tuple[Rivet, ...]
-    stations: tuple[SeamStation, ...]
+    features: Features
     warnings: tuple[str, ...]
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -126,16 +126,15 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         with timed("measure_seams"):
             stations = call(steps.measure_seams, lines, reconstruction, detections, settings)
         encoded = encoding.result()
+    found: Features = {RIVET.name: rivets, SEAM_STATION.name: stations}
     spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
 
     def conclude() -> Inspected:
         with timed("register"):
             doubts = steps.doubts(reconstruction, health)
-            registered = call(
-                steps.register, rivets, stations, reconstruction, loaded, spec, job.store, settings, doubts
-            )
+            registered = call(steps.register, found, reconstruction, loaded, spec, job.store, settings, doubts)
         with timed("judge"):
-            judged = call(steps.judge, registered.rivets, registered.stations, spec)
+            judged = call(steps.judge, registered.features, spec)
         with timed("overlay"):
             drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
         seconds["total"] = time.perf_counter() - began
@@ -144,7 +143,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         )
         with timed("publish"):
             run_id = call(steps.publish, job.store, result, loaded.rig)
-        return Inspected(result.key, run_id, result.rivets, result.stations, result.warnings, seconds)
+        return Inspected(result.key, run_id, result.features, result.warnings, seconds)
 
     try:
         return conclude()

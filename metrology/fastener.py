@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from metrology.results import Rivet
+from metrology.verdicts import Verdict
 
 SizeVerdict = Literal["right", "doubtful", "wrong"]
 
@@ -40,3 +41,11 @@ def size_said(rivet: Rivet) -> str | None:
         return said
     u95 = "" if rivet.diameter_u95_mm is None else f" (diameter ± {rivet.diameter_u95_mm:.1f} mm)"
     return f"perhaps a {said}{u95}"
+
+
+def size_finding(rivet: Rivet) -> Verdict | None:
+    """The verdict on a head of another size than the pattern's, whatever its height; None where nothing is wrong."""
+    verdict, said = size_verdict(rivet), size_said(rivet)
+    if verdict == "wrong":
+        return Verdict("red", "fail", said)
+    return Verdict("blue", "conditional fail", said) if verdict == "doubtful" else None

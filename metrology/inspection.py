@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from metrology.cloud import Reconstruction
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
-from metrology.results import Rivet, SceneKey, SeamStation
+from metrology.results import Features, SceneKey
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class InspectionResult:
     key : SceneKey
     reconstruction : Reconstruction
         With the rig that was used.
-    rivets, stations : tuple
-        Judged.
+    features : mapping
+        Judged, by kind.
     overlay : Overlay
         What to project.
     preview : (h, w) uint8
@@ -62,8 +62,7 @@ class InspectionResult:
 
     key: SceneKey
     reconstruction: Reconstruction
-    rivets: tuple[Rivet, ...]
-    stations: tuple[SeamStation, ...]
+    features: Features
     overlay: Overlay
     preview: NDArray[np.uint8]
     rig_document: Mapping[str, Any]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 
 from metrology.errors import SpecError
+from metrology.kinds import LIMITS
 from metrology.results import Decision, Severity
 
 
@@ -100,35 +101,8 @@ class Limit:
         return f"{low} … {high}" + (f" ({origin})" if origin else "")
 
 
-@dataclass(frozen=True)
-class Zone:
-    """A tolerance zone of a panel: the limits that hold for the features in it.
-
-    Attributes
-    ----------
-    height_mm, tilt_deg, width_mm : Limit or None
-    step_mm : Limit or None
-        Of the step in either direction.
-    step_into_wind_mm, step_out_of_wind_mm : Limit or None
-        Upper limits of the step's amount where the downstream side stands higher, and where it stands lower.
-    """
-
-    height_mm: Limit | None = None
-    tilt_deg: Limit | None = None
-    step_mm: Limit | None = None
-    width_mm: Limit | None = None
-    step_into_wind_mm: Limit | None = None
-    step_out_of_wind_mm: Limit | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("step_into_wind_mm", "step_out_of_wind_mm"):
-            limit = getattr(self, name)
-            if limit is None:
-                continue
-            if limit.lower is not None or limit.serious_lower is not None or limit.upper is None or limit.upper < 0:
-                raise SpecError(f"{name}: found {limit}, expected an upper limit of the step's amount alone")
-
-
+Zone = Mapping[str, Limit]
+"""A tolerance zone of a panel: limits by their names (`metrology.kinds.LIMITS`) for the features in it."""
 DEFAULT_ZONE = "default"
 
 
@@ -140,9 +114,14 @@ class PanelSpec:
     revision: str
     zones: Mapping[str, Zone] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, limit in (item for zone in self.zones.values() for item in zone.items()):
+            if not LIMITS[name].amount:
+                continue
+            if limit.lower is not None or limit.serious_lower is not None or limit.upper is None or limit.upper < 0:
+                raise SpecError(f"{name}: found {limit}, expected an upper limit of the step's amount alone")
+
     def zone(self, name: str | None = None) -> Zone:
         """The zone of that name; what it leaves open is as in the zone "default"."""
-        default = self.zones.get(DEFAULT_ZONE, Zone())
-        zone = self.zones.get(name or DEFAULT_ZONE, default)
-        given = {f.name: getattr(zone, f.name) for f in fields(Zone) if getattr(zone, f.name) is not None}
-        return replace(default, **given)
+        default = self.zones.get(DEFAULT_ZONE, {})
+        return {**default, **self.zones.get(name or DEFAULT_ZONE, {})}

@@ -8,10 +8,14 @@ limits' part is in `metrology.tolerance`.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
-from metrology.results import Decision, Rivet, SeamStation
+from metrology.kinds import RIVET, SEAM_STATION, Kind, Quantity
+from metrology.results import Feature, Rivet, SeamStation
+
+Row = TypeVar("Row", bound=Feature)
 
 # A head's height or the height of its rim known to no better than a tenth of its diameter (half a millimetre for the
 # usual ones, several times any limit) says nothing about flushness.
@@ -24,6 +28,8 @@ _MOST_TILT_DEG = 45.0
 _SEAM_U95_MM = 1.0
 _MOST_STEP_MM = 20.0
 _MOST_WIDTH_MM = 50.0
+_HEIGHT, _TILT = RIVET.quantities
+_STEP, _WIDTH = SEAM_STATION.quantities
 
 
 def plausible_rivet(rivet: Rivet) -> Rivet:
@@ -35,55 +41,34 @@ def plausible_rivet(rivet: Rivet) -> Rivet:
         return rivet
     widest, most = _SHARE_OF_HEAD * rivet.diameter_mm, _MOST_HEIGHT * rivet.diameter_mm
     if problem := _problem("height", "mm", rivet.height_mean_mm, rivet.height_u95_mm, widest, most):
-        bare = without_height(without_tilt(rivet, problem), problem)
+        bare = without(without(rivet, _TILT, problem), _HEIGHT, problem)
         return replace(bare, x_mm=None, y_mm=None, z_mm=None, diameter_mm=None, rms_inner_mm=None)
     problem = _problem("tilt", "°", rivet.tilt_deg, rivet.tilt_u95_deg, _TILT_U95_DEG, _MOST_TILT_DEG)
-    return without_tilt(rivet, problem) if problem else rivet
+    return without(rivet, _TILT, problem) if problem else rivet
 
 
 def plausible_station(station: SeamStation) -> SeamStation:
     """The seam station without the values that are no results."""
     if problem := _problem("step", "mm", station.step_mm, station.step_u95_mm, _SEAM_U95_MM, _MOST_STEP_MM):
-        station = without_step(station, problem)
+        station = without(station, _STEP, problem)
     if problem := _problem("width", "mm", station.width_mm, station.width_u95_mm, _SEAM_U95_MM, _MOST_WIDTH_MM):
-        station = without_width(station, problem)
+        station = without(station, _WIDTH, problem)
     return station
 
 
-def without_height(rivet: Rivet, reason: str) -> Rivet:
-    """A rivet without its height in any form."""
-    bare = replace(rivet, height_mean_mm=None, height_min_mm=None, height_max_mm=None, height_u95_mm=None)
-    return replace(bare, crown_mm=None, decision=_unmeasured(rivet), reason=_with(rivet.reason, reason))
+def without(row: Row, quantity: Quantity, reason: str) -> Row:
+    """A feature without a quantity, nor what rests on it."""
+    nothing: dict[str, Any] = dict.fromkeys((quantity.column, quantity.u95_column, *quantity.rests_on_it))
+    # Doubt about what something is outlives what was measured of it.
+    decision = "unconfirmed" if row.decision == "unconfirmed" else "not measured"
+    return replace(row, **nothing, decision=decision, reason=_with(row.reason, reason))
 
 
-def without_tilt(rivet: Rivet, reason: str) -> Rivet:
-    """A rivet without its tilt, nor the least and greatest height that follow from it."""
-    bare = replace(rivet, tilt_deg=None, tilt_u95_deg=None, height_min_mm=None, height_max_mm=None)
-    return replace(bare, decision=_unmeasured(rivet), reason=_with(rivet.reason, reason))
-
-
-def unjudged(rivet: Rivet) -> Rivet:
-    """What may be no fastener, with its place and size alone: it has no flushness until a person confirms it."""
-    bare = replace(rivet, height_mean_mm=None, height_min_mm=None, height_max_mm=None, height_u95_mm=None)
-    bare = replace(bare, tilt_deg=None, tilt_u95_deg=None, crown_mm=None)
-    return replace(bare, severity=None, decision="unconfirmed")
-
-
-def _unmeasured(rivet: Rivet) -> Decision:
-    """Doubt about what something is outlives what was measured of it."""
-    return "unconfirmed" if rivet.decision == "unconfirmed" else "not measured"
-
-
-def without_step(station: SeamStation, reason: str) -> SeamStation:
-    """A seam station without its step."""
-    bare = replace(station, step_mm=None, step_u95_mm=None, step_into_wind_mm=None)
-    return replace(bare, decision="not measured", reason=_with(station.reason, reason))
-
-
-def without_width(station: SeamStation, reason: str) -> SeamStation:
-    """A seam station without its width."""
-    bare = replace(station, width_mm=None, width_u95_mm=None)
-    return replace(bare, decision="not measured", reason=_with(station.reason, reason))
+def unjudged(kind: Kind, row: Row) -> Row:
+    """What may be no feature of the kind, with its place and size alone: the rest waits until a person confirms it."""
+    names = [(q.column, q.u95_column, *q.rests_on_it) for q in kind.quantities]
+    nothing: dict[str, Any] = dict.fromkeys(name for group in names for name in group)
+    return replace(row, **nothing, severity=None)
 
 
 def _problem(name: str, unit: str, value: float | None, u95: float | None, widest: float, most: float) -> str | None:

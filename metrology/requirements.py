@@ -6,11 +6,13 @@ air's direction across the seam is not known, the step must meet both.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+from metrology.kinds import Kind, Quantity
 from metrology.limits import Limit, PanelSpec, Zone
-from metrology.results import Rivet, SeamStation
+from metrology.results import Feature
 
 Downstream = Literal[-1, 0, 1]
 """Whether a seam's side B lies downstream of side A (1), upstream (−1), or that is not known (0)."""
@@ -37,54 +39,55 @@ class Requirement:
     limit: Limit | None
 
 
-def rivet_requirements(rivet: Rivet, spec: PanelSpec) -> list[Requirement]:
-    """What a rivet must meet."""
-    zone = spec.zone(rivet.zone)
-    return [
-        Requirement("height", "mm", rivet.height_mean_mm, rivet.height_u95_mm, zone.height_mm),
-        Requirement("tilt", "°", rivet.tilt_deg, rivet.tilt_u95_deg, zone.tilt_deg),
-    ]
+def requirements(kind: Kind, row: Feature, spec: PanelSpec) -> list[Requirement]:
+    """What a feature must meet."""
+    zone = spec.zone(row.zone)
+    return [required for quantity in kind.quantities for required in _of_quantity(quantity, row, zone)]
 
 
-def station_requirements(station: SeamStation, spec: PanelSpec) -> list[Requirement]:
-    """What a place along a seam must meet."""
-    zone, u95 = spec.zone(station.zone), station.step_u95_mm
-    into, out = zone.step_into_wind_mm, zone.step_out_of_wind_mm
-    required = []
-    if zone.step_mm is not None or (into is None and out is None):
-        required.append(Requirement("step", "mm", station.step_mm, u95, zone.step_mm))
-    if station.step_into_wind_mm is not None:
-        if limit := _either_way(out, into):
-            required.append(Requirement("step into the wind", "mm", station.step_into_wind_mm, u95, limit))
-    else:
-        amount = None if station.step_mm is None else abs(station.step_mm)
-        required += [
-            Requirement("step (wind direction unknown)", "mm", amount, u95, limit) for limit in (into, out) if limit
-        ]
-    return [*required, Requirement("width", "mm", station.width_mm, station.width_u95_mm, zone.width_mm)]
+def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requirement]:
+    value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
+    limit, *by_wind = (zone.get(limit.name) for limit in quantity.limits)
+    own = Requirement(quantity.name, quantity.unit, value, u95, limit)
+    if not any(by_wind):
+        return [own]
+    into, out = by_wind
+    required = [own] if limit else []
+    as_met = getattr(row, quantity.into_wind)
+    if as_met is not None:
+        name, both = f"{quantity.name} into the wind", _either_way(out, into)
+        return [*required, Requirement(name, quantity.unit, as_met, u95, both)]
+    name, amount = f"{quantity.name} (wind direction unknown)", None if value is None else abs(value)
+    return required + [Requirement(name, quantity.unit, amount, u95, each) for each in (into, out) if each]
 
 
-def downstream_of(station: SeamStation) -> Downstream:
-    """On which side of a seam station the air arrives, as its two steps say."""
-    if station.step_mm is None or station.step_into_wind_mm is None:
+def downstream_of(quantity: Quantity, row: Feature | Mapping[str, Any]) -> Downstream:
+    """On which side of a seam the air arrives, as the value and the value as the air meets it say."""
+    value, as_met = (_value(row, name) if name else None for name in (quantity.column, quantity.into_wind))
+    if value is None or as_met is None:
         return 0
-    return 1 if station.step_mm * station.step_into_wind_mm >= 0 else -1
+    return 1 if value * as_met >= 0 else -1
 
 
-def limit_of(zone: Zone, quantity: str, downstream: Downstream = 0) -> Limit | None:
+def _value(row: Feature | Mapping[str, Any], name: str) -> float | None:
+    value: float | None = row[name] if isinstance(row, Mapping) else getattr(row, name)
+    return None if value is None or value != value else value
+
+
+def limit_of(zone: Zone, quantity: Quantity, downstream: Downstream = 0) -> Limit | None:
     """Everything that a zone asks of a quantity, as one limit of its signed value.
 
     Parameters
     ----------
     zone : Zone
-    quantity : str
-        A field of `Zone`; of "step_mm" the limits by wind are part, and the value is side B above side A.
+    quantity : Quantity
+        Where limits by the wind are part of it, the value is side B above side A.
     downstream : −1, 0 or 1
     """
-    limit: Limit | None = getattr(zone, quantity)
-    if quantity != "step_mm":
+    limit, *by_wind = (zone.get(limit.name) for limit in quantity.limits)
+    if not any(by_wind):
         return limit
-    into, out = zone.step_into_wind_mm, zone.step_out_of_wind_mm
+    into, out = by_wind
     ways = {1: [(out, into)], -1: [(into, out)], 0: [(into, into), (out, out)]}[downstream]
     for way in ways:
         limit = _both(limit, _either_way(*way))

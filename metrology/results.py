@@ -1,4 +1,4 @@
-"""What an inspection finds, as it is stored: one frozen dataclass per table row (docs/formats.md names the columns).
+"""What an inspection finds, as it is stored: one frozen dataclass per table row; its fields say what the columns mean.
 
 Angles in degrees, lengths in mm, pixels of the raw left image. A value that could not be measured is None and `reason`
 says why.
@@ -6,9 +6,10 @@ says why.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 Severity = Literal["green", "blue", "red"]
 Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "unconfirmed", "no limit"]
 FoundBy = Literal["image", "relief"]
+
+MISSING = "missing"
+"""How the reason of a row begins that stands for something which the panel's pattern has and which was not found."""
 
 # From a standard deviation to U95: two-sided 95 % of a normal distribution.
 COVERAGE_95 = 1.96
@@ -61,44 +65,86 @@ class RivetDetection:
     found_by: FoundBy = "image"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Feature:
+    """What the rows of all kinds of features hold beside their names and values (see `metrology.kinds`).
+
+    Each field says what its column means; `{point}` is what the kind says its place is, `{pixel}` that in the image.
+    """
+
+    x_mm: Annotated[float | None, "{point} in the rig frame (left camera), to the right, mm"]
+    y_mm: Annotated[float | None, "{point} in the rig frame, down, mm"]
+    z_mm: Annotated[float | None, "{point} in the rig frame, away from the rig, mm"]
+    u_px: Annotated[float, "column of {pixel} in the raw left image, px"]
+    v_px: Annotated[float, "row of {pixel} in the raw left image, px"]
+    x_panel_mm: Annotated[
+        float | None, "the same point in the panel's frame, mm; NULL where the panel's pattern was not recognised"
+    ] = None
+    y_panel_mm: Annotated[float | None, "the same point in the panel's frame, mm"] = None
+    z_panel_mm: Annotated[float | None, "the same point in the panel's frame, mm"] = None
+    zone: Annotated[str | None, "tolerance zone of the panel specification"] = None
+    severity: Annotated[Severity | None, "green meets the limits, blue slightly outside, red seriously outside"] = None
+    decision: Annotated[
+        Decision, "pass, conditional pass, conditional fail, fail, not measured, unconfirmed (a person must), no limit"
+    ] = "no limit"
+    reason: Annotated[str | None, "why there is no value, or why the decision is not a pass"] = None
+
+    @property
+    def is_missing(self) -> bool:
+        """Whether the row stands for something that the panel's pattern has and that was not found."""
+        return (self.reason or "").startswith(MISSING)
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the row is a feature that was found, beyond doubt."""
+        return not self.is_missing and self.decision != "unconfirmed"
+
+
+Features = Mapping[str, Sequence[Feature]]
+"""What was found on a scan, by the names of the kinds."""
+
+Row = TypeVar("Row", bound=Feature)
+
+
+def of_type(features: Features, row_type: type[Row]) -> list[Row]:
+    """What was found of the kind that has rows of a type."""
+    return [row for rows in features.values() for row in rows if isinstance(row, row_type)]
+
+
 @dataclass(frozen=True)
-class Rivet:
+class Rivet(Feature):
     """One row of `rivets`."""
 
-    rivet_id: str
-    x_mm: float | None
-    y_mm: float | None
-    z_mm: float | None
-    u_px: float
-    v_px: float
-    u_right_px: float | None
-    v_right_px: float | None
-    diameter_mm: float | None
-    major_px: float
-    minor_px: float
-    angle_deg: float
-    confidence: float
-    height_mean_mm: float | None = None
-    height_min_mm: float | None = None
-    height_max_mm: float | None = None
-    height_u95_mm: float | None = None
-    tilt_deg: float | None = None
-    tilt_u95_deg: float | None = None
-    crown_mm: float | None = None
-    n_inner: int = 0
-    n_outer: int = 0
-    rms_inner_mm: float | None = None
-    rms_outer_mm: float | None = None
-    severity: Severity | None = None
-    decision: Decision = "no limit"
-    reason: str | None = None
-    x_panel_mm: float | None = None
-    y_panel_mm: float | None = None
-    z_panel_mm: float | None = None
-    zone: str | None = None
-    diameter_u95_mm: float | None = None
-    diameter_nominal_mm: float | None = None
-    found_by: FoundBy | None = None
+    rivet_id: Annotated[
+        str, "name of the rivet in the panel's pattern, the same on every scan of the station; X… is in no pattern"
+    ]
+    _: KW_ONLY
+    u_right_px: Annotated[float | None, "column of the head's centre in the raw right image, px"]
+    v_right_px: Annotated[float | None, "row of the head's centre in the raw right image, px"]
+    diameter_mm: Annotated[float | None, "diameter of the head, mm"]
+    major_px: Annotated[float, "major axis (whole length) of the head's ellipse in the left image, px"]
+    minor_px: Annotated[float, "minor axis (whole length) of the head's ellipse in the left image, px"]
+    angle_deg: Annotated[float, "direction of the major axis from +u towards +v, degrees"]
+    confidence: Annotated[float, "of the detection, 0 to 1"]
+    height_mean_mm: Annotated[float | None, "mean height of the head above the skin, mm; positive stands proud"] = None
+    height_min_mm: Annotated[float | None, "least height of the head above the skin, mm"] = None
+    height_max_mm: Annotated[float | None, "greatest height of the head above the skin, mm"] = None
+    height_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of height_mean_mm, mm"] = None
+    tilt_deg: Annotated[float | None, "angle between the head and the skin, degrees"] = None
+    tilt_u95_deg: Annotated[float | None, "expanded uncertainty (95 %) of tilt_deg, degrees"] = None
+    crown_mm: Annotated[float | None, "how far a domed head's middle stands above its rim, mm"] = None
+    n_inner: Annotated[int, "points on the head that were used"] = 0
+    n_outer: Annotated[int, "points on the skin around it that were used"] = 0
+    rms_inner_mm: Annotated[float | None, "scatter of the head's points about its plane, mm"] = None
+    rms_outer_mm: Annotated[float | None, "scatter of the skin's points about the reference surface, mm"] = None
+    diameter_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of diameter_mm, mm"] = None
+    diameter_nominal_mm: Annotated[
+        float | None, "diameter of the head by the panel's pattern, mm; NULL where it names none"
+    ] = None
+    found_by: Annotated[
+        FoundBy | None,
+        "what showed it: image (its ring) or relief (the cloud's deviation from the skin); NULL in older runs",
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -134,30 +180,27 @@ class SeamLine:
 
 
 @dataclass(frozen=True)
-class SeamStation:
+class SeamStation(Feature):
     """One row of `seam_stations`."""
 
-    seam_id: str
-    s_mm: float
-    x_mm: float | None
-    y_mm: float | None
-    z_mm: float | None
-    u_px: float
-    v_px: float
-    step_mm: float | None = None
-    step_u95_mm: float | None = None
-    width_mm: float | None = None
-    width_u95_mm: float | None = None
-    n_left: int = 0
-    n_right: int = 0
-    severity: Severity | None = None
-    decision: Decision = "no limit"
-    reason: str | None = None
-    step_into_wind_mm: float | None = None
-    x_panel_mm: float | None = None
-    y_panel_mm: float | None = None
-    z_panel_mm: float | None = None
-    zone: str | None = None
+    seam_id: Annotated[
+        str, "name of the seam in the panel's pattern, the same on every scan of the station; XS… is in no pattern"
+    ]
+    s_mm: Annotated[float, "position along the seam (arc length from the nominal seam's start), mm"]
+    _: KW_ONLY
+    step_mm: Annotated[
+        float | None,
+        "height of side B minus side A, mm; A is the side at smaller u (seam nearer to vertical) or smaller v",
+    ] = None
+    step_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of step_mm, mm"] = None
+    width_mm: Annotated[float | None, "width of the gap between the ideal edges, mm"] = None
+    width_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of width_mm, mm"] = None
+    n_left: Annotated[int, "points used on side A"] = 0
+    n_right: Annotated[int, "points used on side B"] = 0
+    step_into_wind_mm: Annotated[
+        float | None,
+        "step that the air runs against (positive) or falls from (negative), mm; NULL without an airflow",
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ beyond the serious limits. The decision also looks at the value's expanded uncer
     conditional fail   outside, but by no more than U95
     fail               outside by more than U95
 
-What was found and may be no fastener is unconfirmed: it is judged by nobody but a person.
+What was found and may be no fastener is unconfirmed: nobody but a person judges it.
 What was not measured is its own state and never a pass; what has no limit is judged neither way. A value whose U95 is
 wider than the range that its limits leave cannot be judged by them and counts as not measured.
 
@@ -19,54 +19,41 @@ air's direction across the seam is not known, the step must meet both.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import TypeVar
 
-from metrology.fastener import size_said, size_verdict
+from metrology.kinds import Kind, load
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
-from metrology.plausibility import unjudged, without_height, without_step, without_tilt, without_width
-from metrology.requirements import Requirement, downstream_of, limit_of, rivet_requirements, station_requirements
-from metrology.results import Decision, Rivet, SeamStation, Severity
-from metrology.verdicts import DECISIONS, SEVERITIES
+from metrology.plausibility import unjudged, without
+from metrology.requirements import Requirement, downstream_of, limit_of, requirements
+from metrology.results import Feature, Severity
+from metrology.verdicts import DECISIONS, SEVERITIES, Verdict
 
-__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "judge_rivets", "judge_stations"]
+__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "judge"]
 
+Row = TypeVar("Row", bound=Feature)
 RULE = "ISO 14253-1, guard band U95"
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    severity: Severity | None
-    decision: Decision
-    reason: str | None
-
-
-def _judge(required: Requirement) -> _Verdict:
+def _judge(required: Requirement) -> Verdict:
     limit, value, u95 = required.limit, required.value, required.u95
     if limit is None:
-        return _Verdict(None, "no limit", None)
+        return Verdict(None, "no limit", None)
     if value is None or u95 is None:
-        return _Verdict(None, "not measured", f"{required.name} not measured")
+        return Verdict(None, "not measured", f"{required.name} not measured")
     severity, decision = limit.severity(value), limit.decision(value, u95)
     if decision == "pass":
-        return _Verdict(severity, decision, None)
+        return Verdict(severity, decision, None)
     words = {
         "conditional pass": "within U95 of a limit of",
         "conditional fail": "outside by less than U95 of",
         "fail": "outside",
     }[decision]
     said = f"{required.name} {value:+.3f} ± {u95:.3f} {required.unit} {words} {limit}; {RULE}"
-    return _Verdict(severity, decision, said)
+    return Verdict(severity, decision, said)
 
 
-def _judge_size(rivet: Rivet) -> _Verdict:
-    """Another fastener than the pattern's is a finding whatever its height."""
-    verdict, said = size_verdict(rivet), size_said(rivet)
-    if verdict == "wrong":
-        return _Verdict("red", "fail", said)
-    return _Verdict("blue", "conditional fail", said) if verdict == "doubtful" else _Verdict(None, "no limit", None)
-
-
-def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
+def _gravest(verdicts: Sequence[Verdict], reason: str | None) -> Verdict:
     decision = min((v.decision for v in verdicts), key=list(DECISIONS).index)
     colours: list[Severity] = [v.severity for v in verdicts if v.severity is not None]
     if decision == "not measured":
@@ -74,25 +61,16 @@ def _gravest(verdicts: Sequence[_Verdict], reason: str | None) -> _Verdict:
         colours = [c for c in colours if c != "green"]
     severity = min(colours, key=list(SEVERITIES).index) if colours else None
     reasons = [reason, *(v.reason for v in verdicts)]
-    return _Verdict(severity, decision, "; ".join(dict.fromkeys(r for r in reasons if r)) or None)
+    return Verdict(severity, decision, "; ".join(dict.fromkeys(r for r in reasons if r)) or None)
 
 
-def _judgeable_rivet(rivet: Rivet, zone: Zone) -> Rivet:
-    """The rivet without the values that are too vague for their limits."""
-    if problem := _too_vague("height", "mm", rivet.height_u95_mm, zone.height_mm):
-        rivet = without_height(rivet, problem)
-    if problem := _too_vague("tilt", "°", rivet.tilt_u95_deg, zone.tilt_deg):
-        rivet = without_tilt(rivet, problem)
-    return rivet
-
-
-def _judgeable_station(station: SeamStation, zone: Zone) -> SeamStation:
-    """The seam station without the values that are too vague for their limits."""
-    if problem := _too_vague("step", "mm", station.step_u95_mm, limit_of(zone, "step_mm", downstream_of(station))):
-        station = without_step(station, problem)
-    if problem := _too_vague("width", "mm", station.width_u95_mm, zone.width_mm):
-        station = without_width(station, problem)
-    return station
+def _judgeable(kind: Kind, row: Row, zone: Zone) -> Row:
+    """The feature without the values that are too vague for their limits."""
+    for quantity in kind.quantities:
+        limit = limit_of(zone, quantity, downstream_of(quantity, row))
+        if problem := _too_vague(quantity.name, quantity.unit, getattr(row, quantity.u95_column), limit):
+            row = without(row, quantity, problem)
+    return row
 
 
 def _too_vague(name: str, unit: str, u95: float | None, limit: Limit | None) -> str | None:
@@ -103,25 +81,15 @@ def _too_vague(name: str, unit: str, u95: float | None, limit: Limit | None) -> 
     return f"{name}: found U95 of {u95:.3g} {unit}, expected less than the {left:.3g} {unit} that its limits leave"
 
 
-def judge_rivets(rivets: Sequence[Rivet], spec: PanelSpec) -> list[Rivet]:
-    """The rivets with severity, decision and the reason for anything short of a pass."""
-    judged = []
-    for measured in rivets:
-        if measured.decision == "unconfirmed":
-            judged.append(unjudged(measured))
-            continue
-        rivet = _judgeable_rivet(measured, spec.zone(measured.zone))
-        parts = [_judge_size(rivet), *(_judge(required) for required in rivet_requirements(rivet, spec))]
-        verdict = _gravest(parts, rivet.reason)
-        judged.append(replace(rivet, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason))
-    return judged
+def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
+    """Features of one kind with severity, decision and the reason for anything short of a pass."""
+    return [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
 
 
-def judge_stations(stations: Sequence[SeamStation], spec: PanelSpec) -> list[SeamStation]:
-    """The seam stations with severity, decision and the reason for anything short of a pass."""
-    judged = []
-    for measured in stations:
-        station = _judgeable_station(measured, spec.zone(measured.zone))
-        verdict = _gravest([_judge(required) for required in station_requirements(station, spec)], station.reason)
-        judged.append(replace(station, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason))
-    return judged
+def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
+    if row.decision == "unconfirmed":
+        return unjudged(kind, row)
+    otherwise: Verdict | None = load(kind.verdict)(row) if kind.verdict else None
+    parts = [*([otherwise] if otherwise else []), *(_judge(required) for required in requirements(kind, row, spec))]
+    verdict = _gravest(parts, row.reason)
+    return replace(row, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason)

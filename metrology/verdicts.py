@@ -16,6 +16,15 @@ Symbol = Literal["disc", "diamond", "cross", "ring"]
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What a feature, or one of its quantities, is judged to be; `reason` says why it is no pass."""
+
+    severity: Severity | None
+    decision: Decision
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
 class SeverityLook:
     """A severity.
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from metrology.errors import StoreError
 from metrology.fits import FittedRivet, FittedStation, HeadFit, SectionFit, SkinLine
-from metrology.results import Rivet, SeamStation
+from metrology.results import Features
 from metrology.surfaces import Frame
 
 _SAME_PLACE_MM = 1e-3  # tables are rounded, and stations stand farther apart
@@ -63,11 +63,12 @@ class StoredFits:
         return SectionFit(_frame(row), a, b, tuple(row["edges_mm"]), depths, *row["reach_mm"])
 
 
-def write_fits(path: Path, rivets: Sequence[Rivet], stations: Sequence[SeamStation]) -> None:
+def write_fits(path: Path, features: Features) -> None:
     """Write the fits that a result's rows carry."""
-    rows = [_head_row(r.rivet_id, r.fit) for r in rivets if isinstance(r, FittedRivet) and r.fit is not None]
+    found = [row for of_kind in features.values() for row in of_kind]
+    rows = [_head_row(r.rivet_id, r.fit) for r in found if isinstance(r, FittedRivet) and r.fit is not None]
     rows += [
-        _section_row(s.seam_id, s.s_mm, s.fit) for s in stations if isinstance(s, FittedStation) and s.fit is not None
+        _section_row(s.seam_id, s.s_mm, s.fit) for s in found if isinstance(s, FittedStation) and s.fit is not None
     ]
     pq.write_table(pa.Table.from_pylist(rows, _SCHEMA), path, compression="zstd")
 

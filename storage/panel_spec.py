@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from metrology.errors import SpecError
+from metrology.kinds import LIMITS
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
-from metrology.tolerance import DEFAULT_ZONE, Limit, PanelSpec, Zone
+from metrology.tolerance import DEFAULT_ZONE, Limit, PanelSpec
 from storage.documents import check_format, read_toml
 from storage.models import Identifier, Line, StrictModel, validate
 
@@ -40,15 +41,15 @@ class LimitModel(StrictModel):
     revision: Annotated[str, Field(min_length=1)]
 
 
-class ZoneModel(StrictModel):
-    """Limits that hold for the features of a zone; what it leaves open is as in the zone `default`."""
+_Limits: Any = create_model(
+    "_Limits",
+    __base__=StrictModel,
+    **dict.fromkeys(LIMITS, (LimitModel | None, None)),
+)
 
-    height_mm: LimitModel | None = None
-    tilt_deg: LimitModel | None = None
-    step_mm: LimitModel | None = None
-    width_mm: LimitModel | None = None
-    step_into_wind_mm: LimitModel | None = None
-    step_out_of_wind_mm: LimitModel | None = None
+
+class ZoneModel(_Limits):  # type: ignore[misc]
+    """Limits that hold for the features of a zone; what it leaves open is as in the zone `default`."""
 
 
 class RivetModel(StrictModel):
@@ -140,7 +141,7 @@ def panel_spec_from(document: Mapping[str, Any], path: Path) -> PanelSpecificati
     model = validate(PanelSpecModel, document, path, SpecError)
     try:
         zones = {
-            name: Zone(**{q: _limit(f"zones.{name}.{q}", getattr(zone, q)) for q in ZoneModel.model_fields})
+            name: {q: _limit(f"zones.{name}.{q}", limit) for q, limit in zone if limit is not None}
             for name, zone in model.zones.items()
         }
         limits = PanelSpec(model.panel, model.revision, zones)
@@ -188,9 +189,9 @@ def _toml(value: str | float | Iterable[Any], digits: int = 4) -> str:
     return f"[{', '.join(_toml(item, digits) for item in value)}]"
 
 
-def _limit(place: str, model: LimitModel | None) -> Limit | None:
+def _limit(place: str, model: LimitModel) -> Limit:
     try:
-        return Limit(**model.model_dump()) if model else None
+        return Limit(**model.model_dump())
     except SpecError as problem:
         raise SpecError(f"{place}: {problem}") from None
 

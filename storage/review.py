@@ -23,11 +23,9 @@ from storage.review_entries import (
     Disposition,
     Entry,
     Feature,
-    FeatureKind,
     Review,
     ShownFinding,
     ShownScene,
-    station_id,
 )
 from storage.review_head import Head
 from storage.review_keeping import Check, Keeping
@@ -39,12 +37,10 @@ __all__ = [
     "Disposition",
     "Entry",
     "Feature",
-    "FeatureKind",
     "Review",
     "ReviewLog",
     "ShownFinding",
     "ShownScene",
-    "station_id",
 ]
 
 

@@ -22,7 +22,6 @@ Disposition = Literal["use as is", "rework", "repair", "scrap", "re-scan"]
 DISPOSITIONS: tuple[Disposition, ...] = get_args(Disposition)
 ASKS_FOR_WORK: tuple[Disposition, ...] = ("rework", "repair", "re-scan")
 """What leaves work open, until a later scan passes or a person closes it."""
-FeatureKind = Literal["rivet", "seam station"]
 MAX_COMMENT = 4000
 SHOWN_NUMBERS = ("value_mm", "tilt_deg", "width_mm")
 """What was shown of a finding that is compared with what another run measures."""
@@ -42,7 +41,7 @@ class EntryModel(StrictModel):
     action: Literal["disposition", "sign-off", "close"]
     scene_id: str
     run_id: str
-    feature_kind: FeatureKind | None = None
+    feature_kind: str | None = None
     feature_id: str | None = None
     disposition: Disposition | None = None
     comment: str = ""
@@ -81,7 +80,7 @@ class Entry(NamedTuple):
     action: str
     scene_id: str
     run_id: str
-    feature_kind: FeatureKind | None
+    feature_kind: str | None
     feature_id: str | None
     disposition: Disposition | None
     comment: str
@@ -142,22 +141,18 @@ def _text(value: object) -> str | None:
 
 @dataclass(frozen=True)
 class Feature:
-    """A rivet, or a position along a seam, of a scene.
+    """A feature of a scene, such as a rivet or a position along a seam.
 
     Attributes
     ----------
-    kind : "rivet" or "seam station"
+    kind : str
+        Name of its kind.
     id : str
-        rivet_id, or seam_id@s_mm with one decimal.
+        As the kind makes it (`metrology.kinds.Kind.id_of`).
     """
 
-    kind: FeatureKind
+    kind: str
     id: str
-
-
-def station_id(seam_id: str, s_mm: float) -> str:
-    """Name of a seam station within its scene, such as ``S1@24.0``."""
-    return f"{seam_id}@{s_mm:.1f}"
 
 
 @dataclass(frozen=True)

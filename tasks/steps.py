@@ -19,10 +19,11 @@ from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
 from metrology.inspection import InspectionResult
+from metrology.kinds import KINDS, RIVET, SEAM_STATION
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
 from metrology.registration import Registration
-from metrology.results import Rivet, RivetDetection, SceneKey, SeamLine, SeamStation
+from metrology.results import Features, Rivet, RivetDetection, SceneKey, SeamLine, SeamStation, of_type
 from metrology.rig import Rig
 from metrology.rig_health import RigHealth
 from storage.archive import Store
@@ -58,14 +59,6 @@ class LoadedScene:
     rig: Rig
     warnings: tuple[str, ...] = ()
     known: KnownScene | None = None
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Rivets and seam stations with their verdicts."""
-
-    rivets: tuple[Rivet, ...]
-    stations: tuple[SeamStation, ...]
 
 
 def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
@@ -180,8 +173,7 @@ def specification(given: PanelSpecification | None, panel: str, store: Store) ->
 
 
 def register(
-    measured: Sequence[Rivet],
-    stations: Sequence[SeamStation],
+    found: Features,
     reconstruction: Reconstruction,
     loaded: LoadedScene,
     spec: PanelSpecification,
@@ -197,17 +189,21 @@ def register(
     key = loaded.scene.key
     vouched = _nominal(spec, key)
     pattern = vouched or store.panels.pattern(key.panel, key.station)
+    rivets, stations = of_type(found, Rivet), of_type(found, SeamStation)
+    others = {name: rows for name, rows in found.items() if name not in (RIVET.name, SEAM_STATION.name)}
     if pattern is None:
-        return registration.enrol(measured, stations, reconstruction.points, key.station, doubts)
-    return registration.register(
-        measured,
-        stations,
-        reconstruction,
-        pattern,
-        key.station,
-        settings.registration,
-        missing_rows=vouched is not None,
-    )
+        registered = registration.enrol(rivets, stations, reconstruction.points, key.station, doubts)
+    else:
+        registered = registration.register(
+            rivets,
+            stations,
+            reconstruction,
+            pattern,
+            key.station,
+            settings.registration,
+            missing_rows=vouched is not None,
+        )
+    return registration.with_others(registered, others)
 
 
 def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:
@@ -221,20 +217,18 @@ def doubts(reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]
     return registration.enrolment_doubts(flags, health.verdict)
 
 
-def judge(measured: Sequence[Rivet], stations: Sequence[SeamStation], spec: PanelSpecification) -> Judged:
+def judge(features: Features, spec: PanelSpecification) -> Features:
     """Verdicts by the panel's limits."""
-    return Judged(
-        tuple(tolerance.judge_rivets(measured, spec.limits)), tuple(tolerance.judge_stations(stations, spec.limits))
-    )
+    return {kind.name: tuple(tolerance.judge(kind, features.get(kind.name, ()), spec.limits)) for kind in KINDS}
 
 
 def draw_overlay(
-    judged: Judged, loaded: LoadedScene, reconstruction: Reconstruction, settings: InspectionSettings
+    judged: Features, loaded: LoadedScene, reconstruction: Reconstruction, settings: InspectionSettings
 ) -> Overlay:
     """The image to project."""
     key = loaded.scene.key
     title = (f"{key.aircraft_serial} {key.panel} {key.station}", f"{key.captured_at:%Y-%m-%d %H:%MZ}")
-    return overlay.draw_overlay(judged.rivets, judged.stations, reconstruction, title, settings.overlay)
+    return overlay.draw_overlay(judged, reconstruction, title, settings.overlay)
 
 
 @dataclass(frozen=True)
@@ -264,7 +258,7 @@ def assemble(
     reconstruction: Reconstruction,
     health: RigHealth,
     registered: Registration,
-    judged: Judged,
+    judged: Features,
     drawn: Overlay,
     encoded: Encoded,
     settings: InspectionSettings,
@@ -290,8 +284,7 @@ def assemble(
     return InspectionResult(
         key=key,
         reconstruction=reconstruction,
-        rivets=judged.rivets,
-        stations=judged.stations,
+        features=judged,
         overlay=drawn,
         preview=encoded.preview,
         encoded=encoded.files,

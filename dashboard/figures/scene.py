@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from dashboard.findings import feature_parameter
 from dashboard.habits import Habits
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
 from dashboard.pictures import data_uri, shrunk
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.verdicts import IN_ORDER, SEVERITIES
 from storage.review import Feature
 
@@ -23,12 +24,8 @@ _RIM_POINTS = 40
 _MOST_SCALES = 6.0
 
 
-@dataclass(frozen=True)
-class SceneFeatures:
-    """Rows of `rivets` and of `seam_stations` of a scene; the latter with `feature_id`."""
-
-    rivets: pd.DataFrame
-    stations: pd.DataFrame
+SceneFeatures = Mapping[str, pd.DataFrame]
+"""Rows of a scene by the names of the kinds, with `feature_id`."""
 
 
 def scene_figure(
@@ -60,10 +57,10 @@ def scene_figure(
         layer="below",
     )
     for severity in reversed(SEVERITIES):
-        _add_seams(fig, features.stations, severity, habits)
-        _add_rivets(fig, features.rivets, severity, habits)
+        _add_seams(fig, features[SEAM_STATION.name], severity, habits)
+        _add_rivets(fig, features[RIVET.name], severity, habits)
     if values:
-        _add_values(fig, features.rivets, habits)
+        _add_values(fig, features[RIVET.name], habits)
     _mark_chosen(fig, features, chosen)
     fig.update_xaxes(range=[-0.5, columns - 0.5], visible=False, constrain="domain")
     fig.update_yaxes(range=[rows - 0.5, -0.5], visible=False, scaleanchor="x", constrain="domain")
@@ -99,7 +96,7 @@ def _add_rivets(fig: go.Figure, rivets: pd.DataFrame, severity: str | None, habi
             "size": 9,
             "line": {"width": 2 if severity is None else 0.5, "color": colour if severity is None else "white"},
         },
-        customdata=[feature_parameter(Feature("rivet", str(name))) for name in part["rivet_id"]],
+        customdata=[feature_parameter(Feature(RIVET.name, str(name))) for name in part["rivet_id"]],
         text=text,
         hovertemplate="%{text}<extra></extra>",
         name=f"rivet {SEVERITY_WORDS[severity]}",
@@ -141,7 +138,7 @@ def _add_seams(fig: go.Figure, stations: pd.DataFrame, severity: str | None, hab
             "size": 6,
             "line": {"width": 1.5 if severity is None else 0, "color": colour},
         },
-        customdata=[feature_parameter(Feature("seam station", str(name))) for name in part["feature_id"]],
+        customdata=[feature_parameter(Feature(SEAM_STATION.name, str(name))) for name in part["feature_id"]],
         text=text,
         hovertemplate="%{text}<extra></extra>",
         name=f"seam {SEVERITY_WORDS[severity]}",
@@ -169,8 +166,8 @@ def _add_values(fig: go.Figure, rivets: pd.DataFrame, habits: Habits) -> None:
 def _mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None) -> None:
     if chosen is None:
         return
-    rows = features.rivets if chosen.kind == "rivet" else features.stations
-    found = rows[rows["rivet_id" if chosen.kind == "rivet" else "feature_id"] == chosen.id]
+    rows = features[chosen.kind]
+    found = rows[rows["feature_id"] == chosen.id]
     if found.empty:
         return
     place = found.iloc[0]

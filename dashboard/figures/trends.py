@@ -205,7 +205,7 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, habits: 
         y=rows["y"],
         mode="markers",
         marker={
-            "size": 13 if quantity.table == "rivets" else 7,
+            "size": 7 if len(quantity.kind.id_columns) > 1 else 13,
             "color": rows["outside" if outside else "mean"],
             "line": {"width": 0.5, "color": INK},
             "colorbar": {

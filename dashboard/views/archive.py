@@ -19,7 +19,9 @@ from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.tables import show_table
 from metrology.errors import FlushlineError
+from metrology.kinds import KINDS, RIVET
 from storage.archive.views import TAKEN_AT
+from storage.archive.work import ATTENTION
 
 TITLE = "Archive"
 _PAGE = 20
@@ -75,13 +77,12 @@ def _way(title: str, icon: str, possible: bool, page: str, **parameters: str) ->
     )
 
 
-_SCENES_SQL = """
-FROM (SELECT * FROM scenes WHERE {condition}) s LEFT JOIN (
+_SCENES_SQL = f"""
+FROM (SELECT * FROM scenes WHERE {{}}) s LEFT JOIN (
     SELECT scene_id, count(*) FILTER (decision IN ('fail', 'conditional fail')) AS fail,
         count(*) FILTER (decision = 'not measured') AS not_measured, count(*) AS bad
     FROM (
-        SELECT scene_id, decision FROM rivets WHERE decision NOT IN ('pass', 'no limit')
-        UNION ALL SELECT scene_id, decision FROM seam_stations WHERE decision NOT IN ('pass', 'no limit')
+        {" UNION ALL ".join(f"SELECT scene_id, decision FROM {kind.table} WHERE {ATTENTION}" for kind in KINDS)}
     ) GROUP BY scene_id
 ) b USING (scene_id)
 """
@@ -92,7 +93,7 @@ def _listed(selection: Selection, verdict: str) -> tuple[str, list[object]]:
     sql = (
         f"FROM (SELECT s.scene_id, s.rig_verdict, {TAKEN_AT} AS taken_at, coalesce(fail, 0) AS fail, "
         "coalesce(not_measured, 0) AS not_measured, "
-        f"coalesce(bad, 0) AS bad {_SCENES_SQL.format(condition=condition)}) WHERE {VERDICTS.get(verdict, 'true')}"
+        f"coalesce(bad, 0) AS bad {_SCENES_SQL.format(condition)}) WHERE {VERDICTS.get(verdict, 'true')}"
     )
     return sql, parameters
 
@@ -194,7 +195,7 @@ def _compare(desk: Desk, first: str, second: str) -> None:
             stations.append(str(row.station))
     if len(set(stations)) > 1:
         st.caption("These are different stations: rivets of the same name need not be the same rivet.")
-    before, after = (side.rivets[["rivet_id", "height_mean_mm", "height_u95_mm", "decision"]] for side in sides)
+    before, after = (side[RIVET.name][["rivet_id", "height_mean_mm", "height_u95_mm", "decision"]] for side in sides)
     both = before.merge(after, on="rivet_id", how="outer", suffixes=("_left", "_right"))
     both["difference_mm"] = both["height_mean_mm_right"] - both["height_mean_mm_left"]
     both = both.sort_values("difference_mm", key=abs, ascending=False, na_position="last")

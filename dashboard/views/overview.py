@@ -15,8 +15,9 @@ from dashboard.habits import Habits
 from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
 from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
+from metrology.kinds import KINDS
 from storage.archive.views import NEWEST_TIME
-from storage.archive.work import DECIDED, KINDS, OPEN_WORK, findings_sql
+from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
 
 TITLE = "Overview"
 _MOST_ROWS = 200

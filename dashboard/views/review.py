@@ -32,7 +32,7 @@ from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
 from dashboard.views.scene import close_up
 from metrology.errors import FlushlineError
-from storage.archive.work import KINDS
+from metrology.kinds import BY_NAME
 from storage.review import Feature, ShownFinding
 
 TITLE = "Tolerance review"
@@ -81,7 +81,8 @@ def _filters(desk: Desk) -> Wanted:
     decisions = first.pills(
         "Verdict", OPEN_DECISIONS, selection_mode="multi", **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS)
     )
-    kinds = second.pills("What", KINDS, selection_mode="multi", **some_of("kind", KINDS, KINDS))
+    names = list(BY_NAME)
+    kinds = second.pills("What", names, selection_mode="multi", **some_of("kind", names, names))
     state = third.selectbox(
         "State",
         STATES,

@@ -24,14 +24,14 @@ from dashboard.scenes import (
     find_feature,
     load_features,
     load_scene_row,
+    required_by,
     requirements,
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.requirements import Requirement, limit_of, rivet_requirements, station_requirements
-from metrology.results import Rivet, SeamStation
+from metrology.kinds import BY_NAME, RIVET, SEAM_STATION
+from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
-from storage.archive.rows import result_of
 from storage.archive.views import NEWEST_FIRST
 from storage.archive.work import said
 from storage.cloud import StoredCloud
@@ -181,7 +181,7 @@ def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
 
     at = feature_parameter(chosen) if chosen else None
     show_table(
-        features.rivets,
+        features[RIVET.name],
         {
             "rivet_id": "Rivet",
             "height_mean_mm": "Height, mm",
@@ -194,12 +194,12 @@ def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
         desk.habits,
         key="rivets",
         height=270,
-        names=[feature_parameter(Feature("rivet", str(name))) for name in features.rivets["rivet_id"]],
+        names=[feature_parameter(Feature(RIVET.name, str(name))) for name in features[RIVET.name]["rivet_id"]],
         picked=partial(_choose, row.scene_id),
         at=at,
     )
     show_table(
-        features.stations,
+        features[SEAM_STATION.name],
         {
             "feature_id": "Seam@mm",
             "step_mm": "Step, mm",
@@ -212,7 +212,10 @@ def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
         desk.habits,
         key="stations",
         height=220,
-        names=[feature_parameter(Feature("seam station", str(name))) for name in features.stations["feature_id"]],
+        names=[
+            feature_parameter(Feature(SEAM_STATION.name, str(name)))
+            for name in features[SEAM_STATION.name]["feature_id"]
+        ],
         picked=partial(_choose, row.scene_id),
         at=at,
     )
@@ -269,8 +272,9 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
     if measured is None:
         st.info("This feature is not on the newest run of the scan.")
         return
+    kind = BY_NAME[chosen.kind]
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.markdown(f"**{'Rivet' if chosen.kind == 'rivet' else 'Seam station'} {plain(chosen.id)}**")
+        st.markdown(f"**{kind.name.capitalize()} {plain(chosen.id)}**")
         decision = str(measured.decision)
         st.badge(DECISION_MARKS.get(decision, plain(decision)), color=DECISION_BADGES.get(decision, "gray"))  # type: ignore[arg-type]
         if compact:
@@ -281,28 +285,17 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
                 scene=row.scene_id,
                 feature=feature_parameter(chosen),
             )
-        if chosen.kind == "rivet":
-            link(
-                "trends",
-                "Trend",
-                ":material/show_chart:",
-                what="rivet",
-                panel=row.panel,
-                station=row.station,
-                name=chosen.id,
-            )
-        else:
-            link(
-                "trends",
-                "Trend",
-                ":material/show_chart:",
-                what="seam",
-                panel=row.panel,
-                station=row.station,
-                name=str(measured.seam_id),
-            )
+        link(
+            "trends",
+            "Trend",
+            ":material/show_chart:",
+            what=kind.subject,
+            panel=row.panel,
+            station=row.station,
+            name=str(getattr(measured, kind.id_columns[0])),
+        )
     _values(desk, row, measured, chosen)
-    if chosen.kind == "rivet":
+    if kind is RIVET:
         _diameter(desk, measured)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
@@ -314,9 +307,9 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
     except FlushlineError as problem:
         st.info(f"No close-up: {plain(problem)}")
         return
-    if chosen.kind == "rivet":
+    if kind is RIVET:
         _rivet(desk, row, measured, rivet_close_up(cloud, measured, fits.head(chosen.id)))
-    else:
+    elif kind is SEAM_STATION:
         fit = fits.section(str(measured.seam_id), float(measured.s_mm))
         _seam(desk, seam_section(cloud, measured, fit))
 
@@ -330,7 +323,7 @@ def _values(desk: Desk, row: Any, measured: Any, chosen: Feature) -> None:
         required = None
     if required is None:
         st.caption("The limits of this run cannot be read by this version; the verdict is the run's own.")
-        required = _as_measured(measured, chosen)
+        required = required_by(chosen, measured, PanelSpec("", ""))
     for start in range(0, len(required), 2):
         for column, wanted in zip(st.columns(2), required[start : start + 2], strict=False):
             with column:
@@ -355,21 +348,13 @@ def _diameter(desk: Desk, measured: Any) -> None:
     st.markdown(f":small[Diameter] **{plain(found)}** :small[of {expected} mm expected]")
 
 
-def _as_measured(measured: Any, chosen: Feature) -> list[Requirement]:
-    """The values alone."""
-    nothing = PanelSpec("", "")
-    if chosen.kind == "rivet":
-        return rivet_requirements(result_of(Rivet, measured._asdict()), nothing)
-    return station_requirements(result_of(SeamStation, measured._asdict()), nothing)
-
-
 def _rivet(desk: Desk, row: Any, measured: Any, found: RivetCloseUp | str) -> None:
     if isinstance(found, str):
         st.info(f"No close-up: {plain(found)}.")
         return
     spec = desk.archive.specification(row.bundle_path)
     zone = None if _absent(measured.zone) else str(measured.zone)
-    limit = limit_of(spec.zone(zone), "height_mm") if spec else None
+    limit = limit_of(spec.zone(zone), RIVET.quantities[0]) if spec else None
     options = {"displaylogo": False}
     st.plotly_chart(rivet_section(found, limit, desk.habits, 240), key="section", config=options)
     st.plotly_chart(rivet_map(found, desk.habits, 250), key="rivet-map", config=options)

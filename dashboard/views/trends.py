@@ -15,6 +15,7 @@ from dashboard.habits import Habits, with_minus
 from dashboard.picking import clickable_chart
 from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
+    BY_SUBJECT,
     FASTENER_TYPE,
     QUANTITIES,
     SUBJECTS,
@@ -72,12 +73,12 @@ def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
     if kind != FASTENER_TYPE:
         panels = names(archive, "panel")
         panel = boxes[1].selectbox("Panel", panels, **one_of("panel", panels)) or ""
-    if kind in ("rivet", "seam"):
+    if kind in BY_SUBJECT:
         within = Selection(panels=(panel,))
         stations = names(archive, "station", within)
         station = boxes[2].selectbox("Station", stations, **one_of("station", stations)) or ""
     if kind != "panel":
-        title = {"rivet": "Rivet", "seam": "Seam", FASTENER_TYPE: "Head Ø, mm"}[kind]
+        title = "Head Ø, mm" if kind == FASTENER_TYPE else kind.capitalize()
         known = options(archive, kind, panel, station)
         name = boxes[3].selectbox(title, known, **one_of("name", known)) or "" if known else ""
     quantity = boxes[4].selectbox("Quantity", SUBJECTS[kind], **one_of("quantity", SUBJECTS[kind]))

@@ -125,14 +125,9 @@ def enrol(options: argparse.Namespace) -> int:
 
 
 def _described(spec: PanelSpecification) -> list[str]:
-    from dataclasses import fields
-
-    from metrology.tolerance import Zone
-
     lines = [f"panel {spec.limits.panel}, revision {spec.limits.revision}" + (" (example)" if spec.example else "")]
     for name, zone in spec.limits.zones.items():
-        limits = [(f.name, getattr(zone, f.name)) for f in fields(Zone) if getattr(zone, f.name) is not None]
-        lines += [f"  zone {name}: {quantity} {limit}" for quantity, limit in limits]
+        lines += [f"  zone {name}: {quantity} {limit}" for quantity, limit in zone.items()]
     layout = spec.layout
     stations = f"; stations {', '.join(layout.stations)}" if layout.stations else ""
     lines.append(f"  pattern: {_features(layout)}{stations}")

@@ -20,15 +20,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument("--panel", metavar="PANEL")
     parser.add_argument("--store", type=Path, required=True, metavar="DIR")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="HTML")
-    parser.add_argument("--csv", action="store_true", help="write FILE-rivets.csv and FILE-seam_stations.csv beside it")
+    parser.add_argument("--csv", action="store_true", help="write FILE-rivets.csv and its like beside it")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the report."""
     from metrology.errors import UsageError
+    from metrology.kinds import KINDS
     from storage.archive import Store
-    from storage.archive.schema import RIVETS, SEAM_STATIONS
+    from storage.archive.schema import OF_KIND
     from storage.report import SceneRecord, panel_page, panel_record, rows_csv, scene_page, scene_record
     from storage.spreadsheet import ENCODING
 
@@ -46,10 +47,8 @@ def run(options: argparse.Namespace) -> int:
     options.out.write_text(text, encoding="utf-8")
     print(options.out)
     if options.csv:
-        for table, rows in (
-            (RIVETS, [rivet for scene in scenes for rivet in scene.rivets]),
-            (SEAM_STATIONS, [station for scene in scenes for station in scene.stations]),
-        ):
+        for kind in KINDS:
+            table, rows = OF_KIND[kind.name], [row for scene in scenes for row in scene.of_kind[kind.name]]
             path = options.out.with_name(f"{options.out.stem}-{table.name}.csv")
             path.write_text(rows_csv(rows, [column.name for column in table.columns]), encoding=ENCODING, newline="")
             print(path)

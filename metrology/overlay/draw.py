@@ -26,7 +26,7 @@ from metrology.overlay.marks import (
 )
 from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import map_skin
-from metrology.results import Decision, Rivet, SeamStation, Severity
+from metrology.results import Decision, Features, Rivet, SeamStation, Severity, of_type
 from metrology.skin_normal import skin_normal
 from metrology.verdicts import DECISIONS
 
@@ -107,8 +107,7 @@ class _Wish:
 
 
 def draw_overlay(
-    rivets: Sequence[Rivet],
-    stations: Sequence[SeamStation],
+    features: Features,
     reconstruction: Reconstruction,
     title: Sequence[str],
     settings: OverlaySettings | None = None,
@@ -117,14 +116,15 @@ def draw_overlay(
 
     Parameters
     ----------
-    rivets, stations
-        Judged results; what has no position is left out.
+    features : mapping
+        Judged results by kind; what has no position is left out.
     reconstruction : Reconstruction
         Gives the rig, and the skin's place and direction.
     title : sequence of str
         Lines above the legend: station, date.
     """
     settings = settings or OverlaySettings()
+    rivets, stations = of_type(features, Rivet), of_type(features, SeamStation)
     projector = reconstruction.rig.projector
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)

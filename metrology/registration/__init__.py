@@ -2,6 +2,6 @@
 
 from metrology.registration.doubts import enrolment_doubts
 from metrology.registration.enrol import enrol
-from metrology.registration.register import Registration, RegistrationSettings, register
+from metrology.registration.register import Registration, RegistrationSettings, register, with_others
 
-__all__ = ["Registration", "RegistrationSettings", "enrol", "enrolment_doubts", "register"]
+__all__ = ["Registration", "RegistrationSettings", "enrol", "enrolment_doubts", "register", "with_others"]

@@ -10,7 +10,7 @@ that last term resolves patterns that look alike after a turn or a shift.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.fastener import size_verdict
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.panel import NominalRivet, PanelLayout, Placement
 from metrology.registration.hypothesis import Hypothesis, Matcher, Scan
-from metrology.registration.relabel import MISSING, Recognised, relabel_rivets, relabel_stations
-from metrology.registration.rows import has_position, positions
+from metrology.registration.relabel import Recognised, relabel_rivets, relabel_stations
+from metrology.registration.rows import has_position, placed, positions
 from metrology.registration.search import PointPattern, estimated_normals, motion
 from metrology.registration.settings import RegistrationSettings
-from metrology.results import Rivet, SeamStation
+from metrology.results import Features, Rivet, SeamStation
 from metrology.skin_normal import skin_normal
 
 Array = NDArray[np.float64]
@@ -59,6 +60,8 @@ class Registration:
     warnings : tuple of str
     enrolled : PanelLayout or None
         The pattern whose first scan this one is.
+    others : mapping
+        Features of other kinds, which no pattern names, in panel coordinates where the placement is known.
     """
 
     status: Status
@@ -73,6 +76,12 @@ class Registration:
     turn_deg: float | None = None
     warnings: tuple[str, ...] = ()
     enrolled: PanelLayout | None = None
+    others: Features = field(default_factory=dict)
+
+    @property
+    def features(self) -> Features:
+        """All that was found, by kind."""
+        return {RIVET.name: self.rivets, SEAM_STATION.name: self.stations, **self.others}
 
 
 def register(
@@ -142,6 +151,15 @@ def register(
     )
 
 
+def with_others(registered: Registration, found: Features) -> Registration:
+    """The registration with features of kinds that no pattern names, placed in the panel's frame where it is known."""
+    placement = registered.placement
+    others = {
+        name: rows if placement is None else [placed(row, placement) for row in rows] for name, rows in found.items()
+    }
+    return replace(registered, others=others)
+
+
 def _scan(rivets: Sequence[Rivet], stations: Sequence[SeamStation], reconstruction: Reconstruction) -> Scan:
     """The rivets and stations that have positions, as points."""
     places = positions(rivets)
@@ -207,7 +225,7 @@ def _warnings(
 
 def _other_sizes(rivets: Sequence[Rivet]) -> list[str]:
     """A warning where most heads are of another size than the pattern's: each of them is a finding, too."""
-    verdicts = [size_verdict(rivet) for rivet in rivets if not (rivet.reason or "").startswith(MISSING)]
+    verdicts = [size_verdict(rivet) for rivet in rivets if not rivet.is_missing]
     known, wrong = sum(v is not None for v in verdicts), verdicts.count("wrong")
     if wrong < _FEWEST_WRONG or 2 * wrong <= known:
         return []

@@ -13,12 +13,11 @@ from metrology.panel import NominalRivet, NominalSeam, Placement, course_length,
 from metrology.registration.courses import on_course
 from metrology.registration.rows import placed
 from metrology.registration.view import in_view
-from metrology.results import Rivet, SeamStation
+from metrology.results import MISSING, Rivet, SeamStation
 from metrology.rig import Rig
 
 Array = NDArray[np.float64]
 
-MISSING = "missing"
 UNLISTED = "not in the panel's pattern"
 
 _COURSE_SAMPLE_MM = 2.0

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.panel import Placement
-from metrology.results import Rivet, SeamStation
+from metrology.results import Feature
 
 Array = NDArray[np.float64]
-Row = TypeVar("Row", Rivet, SeamStation)
+Row = TypeVar("Row", bound=Feature)
 
 
-def has_position(row: Rivet | SeamStation) -> bool:
+def has_position(row: Feature) -> bool:
     """Whether a row has a place in space."""
     return row.x_mm is not None and row.y_mm is not None and row.z_mm is not None
 
 
-def positions(rows: Sequence[Rivet] | Sequence[SeamStation]) -> Array:
+def positions(rows: Sequence[Feature]) -> Array:
     """(n, 3) places in the rig frame; NaN where a row has none."""
     return np.array([(row.x_mm, row.y_mm, row.z_mm) for row in rows], float).reshape(-1, 3)
 

@@ -195,7 +195,8 @@ def _place(track: Track, s: float, ground: _Ground) -> _Station:
 def _row(seam_id: str, station: _Station, section: Section | None, gap: Gap | str, ground: _Ground) -> SeamStation:
     u, v = (float(x) for x in station.pixel)
     if section is None:
-        return SeamStation(seam_id, station.s_mm, None, None, None, u, v, reason=str(station.section))
+        why = str(station.section)
+        return SeamStation(seam_id, station.s_mm, x_mm=None, y_mm=None, z_mm=None, u_px=u, v_px=v, reason=why)
     # Without its edges a gap still has a step, which hardly depends on where exactly they are.
     half = station.half_width_mm
     a, b = (gap.a.ideal_mm, gap.b.ideal_mm) if isinstance(gap, Gap) else (-half, half)
@@ -204,11 +205,11 @@ def _row(seam_id: str, station: _Station, section: Section | None, gap: Gap | st
     row = FittedStation(
         seam_id,
         station.s_mm,
-        float(middle[0]),
-        float(middle[1]),
-        float(middle[2]),
-        float(pixel[0]),
-        float(pixel[1]),
+        x_mm=float(middle[0]),
+        y_mm=float(middle[1]),
+        z_mm=float(middle[2]),
+        u_px=float(pixel[0]),
+        v_px=float(pixel[1]),
         step_mm=step_height(section, a, b),
         step_u95_mm=_step_u95(section, a, b),
         n_left=section.a.n,

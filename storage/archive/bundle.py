@@ -22,10 +22,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from metrology.cloud import Reconstruction
 from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
+from metrology.kinds import KINDS, Count, Kind
 from metrology.overlay import Overlay
 from metrology.results import SceneKey
 from storage.archive.files import protect, sha256, sync, write_durably
-from storage.archive.schema import RIVETS, SCENES, SEAM_STATIONS, STEPS, TABLES
+from storage.archive.schema import SCENES, STEPS, TABLES
 from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
 from storage.fits import write_fits
@@ -124,7 +125,7 @@ def write_bundle(
     if result.pattern:
         text = pattern_toml(result.pattern, result.key.panel, "enrolled", result.key.scene_id)
         (folder / PATTERN).write_text(text, encoding="utf-8")
-    write_fits(folder / FITS, result.rivets, result.stations)
+    write_fits(folder / FITS, result.features)
     for name, table in tables.items():
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
     files = sorted(folder.iterdir())
@@ -199,9 +200,10 @@ def result_tables(
     key = {**asdict(result.key), "scene_id": result.key.scene_id}
     rows = {
         SCENES.name: [key | _scene_row(result, run_id, bundle_path, first_stored_at)],
-        RIVETS.name: [key | {f.name: getattr(rivet, f.name) for f in fields(rivet)} for rivet in result.rivets],
-        SEAM_STATIONS.name: [key | {f.name: getattr(s, f.name) for f in fields(s)} for s in result.stations],
     }
+    for kind in KINDS:
+        found = result.features.get(kind.name, ())
+        rows[kind.table] = [key | {field.name: getattr(row, field.name) for field in fields(row)} for row in found]
     return {
         table.name: pa.Table.from_pylist(
             [{name: _plain(name, value) for name, value in row.items()} for row in rows[table.name]],
@@ -216,7 +218,6 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
     sigma = result.reconstruction.sigma_z[valid]
     spec, registration = result.panel_spec, result.registration
     missing, unlisted = registration.get("missing", ()), registration.get("unlisted", ())
-    confirmed = [rivet for rivet in result.rivets if rivet.decision != "unconfirmed"]
     return {
         "run_id": run_id,
         "rig_id": result.reconstruction.rig.id,
@@ -237,9 +238,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "epipolar_rms_px": result.epipolar_rms_px,
         "projector_rms_px": result.projector_rms_px,
         "rig_verdict": result.rig_verdict,
-        "n_rivets": len(confirmed) - len(missing),
-        "n_seams": len({station.seam_id for station in result.stations}),
-        "n_stations": len(result.stations),
+        **{count.column: _counted(kind, count, result) for kind in KINDS for count in kind.counts},
         "registration": registration.get("status"),
         "n_missing": len(missing),
         "n_unlisted": len(unlisted),
@@ -253,6 +252,13 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "overlay_path": f"{bundle_path}/{OVERLAY}",
         "preview_path": f"{bundle_path}/{PREVIEW}",
     }
+
+
+def _counted(kind: Kind, count: Count, result: InspectionResult) -> int:
+    rows = result.features.get(kind.name, ())
+    if count.of == "names":
+        return len(kind.names(rows))
+    return len(rows) if count.of == "rows" else sum(row.is_found for row in rows)
 
 
 def _plain(name: str, value: object) -> object:

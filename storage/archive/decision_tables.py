@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metrology.errors import StoreError
+from metrology.kinds import KINDS
 
 if TYPE_CHECKING:
     import duckdb
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 
     from storage.review import Review
 
+_KINDS = " or ".join(kind.name for kind in KINDS)
+_IDS = ", or ".join("@".join(kind.id_columns) for kind in KINDS)
 DECISIONS_COLUMNS = {
     "number": "counts the entries of the review log",
     "at": "when it was decided (UTC)",
@@ -21,8 +24,8 @@ DECISIONS_COLUMNS = {
     "action": "disposition, close or sign-off",
     "scene_id": "the scene",
     "run_id": "the run of the scene that was shown",
-    "feature_kind": "rivet or seam station; NULL for a sign-off",
-    "feature_id": "rivet_id, or seam_id@s_mm",
+    "feature_kind": f"{_KINDS}; NULL for a sign-off",
+    "feature_id": _IDS,
     "disposition": "use as is, rework, repair, scrap, re-scan",
     "comment": "what they said",
     "document": "the whole entry as JSON, with what was shown",
@@ -30,8 +33,8 @@ DECISIONS_COLUMNS = {
 }
 DISPOSITIONS_COLUMNS = {
     "scene_id": "the scene",
-    "feature_kind": "rivet or seam station",
-    "feature_id": "rivet_id, or seam_id@s_mm",
+    "feature_kind": _KINDS,
+    "feature_id": _IDS,
     "decided_at": "when the last disposition was recorded (UTC)",
     "disposition": "use as is, rework, repair, scrap, re-scan",
     "who": "who decided",

@@ -17,6 +17,7 @@ from typing import Any
 import duckdb
 
 from metrology.errors import OutdatedError, UsageError
+from metrology.kinds import BY_NAME
 from storage.archive import snapshot
 from storage.archive.anchors import SIGNED_MANIFEST, manifest_checksum
 from storage.archive.bundles import Bundles
@@ -37,10 +38,11 @@ def shown_finding(
     `values` also names the newest scan of the finding's station, so that a decision about a scan which another one
     replaced meanwhile is told.
     """
+    of_kind = features_sql(BY_NAME[feature.kind], "scene_id = ?")
     sql = f"""SELECT s.run_id, s.panel_spec, s.software_version, s.rig_id, s.config_hash, f.* EXCLUDE (feature_kind),
         (SELECT max_by(n.scene_id, n.captured_at) FROM scenes n WHERE n.aircraft_serial = s.aircraft_serial
             AND n.panel = s.panel AND n.station = s.station) AS newest_scan
-    FROM ({features_sql(feature.kind, "scene_id = ?")}) f JOIN scenes s USING (scene_id) WHERE f.feature_id = ?"""
+    FROM ({of_kind}) f JOIN scenes s USING (scene_id) WHERE f.feature_id = ?"""
     found = connection.execute(sql, [scene_id, feature.id])
     names = [column[0] for column in found.description or ()]
     rows = found.fetchall()

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import count
-from typing import Any, TypeVar
+from typing import Any
 
 from metrology.errors import StoreError
+from metrology.kinds import RIVET, SEAM_STATION, Kind
 from metrology.panel import PanelLayout
 from metrology.registration import enrol, enrolment_doubts
-from metrology.registration.relabel import MISSING, UNLISTED
-from metrology.results import Rivet, SceneKey, SeamStation
+from metrology.registration.relabel import UNLISTED
+from metrology.results import MISSING, Rivet, SceneKey, SeamStation
+from storage.archive.rows import result_of
 from storage.archive.store import Store
-
-Row = TypeVar("Row", Rivet, SeamStation)
 
 
 def pattern_of(store: Store, scene_id: str) -> tuple[SceneKey, PanelLayout]:
@@ -23,8 +23,8 @@ def pattern_of(store: Store, scene_id: str) -> tuple[SceneKey, PanelLayout]:
 
     What was in no pattern before gets the next free number.
     """
-    rivets = _listed(_rows(store, Rivet, "rivets", scene_id))
-    stations = _rows(store, SeamStation, "seam_stations", scene_id)
+    rivets = _listed(_rows(store, RIVET, scene_id))
+    stations: list[SeamStation] = _rows(store, SEAM_STATION, scene_id)
     with contextlib.closing(store.connect()) as connection:
         key = connection.execute(
             "SELECT aircraft_serial, panel, station, captured_at FROM scenes WHERE scene_id = ?", [scene_id]
@@ -48,16 +48,16 @@ def doubts_of(store: Store, scene_id: str) -> tuple[str, ...]:
     return doubts or (("its inspection found it unfit",) if registration == "not enrolled" else ())
 
 
-def _rows(store: Store, kind: type[Row], table: str, scene_id: str) -> list[Row]:
+def _rows(store: Store, kind: Kind, scene_id: str) -> list[Any]:
     """The rows of a scene that were found, not those that say that something is missing."""
-    names = [f.name for f in fields(kind)]
     with contextlib.closing(store.connect()) as connection:
         found = connection.execute(
-            f"SELECT {', '.join(names)} FROM {table} WHERE scene_id = ? "
+            f"FROM {kind.table} WHERE scene_id = ? "
             f"AND NOT starts_with(coalesce(reason, ''), '{MISSING}:') ORDER BY ALL",
             [scene_id],
-        ).fetchall()
-    return [kind(**_values(names, row)) for row in found]
+        )
+        names = [column[0] for column in found.description or ()]
+        return [result_of(kind.row_type, dict(zip(names, row, strict=True))) for row in found.fetchall()]
 
 
 def _listed(rivets: Sequence[Rivet]) -> list[Rivet]:
@@ -67,7 +67,3 @@ def _listed(rivets: Sequence[Rivet]) -> list[Rivet]:
         replace(rivet, rivet_id=next(free)) if UNLISTED in (rivet.reason or "") else rivet
         for rivet in sorted(rivets, key=lambda rivet: rivet.rivet_id)
     ]
-
-
-def _values(names: list[str], row: tuple[Any, ...]) -> dict[str, Any]:
-    return dict(zip(names, row, strict=True))

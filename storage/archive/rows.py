@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from metrology.results import Rivet, SeamStation
+from metrology.results import Feature
 
-Row = TypeVar("Row", Rivet, SeamStation)
+Row = TypeVar("Row", bound=Feature)
 
 
 def result_of(kind: type[Row], row: Mapping[str, Any]) -> Row:
-    """A rivet or a seam station from its row; what is NaN or lacks in an older table is None."""
+    """A feature from its row; what is NaN or lacks in an older table is None."""
     return kind(**{f.name: _given(row.get(f.name)) for f in fields(kind)})
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import MISSING, dataclass, fields
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+from metrology.kinds import KINDS, Kind
+from metrology.results import Feature
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -116,9 +119,9 @@ sigma_z_median_mm DOUBLE median standard deviation of a point's depth, mm
 epipolar_rms_px DOUBLE how far features seen by both cameras lie from their epipolar lines, RMS px; NULL where unknown
 projector_rms_px DOUBLE how far decoded projector coordinates lie from where the rig projects their points, RMS px
 rig_verdict VARCHAR whether the rig fits the scan: ok, warning, or unjudged (the scan cannot tell); NULL in older runs
-n_rivets INTEGER rivets found, without unconfirmed ones
-n_seams INTEGER seams found
-n_stations INTEGER positions measured along seams
+""")
+    + tuple(Column(count.column, "INTEGER", count.meaning) for kind in KINDS for count in kind.counts)
+    + _columns("""
 registration VARCHAR whether the panel's pattern was recognised, not recognised, enrolled by this scene or not enrolled
 n_missing INTEGER rivets of the pattern that are in view but were not found
 n_unlisted INTEGER rivets found that are in no pattern
@@ -136,78 +139,33 @@ preview_path VARCHAR texture as the left camera sees it (PNG), relative to the s
 """),
 )
 
-RIVETS = Table(
-    "rivets",
-    "One row per rivet of each scene. What could not be measured is NULL and reason says why",
-    KEY
-    + _columns("""
-rivet_id VARCHAR name of the rivet in the panel's pattern, the same on every scan of the station; X… is in no pattern
-x_mm DOUBLE centre of the head in the rig frame (left camera), to the right, mm
-y_mm DOUBLE centre of the head in the rig frame, down, mm
-z_mm DOUBLE centre of the head in the rig frame, away from the rig, mm
-u_px DOUBLE column of the head's centre in the raw left image, px
-v_px DOUBLE row of the head's centre in the raw left image, px
-u_right_px DOUBLE column of the head's centre in the raw right image, px
-v_right_px DOUBLE row of the head's centre in the raw right image, px
-diameter_mm DOUBLE diameter of the head, mm
-major_px DOUBLE major axis (whole length) of the head's ellipse in the left image, px
-minor_px DOUBLE minor axis (whole length) of the head's ellipse in the left image, px
-angle_deg DOUBLE direction of the major axis from +u towards +v, degrees
-confidence DOUBLE of the detection, 0 to 1
-found_by VARCHAR what showed it: image (its ring) or relief (the cloud's deviation from the skin); NULL in older runs
-height_mean_mm DOUBLE mean height of the head above the skin, mm; positive stands proud
-height_min_mm DOUBLE least height of the head above the skin, mm
-height_max_mm DOUBLE greatest height of the head above the skin, mm
-height_u95_mm DOUBLE expanded uncertainty (95 %) of height_mean_mm, mm
-tilt_deg DOUBLE angle between the head and the skin, degrees
-tilt_u95_deg DOUBLE expanded uncertainty (95 %) of tilt_deg, degrees
-crown_mm DOUBLE how far a domed head's middle stands above its rim, mm
-n_inner INTEGER points on the head that were used
-n_outer INTEGER points on the skin around it that were used
-rms_inner_mm DOUBLE scatter of the head's points about its plane, mm
-rms_outer_mm DOUBLE scatter of the skin's points about the reference surface, mm
-diameter_u95_mm DOUBLE expanded uncertainty (95 %) of diameter_mm, mm
-diameter_nominal_mm DOUBLE diameter of the head by the panel's pattern, mm; NULL where it names none
-x_panel_mm DOUBLE the same point in the panel's frame, mm; NULL where the panel's pattern was not recognised
-y_panel_mm DOUBLE the same point in the panel's frame, mm
-z_panel_mm DOUBLE the same point in the panel's frame, mm
-zone VARCHAR tolerance zone of the panel specification
-severity VARCHAR green meets the limits, blue slightly outside, red seriously outside
-decision VARCHAR pass, conditional pass, conditional fail, fail, not measured, unconfirmed (perhaps no rivet), no limit
-reason VARCHAR why there is no value, or why the decision is not a pass
-"""),
-)
 
-SEAM_STATIONS = Table(
-    "seam_stations",
-    "One row per position along a seam of each scene. What could not be measured is NULL and reason says why",
-    KEY
-    + _columns("""
-seam_id VARCHAR name of the seam in the panel's pattern, the same on every scan of the station; XS… is in no pattern
-s_mm DOUBLE position along the seam (arc length from the nominal seam's start), mm
-x_mm DOUBLE middle between the ideal edges in the rig frame (left camera), to the right, mm
-y_mm DOUBLE middle between the ideal edges in the rig frame, down, mm
-z_mm DOUBLE middle between the ideal edges in the rig frame, away from the rig, mm
-u_px DOUBLE column of that point in the raw left image, px
-v_px DOUBLE row of that point in the raw left image, px
-step_mm DOUBLE height of side B minus side A, mm; A is the side at smaller u (seam nearer to vertical) or smaller v
-step_u95_mm DOUBLE expanded uncertainty (95 %) of step_mm, mm
-width_mm DOUBLE width of the gap between the ideal edges, mm
-width_u95_mm DOUBLE expanded uncertainty (95 %) of width_mm, mm
-n_left INTEGER points used on side A
-n_right INTEGER points used on side B
-step_into_wind_mm DOUBLE step that the air runs against (positive) or falls from (negative), mm; NULL without an airflow
-x_panel_mm DOUBLE the same point in the panel's frame, mm; NULL where the panel's pattern was not recognised
-y_panel_mm DOUBLE the same point in the panel's frame, mm
-z_panel_mm DOUBLE the same point in the panel's frame, mm
-zone VARCHAR tolerance zone of the panel specification
-severity VARCHAR green meets the limits, blue slightly outside, red seriously outside
-decision VARCHAR pass, conditional pass, conditional fail, fail, not measured, no limit
-reason VARCHAR why there is no value, or why the decision is not a pass
-"""),
-)
+def _features_table(kind: Kind) -> Table:
+    """A kind's table, from the fields of its rows: its id, its place, its own columns, and how it was judged."""
+    meanings = get_type_hints(kind.row_type, include_extras=True)
+    shared = fields(Feature)
+    place = [field.name for field in shared if field.default is MISSING]
+    judged = [field.name for field in shared if field.default is not MISSING]
+    own = [field.name for field in fields(kind.row_type) if field.name not in {*kind.id_columns, *place, *judged}]
+    columns = [_column(name, meanings[name], kind) for name in (*kind.id_columns, *place, *own, *judged)]
+    comment = f"One row per {kind.one} of each scene. What could not be measured is NULL and reason says why"
+    return Table(kind.table, comment, (*KEY, *columns))
 
-TABLES = (SCENES, RIVETS, SEAM_STATIONS)
+
+def _column(name: str, hint: Any, kind: Kind) -> Column:
+    """A column from a row's field: `Annotated[type, meaning]`."""
+    python_type, meaning = get_args(hint)[:2]
+    sql_type = next(
+        (sql for found, sql in _SQL_TYPES.items() if found in (python_type, *get_args(python_type))), "VARCHAR"
+    )
+    return Column(name, sql_type, meaning.format(point=kind.point, pixel=kind.pixel))
+
+
+_SQL_TYPES = {float: "DOUBLE", int: "INTEGER"}
+
+OF_KIND = {kind.name: _features_table(kind) for kind in KINDS}
+"""The table of each kind of feature."""
+TABLES = (SCENES, *OF_KIND.values())
 
 
 def schema_hash(*more: str) -> str:

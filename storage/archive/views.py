@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import timedelta
 
+from metrology.kinds import KINDS, Kind
 from metrology.verdicts import DECISIONS, IN_ORDER, OUTSIDE, gravity
 
 # A scan cannot be newer than the moment it was first stored; a camera's clock may be a little ahead.
@@ -48,6 +49,63 @@ class View:
         return f"CREATE OR REPLACE VIEW {self.name} AS {self.query};\nCOMMENT ON VIEW {self.name} IS '{comment}'"
 
 
+def _latest(kind: Kind) -> View:
+    return View(
+        f"latest_{kind.table}",
+        f"The {kind.many} of the newest scan of each station",
+        f"SELECT {kind.table}.* FROM {kind.table} SEMI JOIN latest_scenes USING (scene_id)",
+    )
+
+
+def _worst(kind: Kind) -> View:
+    values = [column for quantity in kind.quantities for column in (quantity.column, quantity.u95_column)]
+    first = kind.quantities[0]
+    return View(
+        f"worst_{kind.table}",
+        f"{kind.many.capitalize()} of the newest scans that do not pass, the gravest first, then by {first.name}",
+        f"SELECT {', '.join([KEY, *kind.id_columns, *values])}, severity, decision, reason, u_px, v_px "
+        f"FROM latest_{kind.table} WHERE NOT {_IN_ORDER_SQL} "
+        f"ORDER BY {RANK_SQL}, abs({first.column}) DESC NULLS LAST",
+    )
+
+
+def _along(kind: Kind) -> View:
+    """What is measured at positions along something, summed up for each of these."""
+    name, position = kind.id_columns
+    counted = next(count.column for count in kind.counts if count.of == "rows")
+    columns = [f"count(*) AS {counted}", f"max({position}) AS length_mm"]
+    for quantity in kind.quantities:
+        value, (stem, _, unit) = quantity.column, quantity.column.rpartition("_")
+        columns += [
+            f"{f}({value}) AS {stem}_{said}_{unit}" for f, said in (("min", "min"), ("max", "max"), ("avg", "mean"))
+        ]
+        columns += [f"quantile_cont(abs({value}), 0.95) AS {stem}_abs_p95_{unit}"] if quantity.signed else []
+    columns += [f"count(*) FILTER (decision = '{d}') AS n_{d.replace(' ', '_')}" for d in ("fail", "not measured")]
+    return View(
+        f"{kind.subject}_summary",
+        f"One row per {kind.subject} of each scene: {' and '.join(q.name for q in kind.quantities)} over its length",
+        f"SELECT {KEY}, {name}, {', '.join(columns)} FROM {kind.table} GROUP BY {KEY}, {name}",
+    )
+
+
+def _of_panel(kind: Kind) -> str:
+    """One row per panel of each aircraft with the numbers of a kind."""
+    counted = f"count(*) AS n_{kind.table}", f"count(*) FILTER ({OUTSIDE_SQL}) AS n_{kind.table}_failing"
+    columns = ", ".join((*counted, *kind.per_panel))
+    return f"of_{kind.table} AS (SELECT aircraft_serial, panel, {columns} FROM latest_{kind.table} GROUP BY ALL)"
+
+
+_PANEL_SUMMARY = View(
+    "panel_summary",
+    "One row per panel of each aircraft, from the newest scan of each of its stations",
+    f"WITH s AS (SELECT aircraft_serial, panel, count(*) AS n_scenes, {NEWEST_TIME} AS last_captured_at, "
+    "count(*) FILTER (status <> 'ok') AS n_scenes_with_warnings, "
+    "count(*) FILTER (rig_verdict = 'unjudged') AS n_scenes_rig_unjudged FROM latest_scenes GROUP BY ALL), "
+    f"{', '.join(_of_panel(kind) for kind in KINDS)} SELECT * FROM s "
+    + " ".join(f"LEFT JOIN of_{kind.table} USING (aircraft_serial, panel)" for kind in KINDS),
+)
+
+
 VIEWS = (
     View(
         "latest_scenes",
@@ -55,54 +113,8 @@ VIEWS = (
         "SELECT * FROM scenes QUALIFY row_number() OVER "
         f"(PARTITION BY aircraft_serial, panel, station ORDER BY {NEWEST_FIRST}) = 1",
     ),
-    View(
-        "latest_rivets",
-        "The rivets of the newest scan of each station",
-        "SELECT rivets.* FROM rivets SEMI JOIN latest_scenes USING (scene_id)",
-    ),
-    View(
-        "latest_seam_stations",
-        "The seam positions of the newest scan of each station",
-        "SELECT seam_stations.* FROM seam_stations SEMI JOIN latest_scenes USING (scene_id)",
-    ),
-    View(
-        "worst_rivets",
-        "Rivets of the newest scans that do not pass, the gravest first, then by distance from flush",
-        f"SELECT {KEY}, rivet_id, height_mean_mm, height_u95_mm, tilt_deg, tilt_u95_deg, severity, decision, reason, "
-        f"u_px, v_px FROM latest_rivets WHERE NOT {_IN_ORDER_SQL} "
-        f"ORDER BY {RANK_SQL}, abs(height_mean_mm) DESC NULLS LAST",
-    ),
-    View(
-        "worst_seam_stations",
-        "Seam positions of the newest scans that do not pass, the gravest first, then by step",
-        f"SELECT {KEY}, seam_id, s_mm, step_mm, step_u95_mm, width_mm, width_u95_mm, severity, decision, reason, "
-        f"u_px, v_px FROM latest_seam_stations WHERE NOT {_IN_ORDER_SQL} "
-        f"ORDER BY {RANK_SQL}, abs(step_mm) DESC NULLS LAST",
-    ),
-    View(
-        "seam_summary",
-        "One row per seam of each scene: step and width over its length",
-        f"SELECT {KEY}, seam_id, count(*) AS n_stations, max(s_mm) AS length_mm, "
-        "min(step_mm) AS step_min_mm, max(step_mm) AS step_max_mm, avg(step_mm) AS step_mean_mm, "
-        "quantile_cont(abs(step_mm), 0.95) AS step_abs_p95_mm, "
-        "min(width_mm) AS width_min_mm, max(width_mm) AS width_max_mm, avg(width_mm) AS width_mean_mm, "
-        "count(*) FILTER (decision = 'fail') AS n_fail, count(*) FILTER (decision = 'not measured') AS n_not_measured "
-        f"FROM seam_stations GROUP BY {KEY}, seam_id",
-    ),
-    View(
-        "panel_summary",
-        "One row per panel of each aircraft, from the newest scan of each of its stations",
-        f"WITH s AS (SELECT aircraft_serial, panel, count(*) AS n_scenes, {NEWEST_TIME} AS last_captured_at, "
-        "count(*) FILTER (status <> 'ok') AS n_scenes_with_warnings, "
-        "count(*) FILTER (rig_verdict = 'unjudged') AS n_scenes_rig_unjudged FROM latest_scenes GROUP BY ALL), "
-        "r AS (SELECT aircraft_serial, panel, count(*) AS n_rivets, "
-        f"count(*) FILTER ({OUTSIDE_SQL}) AS n_rivets_failing, "
-        "count(*) FILTER (decision = 'not measured') AS n_rivets_not_measured, "
-        "max(abs(height_mean_mm)) AS height_worst_mm, avg(height_mean_mm) AS height_mean_mm "
-        "FROM latest_rivets GROUP BY ALL), "
-        "t AS (SELECT aircraft_serial, panel, count(*) AS n_seam_stations, "
-        f"count(*) FILTER ({OUTSIDE_SQL}) AS n_seam_stations_failing, "
-        "max(abs(step_mm)) AS step_worst_mm, max(width_mm) AS width_worst_mm FROM latest_seam_stations GROUP BY ALL) "
-        "SELECT * FROM s LEFT JOIN r USING (aircraft_serial, panel) LEFT JOIN t USING (aircraft_serial, panel)",
-    ),
+    *(_latest(kind) for kind in KINDS),
+    *(_worst(kind) for kind in KINDS),
+    *(_along(kind) for kind in KINDS if len(kind.id_columns) > 1),
+    _PANEL_SUMMARY,
 )

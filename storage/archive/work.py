@@ -1,6 +1,6 @@
 """How findings stand: waiting for a decision, with open work, or decided. One answer for pages, reports and sign-off.
 
-A finding is a rivet or a seam station of the newest scan of its place that does not simply pass, or one of any scan
+A finding is a feature of the newest scan of its place that does not simply pass, or one of any scan
 whose disposition left work open. Work that a disposition asked for (rework, repair, re-scan) is open until the same
 feature passes on a later scan of its station, until it is disposed of anew on a later scan, or until a person closes
 it. A disposition holds for the values it was made about: where another run of the scan measured something else, the
@@ -17,7 +17,8 @@ from typing import Any, Literal
 import duckdb
 import pyarrow as pa
 
-from storage.review_entries import SHOWN_NUMBERS, Entry, Feature, FeatureKind, Review
+from metrology.kinds import KINDS, Kind
+from storage.review_entries import SHOWN_NUMBERS, Entry, Feature, Review
 
 State = Literal["waiting", "open work", "decided"]
 WAITING: State = "waiting"
@@ -26,22 +27,9 @@ DECIDED: State = "decided"
 UNRESOLVED: tuple[State, ...] = (WAITING, OPEN_WORK)
 """What stands between a scan and its sign-off."""
 
-STATION_ID = "seam_id || '@' || printf('%.1f', s_mm)"
 _KEY = "aircraft_serial, panel, station, captured_at, scene_id"
-_MEASURED: dict[FeatureKind, tuple[str, str]] = {
-    "rivet": (
-        "rivets",
-        "rivet_id AS feature_id, height_mean_mm AS value_mm, height_u95_mm AS u95_mm, tilt_deg, "
-        "NULL::DOUBLE AS width_mm",
-    ),
-    "seam station": (
-        "seam_stations",
-        f"{STATION_ID} AS feature_id, step_mm AS value_mm, step_u95_mm AS u95_mm, NULL::DOUBLE AS tilt_deg, width_mm",
-    ),
-}
-KINDS: tuple[FeatureKind, ...] = tuple(_MEASURED)
 ATTENTION = "decision NOT IN ('pass', 'no limit')"
-"""What a person must look at, as a condition on rivets and seam stations."""
+"""What a person must look at, as a condition on features."""
 
 NEWEST = "scene_id IN (SELECT scene_id FROM latest_scenes)"
 """The newest scan of each station, as a condition on a scene's key."""
@@ -91,21 +79,25 @@ class Standing:
     state: State
 
 
-def features_sql(kind: FeatureKind, condition: str = "true", source: str | None = None) -> str:
+def features_sql(kind: Kind, condition: str = "true", source: str | None = None) -> str:
     """Rows of one kind of feature as findings list them: key, kind and id, values, verdict."""
-    table, columns = _MEASURED[kind]
+    first, *others = kind.quantities
+    columns = {"value_mm": first.column, "u95_mm": first.u95_column}
+    columns |= {name: "NULL::DOUBLE" for name in SHOWN_NUMBERS if name not in columns}
+    columns |= {quantity.column: quantity.column for quantity in others if quantity.column in columns}
+    values = ", ".join(f"{sql} AS {name}" for name, sql in columns.items())
     return (
-        f"SELECT {_KEY}, '{kind}' AS feature_kind, {columns}, severity, decision, reason "
-        f"FROM {source or table} WHERE {condition}"
+        f"SELECT {_KEY}, '{kind.name}' AS feature_kind, {kind.id_sql} AS feature_id, {values}, "
+        f"severity, decision, reason FROM {source or kind.table} WHERE {condition}"
     )
 
 
-def _of_scenes(kind: FeatureKind, scenes: str) -> str:
-    return f"{_MEASURED[kind][0]} SEMI JOIN {scenes} USING (scene_id)"
+def _of_scenes(kind: Kind, scenes: str) -> str:
+    return f"{kind.table} SEMI JOIN {scenes} USING (scene_id)"
 
 
 def findings_sql(
-    kinds: Sequence[FeatureKind] = KINDS,
+    kinds: Sequence[Kind] = KINDS,
     attention: str = ATTENTION,
     worked: str = "true",
     near: str = "true",
@@ -138,7 +130,7 @@ def findings_sql(
             "SEMI JOIN worked USING (scene_id, feature_kind, feature_id) "
             f"WHERE {worked} AND NOT ({attention} AND {newest})",
         )
-    ] or [features_sql("rivet", "false")]
+    ] or [features_sql(KINDS[0], "false")]
     return f"""WITH worked AS (SELECT scene_id, feature_kind, feature_id FROM reviewed WHERE open_work),
 open_scenes AS (SELECT DISTINCT scene_id FROM worked),
 s AS (SELECT scene_id, run_id, panel_spec, software_version FROM scenes WHERE {scenes})
@@ -203,8 +195,7 @@ _DONE_SQL = f"""WITH named AS (
 ), later AS (SELECT s.* FROM scenes s SEMI JOIN places USING (aircraft_serial, panel, station)
 ), passed AS (
     SELECT f.*, s.registration, s.n_unlisted FROM (
-        {features_sql("rivet", _PASSES, _of_scenes("rivet", "later"))} UNION ALL
-        {features_sql("seam station", _PASSES, _of_scenes("seam station", "later"))}
+        {" UNION ALL ".join(features_sql(kind, _PASSES, _of_scenes(kind, "later")) for kind in KINDS)}
     ) f JOIN later s USING (scene_id) WHERE {_SAME}
 ), answers AS (
     SELECT aircraft_serial, panel, station, feature_kind, feature_id, captured_at FROM passed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
@@ -57,8 +58,8 @@ def _stations(record: PanelRecord) -> str:
             f'<a href="#{_anchor(s)}">{escape(s.scene["station"])}</a>',
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
-            str(len(s.rivets)),
-            str(len({station["seam_id"] for station in s.stations})),
+            str(len(s.of_kind[RIVET.name])),
+            str(len({station["seam_id"] for station in s.of_kind[SEAM_STATION.name]})),
             str(sum(needs_attention(feature) for feature in s.features)),
             escape(said(s.standings)),
             escape("; ".join(s.scene["warnings"] or ())),
@@ -73,8 +74,8 @@ def _maps(record: PanelRecord) -> list[str]:
     """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
     placed = [scene for scene in record.scenes if scene.has_common_frame]
     drawing = panel_map(
-        [rivet for scene in placed for rivet in scene.rivets],
-        [station for scene in placed for station in scene.stations],
+        [rivet for scene in placed for rivet in scene.of_kind[RIVET.name]],
+        [station for scene in placed for station in scene.of_kind[SEAM_STATION.name]],
     )
     if not drawing:
         return []
@@ -82,8 +83,10 @@ def _maps(record: PanelRecord) -> list[str]:
 
 
 def _attention(record: PanelRecord) -> str:
-    rivets = [rivet for scene in record.scenes for rivet in scene.rivets if needs_attention(rivet)]
-    stations = [station for scene in record.scenes for station in scene.stations if needs_attention(station)]
+    rivets = [rivet for scene in record.scenes for rivet in scene.of_kind[RIVET.name] if needs_attention(rivet)]
+    stations = [
+        station for scene in record.scenes for station in scene.of_kind[SEAM_STATION.name] if needs_attention(station)
+    ]
     if not rivets and not stations:
         return "<p>Nothing.</p>"
     return (rivet_table(rivets, where=True) if rivets else "") + (
@@ -96,13 +99,15 @@ def _station(scene: SceneRecord) -> list[str]:
         f'<h2 id="{_anchor(scene)}">Station {escape(scene.scene["station"])}</h2>',
         verdict(scene.features),
         '<div class="pair">',
-        figure(marked_picture(scene.preview, scene.rivets, scene.stations), "Left camera."),
+        figure(
+            marked_picture(scene.preview, scene.of_kind[RIVET.name], scene.of_kind[SEAM_STATION.name]), "Left camera."
+        ),
         figure(f'<img src="{data_uri(scene.overlay_png, "png")}" alt="overlay">', "The overlay."),
         "</div>",
     ]
-    if scene.rivets:
-        parts.append(rivet_table(scene.rivets))
-    parts += seams(scene.stations, scene.limits)
+    if scene.of_kind[RIVET.name]:
+        parts.append(rivet_table(scene.of_kind[RIVET.name]))
+    parts += seams(scene.of_kind[SEAM_STATION.name], scene.limits)
     if decided := decisions_table(scene):
         parts += ["<h3>Decisions of people</h3>", decided]
     return parts

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.errors import StoreError
+from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
@@ -33,8 +34,8 @@ class SceneRecord:
     ----------
     scene : mapping
         Its row of the table scenes.
-    rivets, stations : tuple of mappings
-        Its rows of the tables rivets and seam_stations.
+    of_kind : mapping
+        Its rows of the tables of features, by the names of the kinds.
     manifest : mapping
         Of its bundle: settings, versions, registration, limits.
     preview : (h, w) uint8
@@ -50,8 +51,7 @@ class SceneRecord:
     """
 
     scene: Row
-    rivets: tuple[Row, ...]
-    stations: tuple[Row, ...]
+    of_kind: Mapping[str, tuple[Row, ...]]
     manifest: Mapping[str, Any]
     preview: NDArray[np.uint8]
     overlay_png: bytes
@@ -62,8 +62,8 @@ class SceneRecord:
 
     @property
     def features(self) -> tuple[Row, ...]:
-        """Rivets and stations."""
-        return (*self.rivets, *self.stations)
+        """All its rows."""
+        return tuple(row for rows in self.of_kind.values() for row in rows)
 
     @property
     def has_common_frame(self) -> bool:
@@ -89,7 +89,7 @@ class PanelRecord:
 
     @property
     def features(self) -> tuple[Row, ...]:
-        """Rivets and stations of all scenes."""
+        """All rows of all scenes."""
         return tuple(feature for scene in self.scenes for feature in scene.features)
 
 
@@ -97,8 +97,12 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
     """A scene's current run."""
     paths = store.paths(scene_id)
     scenes = _rows(store, "SELECT * FROM scenes WHERE scene_id = ?", scene_id)
-    rivets = _rows(store, "SELECT * FROM rivets WHERE scene_id = ? ORDER BY rivet_id", scene_id)
-    stations = _rows(store, "SELECT * FROM seam_stations WHERE scene_id = ? ORDER BY seam_id, s_mm", scene_id)
+    found = {
+        kind.name: _rows(
+            store, f"SELECT * FROM {kind.table} WHERE scene_id = ? ORDER BY {', '.join(kind.id_columns)}", scene_id
+        )
+        for kind in KINDS
+    }
     manifest = read_json(paths.bundle / MANIFEST, StoreError)
     preview = cv2.imdecode(np.frombuffer(_bytes(paths.preview), np.uint8), cv2.IMREAD_GRAYSCALE)
     if preview is None:
@@ -110,7 +114,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         decisions = tuple(entry for entry in review.entries if entry.scene_id == scene_id)
         how_they_stand = standings(connection, review, scene_id)
     return SceneRecord(
-        scenes[0], rivets, stations, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
+        scenes[0], found, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
         judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand, str(ReviewLog(store.root).head()),
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
+from metrology.kinds import RIVET, SEAM_STATION
 from storage.report.drawings import heights_chart, marked_picture
 from storage.report.markup import data_uri, figure, moment, page
 from storage.report.record import SceneRecord
@@ -31,20 +32,25 @@ def scene_page(record: SceneRecord) -> str:
         verdict(record.features),
         *(f'<div class="warning">{escape(text)}</div>' for text in scene["warnings"] or ()),
         '<div class="pair">',
-        figure(marked_picture(record.preview, record.rivets, record.stations), f"Left camera. {_MARKS}"),
+        figure(
+            marked_picture(record.preview, record.of_kind[RIVET.name], record.of_kind[SEAM_STATION.name]),
+            f"Left camera. {_MARKS}",
+        ),
         figure(
             f'<img src="{data_uri(record.overlay_png, "png")}" alt="overlay">',
             "The overlay, as the projector shows it.",
         ),
         "</div>",
     ]
-    if record.rivets:
+    if record.of_kind[RIVET.name]:
         parts.append("<h2>Rivets</h2>")
-        if chart := heights_chart(record.rivets, feature_limits(record.rivets, "height_mm", record.limits)):
+        if chart := heights_chart(
+            record.of_kind[RIVET.name], feature_limits(record.of_kind[RIVET.name], RIVET.quantities[0], record.limits)
+        ):
             parts.append(figure(chart, "Heights with their U95; dashed: the limits that each was judged by."))
-        parts.append(rivet_table(record.rivets))
-    if record.stations:
-        parts += ["<h2>Seams</h2>", *seams(record.stations, record.limits)]
+        parts.append(rivet_table(record.of_kind[RIVET.name]))
+    if record.of_kind[SEAM_STATION.name]:
+        parts += ["<h2>Seams</h2>", *seams(record.of_kind[SEAM_STATION.name], record.limits)]
     if decided := decisions_table(record):
         parts += ["<h2>Decisions of people</h2>", decided]
     parts += ["<h2>Limits</h2>", limits_table(record.limits), "<h2>Traceability</h2>", traceability(record)]

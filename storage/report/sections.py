@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from html import escape
 from itertools import groupby
 from typing import Any
 
-from metrology.requirements import Downstream, downstream_of, limit_of
-from metrology.results import SeamStation
-from metrology.tolerance import RULE, Limit, PanelSpec, Zone
-from storage.archive.rows import result_of
+from metrology.kinds import LIMITS, SEAM_STATION, Quantity
+from metrology.requirements import downstream_of, limit_of
+from metrology.tolerance import RULE, Limit, PanelSpec
 from storage.archive.work import OPEN_WORK, said
 from storage.report.drawings import seam_chart
 from storage.report.markup import badge, facts, figure, moment, number, table, with_u95
@@ -21,15 +19,6 @@ from storage.report.verdicts import counted, gravest, needs_attention
 from storage.review import Entry
 
 Row = Mapping[str, Any]
-
-QUANTITIES = {
-    "height_mm": "rivet height, mm",
-    "tilt_deg": "rivet tilt, °",
-    "step_mm": "seam step, mm",
-    "step_into_wind_mm": "seam step into the wind, mm",
-    "step_out_of_wind_mm": "seam step out of the wind, mm",
-    "width_mm": "seam gap, mm",
-}
 
 
 def verdict(features: Sequence[Row]) -> str:
@@ -96,10 +85,10 @@ def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
     for seam_id, group in groupby(stations, key=lambda s: s["seam_id"]):
         course = list(group)
         parts.append(f"<h3>Seam {escape(seam_id)}</h3>{verdict(course)}{_summary(course)}")
-        for quantity in ("step", "width"):
-            if chart := seam_chart(course, quantity, feature_limits(course, f"{quantity}_mm", limits)):
-                said = f"{quantity} along seam {seam_id}; grey: U95; dashed: the limits judged by"
-                parts.append(figure(chart, said + (" (zone and wind)" if quantity == "step" else "")))
+        for quantity in SEAM_STATION.quantities:
+            if chart := seam_chart(course, quantity.name, feature_limits(course, quantity, limits)):
+                said = f"{quantity.name} along seam {seam_id}; grey: U95; dashed: the limits judged by"
+                parts.append(figure(chart, said + (" (zone and wind)" if quantity.into_wind else "")))
         attention = [s for s in course if needs_attention(s)]
         if attention:
             parts.append(f"<details open><summary>{len(attention)} positions need attention</summary>")
@@ -109,12 +98,11 @@ def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
     return parts
 
 
-def feature_limits(features: Sequence[Row], quantity: str, spec: PanelSpec | None) -> list[Limit | None]:
-    """The limit of a quantity that each rivet or seam station was judged by."""
+def feature_limits(features: Sequence[Row], quantity: Quantity, spec: PanelSpec | None) -> list[Limit | None]:
+    """The limit of a quantity that each feature was judged by."""
     if spec is None:
         return [None] * len(features)
-    signs: list[Downstream] = [downstream_of(result_of(SeamStation, f)) if "seam_id" in f else 0 for f in features]
-    return [limit_of(spec.zone(f["zone"]), quantity, sign) for f, sign in zip(features, signs, strict=True)]
+    return [limit_of(spec.zone(f["zone"]), quantity, downstream_of(quantity, f)) for f in features]
 
 
 def _summary(stations: Sequence[Row]) -> str:
@@ -134,14 +122,9 @@ def limits_table(spec: PanelSpec | None) -> str:
         return "<p>The limits of this run cannot be read by this version; the bundle's manifest holds them.</p>"
     rows = []
     for name, zone in spec.zones.items():
-        for quantity in fields(Zone):
-            limit: Limit | None = getattr(zone, quantity.name)
-            if limit is not None:
-                bounds = (limit.lower, limit.upper, limit.serious_lower, limit.serious_upper)
-                text = ["–" if bound is None else f"{bound:+.3f}" for bound in bounds]
-                rows.append(
-                    [escape(name), QUANTITIES[quantity.name], *text, escape(limit.source), escape(limit.revision)]
-                )
+        for key, limit in zone.items():
+            text = ["–" if bound is None else f"{bound:+.3f}" for bound in limit.bounds]
+            rows.append([escape(name), LIMITS[key].title, *text, escape(limit.source), escape(limit.revision)])
     heads = ["zone", "quantity", "lower", "upper", "serious below", "serious above", "source", "revision"]
     return f"<p>Decision rule: {RULE}. Specification {escape(spec.panel)}, revision {escape(spec.revision)}.</p>" + (
         table(heads, rows, [2, 3, 4, 5]) if rows else "<p>No limits: nothing was judged.</p>"

@@ -19,8 +19,9 @@ from dashboard.findings import Selection
 from dashboard.scenes import find_feature, load_features, load_scene_row, requirements
 from dashboard.standard import standard_of
 from dashboard.trends import QUANTITIES, Subject, capability_of, layout, limit_groups, series, spread
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.statistics import capability
-from metrology.tolerance import judge_rivets, judge_stations
+from metrology.tolerance import judge
 from storage.archive.store import Store
 from storage.panel_spec import load_panel_spec, panel_spec_from
 from storage.review import Feature
@@ -44,8 +45,8 @@ def by_zones(night: int, revision: str = "B", zones: dict[str, Any] = ZONES) -> 
     stations = [replace(s, zone="lee", step_into_wind_mm=-s.step_mm) for s in made.stations]
     return replace(
         made,
-        rivets=tuple(judge_rivets(rivets, spec.limits)),
-        stations=tuple(judge_stations(stations, spec.limits)),
+        rivets=tuple(judge(RIVET, rivets, spec.limits)),
+        stations=tuple(judge(SEAM_STATION, stations, spec.limits)),
         panel_spec=document,
         config_hash=f"zones-{revision}",
     )

@@ -16,7 +16,8 @@ from synthetic_scene import synthetic_result
 from week import WORST_HEIGHT, recipe, texts
 
 from dashboard.app import PAGES
-from metrology.tolerance import judge_rivets
+from metrology.kinds import RIVET
+from metrology.tolerance import judge
 from storage.archive.schema import TABLES
 from storage.archive.store import Store
 from storage.archive.views import VIEWS
@@ -301,7 +302,7 @@ def test_a_wrong_fastener_s_diameter_stands_beside_the_expected_one(writable: Pa
     made = synthetic_result(recipe(5, "S1", "RH-F99"))
     rivets = [replace(rivet, diameter_nominal_mm=rivet.diameter_mm) for rivet in made.rivets]
     rivets[2] = replace(rivets[2], diameter_mm=8.0, diameter_u95_mm=0.05, diameter_nominal_mm=5.5)
-    made = replace(made, rivets=tuple(judge_rivets(rivets, load_panel_spec().limits)))
+    made = replace(made, rivets=tuple(judge(RIVET, rivets, load_panel_spec().limits)))
     Store(writable).publish(made)
     said = texts(clean(open_page("scene", writable, scene=made.key.scene_id, feature="rivet:R03"))).replace("\\", "")
     assert "8.000 ± 0.050" in said

@@ -24,7 +24,7 @@ from metrology.inspection import InspectionResult
 from metrology.panel import NominalRivet, PanelLayout
 from metrology.results import SceneKey
 from storage.archive import Store
-from storage.review import Feature, ReviewLog, station_id
+from storage.review import Feature, ReviewLog
 from storage.saved_queries import SavedQueries
 from tests.storage.results import small_key, small_result, small_rig
 
@@ -58,7 +58,7 @@ def fill(store: Store) -> None:
     store.publish(result(twice, 0.31))
     store.publish(replace(result(twice, 0.27), warnings=("gap beside the rig's range",)))
     log = ReviewLog(store.root)
-    rivet, place = Feature("rivet", "R2"), Feature("seam station", station_id("M1", 0.0))
+    rivet, place = Feature("rivet", "R2"), Feature("seam station", "M1@0.0")
     log.dispose("m.weber", decided.scene_id, decided_run, [rivet, place], "rework", "flush it – „nach“ 3.2", {})
     log.dispose("k.ito", decided.scene_id, decided_run, [rivet], "use as is", "", {rivet: {"height_mean_mm": 0.152}})
     sign_off(store.root, "k.ito", signed.scene_id, signed_run, "all seen", {"rivets": 3})

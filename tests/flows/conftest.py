@@ -58,8 +58,8 @@ def fake_metrology_in(put: Callable[[Any, str, Any], None]) -> list[str]:
         (steps.rivets, "detect_rivets", []),
         (steps.rig_health, "epipolar_health", RigHealth(0.06, 0.004, 200, 0.001, 400, "ok", None)),
         (steps.seams, "detect_seams", []),
-        (steps.rivets, "measure_rivets", list(result.rivets)),
-        (steps.seams, "measure_seams", list(result.stations)),
+        (steps.rivets, "measure_rivets", list(result.features["rivet"])),
+        (steps.seams, "measure_seams", list(result.features["seam station"])),
         (steps.overlay, "draw_overlay", result.overlay),
     ):
         put(room, name, gives(name, value))

@@ -11,7 +11,9 @@ from tests.storage.results import small_result
 
 def test_found_is_set_beside_the_truth_at_the_same_place() -> None:
     result = small_result()
-    inspected = Inspected(result.key, "run", result.rivets[:1], result.stations, (), {"total": 1.0})
+    inspected = Inspected(
+        result.key, "run", {**result.features, "rivet": result.features["rivet"][:1]}, (), {"total": 1.0}
+    )
     truth = {
         "rivets": [
             {"id": "T1", "xyz_mm": [1.2, 2.0, 700.0], "diameter_mm": 8.0, "height_mean_mm": 0.048},

@@ -16,6 +16,7 @@ from metrology.overlay.marks import COLOURS, Label
 from metrology.overlay.paint import text_size
 from metrology.results import Rivet, SeamStation, Severity
 from metrology.rig import Device, Rig
+from tests.metrology.rows import rivet_at, station_at
 
 SIZE = (320, 240)
 
@@ -45,17 +46,17 @@ def scene() -> Reconstruction:
 def rivet(name: str, x: float, y: float, severity: Severity | None, rig: Rig) -> Rivet:
     centre = (x, y, 700 + 0.1 * x)
     u, v = rig.left.project(centre)
-    return Rivet(name, *centre, u, v, None, None, 8.0, 8.2, 8.0, 0.0, 1.0, height_mean_mm=0.123, severity=severity)
+    return rivet_at(name, centre, (u, v), 8.0, 8.2, minor_px=8.0, height_mean_mm=0.123, severity=severity)
 
 
 def station(s: float, severity: Severity | None, rig: Rig) -> SeamStation:
     point = (20.0, s, 702.0)
     u, v = rig.left.project(point)
-    return SeamStation("S01", s, *point, u, v, step_mm=0.1, width_mm=2.0, severity=severity)
+    return station_at("S01", s, point, (u, v), step_mm=0.1, width_mm=2.0, severity=severity)
 
 
 def test_rings_lie_on_the_rim_as_the_projector_sees_it(scene: Reconstruction) -> None:
-    overlay = draw_overlay([rivet("R01", -30, 10, "green", scene.rig)], [], scene, [])
+    overlay = draw_overlay({"rivet": [rivet("R01", -30, 10, "green", scene.rig)], "seam station": []}, scene, [])
     (ring,) = [x for x in overlay.strokes if x.feature == "R01"]
     normal = np.array([0.1, 0, -1]) / np.hypot(0.1, 1)
     along = np.array([1, 0, 0.1]) / np.hypot(0.1, 1)
@@ -65,7 +66,9 @@ def test_rings_lie_on_the_rim_as_the_projector_sees_it(scene: Reconstruction) ->
     away = np.linalg.norm(ring.points[:, None] - expected[None], axis=2).min(1)
     assert away.max() < 0.1
     # As painted: what lights up around the rivet has the rim's middle as its centre of gravity.
-    image = draw_overlay([rivet("R01", -30, 10, "green", scene.rig)], [], scene, [], OverlaySettings(0)).image()
+    image = draw_overlay(
+        {"rivet": [rivet("R01", -30, 10, "green", scene.rig)], "seam station": []}, scene, [], OverlaySettings(0)
+    ).image()
     centre = expected.mean(0)
     columns, rows = np.meshgrid(np.arange(1280), np.arange(800))
     near = np.hypot(columns - centre[0], rows - centre[1]) < 1.2 * np.ptp(expected[:, 0]) / 2
@@ -76,8 +79,11 @@ def test_rings_lie_on_the_rim_as_the_projector_sees_it(scene: Reconstruction) ->
 
 def test_severities_differ_in_shape_as_well_as_colour(scene: Reconstruction) -> None:
     grades: list[Severity | None] = ["green", "blue", "red", None]
-    rivets = [draw_overlay([rivet("R", 0, 0, s, scene.rig)], [], scene, []) for s in grades]
-    seams = [draw_overlay([], [station(2.0 * k, s, scene.rig) for k in range(9)], scene, []) for s in grades]
+    rivets = [draw_overlay({"rivet": [rivet("R", 0, 0, s, scene.rig)], "seam station": []}, scene, []) for s in grades]
+    seams = [
+        draw_overlay({"rivet": [], "seam station": [station(2.0 * k, s, scene.rig) for k in range(9)]}, scene, [])
+        for s in grades
+    ]
     for drawn in (rivets, seams):
         shapes = {tuple((len(x.points), x.closed, x.width) for x in o.strokes if x.feature) for o in drawn}
         assert len(shapes) == 4
@@ -89,7 +95,7 @@ def boxes(labels: Iterable[Label]) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def test_values_do_not_cover_each_other_or_the_rivets(scene: Reconstruction) -> None:
     rivets = [rivet(f"R{i}{j}", 25.0 * i, 24.0 * j, "red", scene.rig) for i in range(-4, 5) for j in range(-2, 3)]
-    overlay = draw_overlay(rivets, [], scene, ["MSN-1 P1 S1", "2026-11-20"])
+    overlay = draw_overlay({"rivet": rivets, "seam station": []}, scene, ["MSN-1 P1 S1", "2026-11-20"])
     assert [x.text for x in overlay.labels].count("+0.12") == len(rivets)
     everything = boxes(overlay.labels)
     for k, (centre, half) in enumerate(everything):
@@ -103,7 +109,9 @@ def test_values_do_not_cover_each_other_or_the_rivets(scene: Reconstruction) -> 
 
 
 def test_every_rivet_has_its_value_and_title_lines_are_there(scene: Reconstruction) -> None:
-    overlay = draw_overlay([rivet("R01", 0, 0, "blue", scene.rig)], [], scene, ["MSN-1 P1 S1"])
+    overlay = draw_overlay(
+        {"rivet": [rivet("R01", 0, 0, "blue", scene.rig)], "seam station": []}, scene, ["MSN-1 P1 S1"]
+    )
     texts = [x.text for x in overlay.labels]
     assert "+0.12" in texts
     assert "MSN-1 P1 S1" in texts
@@ -111,13 +119,13 @@ def test_every_rivet_has_its_value_and_title_lines_are_there(scene: Reconstructi
 
 def test_a_value_that_rounds_to_nothing_has_no_minus(scene: Reconstruction) -> None:
     flush = replace(rivet("R01", 0, 0, "green", scene.rig), height_mean_mm=-0.0029)
-    assert "+0.00" in [x.text for x in draw_overlay([flush], [], scene, []).labels]
+    assert "+0.00" in [x.text for x in draw_overlay({"rivet": [flush], "seam station": []}, scene, []).labels]
 
 
 def test_seam_marks_follow_severity(scene: Reconstruction) -> None:
     grades: list[Severity | None] = ["green"] * 5 + ["red"] * 3 + [None] * 2
     stations = [station(2.0 * k, grade, scene.rig) for k, grade in enumerate(grades)]
-    overlay = draw_overlay([], stations, scene, [])
+    overlay = draw_overlay({"rivet": [], "seam station": stations}, scene, [])
     colours = [x.colour for x in overlay.strokes if x.feature == "S01" and x.width > 1]
     assert colours.count(COLOURS["green"]) == 2  # one line on each side
     assert colours.count(COLOURS["red"]) == 2 * 2 * 2  # on each side a bar and its crossbar, at both ends of the run
@@ -127,24 +135,28 @@ def test_seam_marks_follow_severity(scene: Reconstruction) -> None:
 
 def test_what_the_projector_does_not_reach_is_listed(scene: Reconstruction) -> None:
     overlay = draw_overlay(
-        [rivet("R01", 0, 0, "green", scene.rig), rivet("R02", 900, 0, "red", scene.rig)], [], scene, []
+        {"rivet": [rivet("R01", 0, 0, "green", scene.rig), rivet("R02", 900, 0, "red", scene.rig)], "seam station": []},
+        scene,
+        [],
     )
     assert overlay.outside == ("R02",)
 
 
 def test_unmeasured_rivet_is_marked_and_one_without_position_is_not(scene: Reconstruction) -> None:
-    nowhere = Rivet("R01", None, None, None, 10, 10, None, None, None, 8, 8, 0, 1, reason="no points")
-    overlay = draw_overlay([nowhere], [], scene, [])
+    nowhere = rivet_at("R01", (None, None, None), (10, 10), None, 8.0, reason="no points")
+    overlay = draw_overlay({"rivet": [nowhere], "seam station": []}, scene, [])
     assert not any(x.feature for x in (*overlay.strokes, *overlay.labels))
 
 
 def test_svg_is_well_formed_and_has_the_projector_size(scene: Reconstruction) -> None:
-    root = ET.fromstring(draw_overlay([rivet("R01", 0, 0, "red", scene.rig)], [], scene, ["A & B"]).svg())
+    root = ET.fromstring(
+        draw_overlay({"rivet": [rivet("R01", 0, 0, "red", scene.rig)], "seam station": []}, scene, ["A & B"]).svg()
+    )
     assert (root.get("width"), root.get("height")) == ("1280", "800")
 
 
 def test_background_can_be_dimmed(scene: Reconstruction) -> None:
-    image = draw_overlay([], [], scene, [], OverlaySettings(background=7)).image()
+    image = draw_overlay({"rivet": [], "seam station": []}, scene, [], OverlaySettings(background=7)).image()
     assert image.shape == (800, 1280, 3)
     assert np.median(image) == 7
     with pytest.raises(UsageError, match="0 … 255"):
@@ -160,7 +172,7 @@ def px_per_mm_down(scene: Reconstruction, at: np.ndarray) -> float:
 def test_capital_letters_are_at_least_four_millimetres_on_the_skin(scene: Reconstruction) -> None:
     grid = [(x, y) for x in (-90, 0, 90) for y in (-60, 0, 60)]
     rivets = [rivet(f"R{k}", x, y, "blue", scene.rig) for k, (x, y) in enumerate(grid)]
-    overlay = draw_overlay(rivets, [], scene, ["H", "MSN-1"])
+    overlay = draw_overlay({"rivet": rivets, "seam station": []}, scene, ["H", "MSN-1"])
     for label in overlay.labels:
         assert label.height > 3.95 * px_per_mm_down(scene, np.array([0, 0, 700.0]))
     # As painted: the title's H.
@@ -176,7 +188,7 @@ def test_text_stays_on_the_skin_and_in_the_picture(scene: Reconstruction) -> Non
     points[:, 200:] = np.nan
     cut = replace(scene, points=points)
     rivets = [rivet(f"R{y}", x, y, "red", scene.rig) for x in (25, 34) for y in range(-60, 61, 30)]
-    overlay = draw_overlay(rivets, [], cut, ["MSN-1 P1 S1", "2026-11-20"])
+    overlay = draw_overlay({"rivet": rivets, "seam station": []}, cut, ["MSN-1 P1 S1", "2026-11-20"])
     edge = scene.rig.projector.project((38.0, 0.0, 704.0))[0]
     for centre, half in boxes(overlay.labels):
         assert centre[0] + half[0] < edge + 10
@@ -187,14 +199,16 @@ def test_text_stays_on_the_skin_and_in_the_picture(scene: Reconstruction) -> Non
 def test_text_keeps_off_what_stands_behind_the_panel(scene: Reconstruction) -> None:
     points = scene.points.copy()
     points[:, 200:] *= 1.15  # a wall, measured like the panel
-    overlay = draw_overlay([rivet("R", 34, 0, "red", scene.rig)], [], replace(scene, points=points), ["T"])
+    overlay = draw_overlay(
+        {"rivet": [rivet("R", 34, 0, "red", scene.rig)], "seam station": []}, replace(scene, points=points), ["T"]
+    )
     edge = scene.rig.projector.project((38.0, 0.0, 704.0))[0]
     assert all(centre[0] + half[0] < edge + 10 for centre, half in boxes(overlay.labels))
 
 
 def test_rivets_cut_by_the_edge_are_drawn_and_listed(scene: Reconstruction) -> None:
     edge = next(x for x in range(400) if scene.rig.projector.project((float(x), 0.0, 700 + 0.1 * x))[0] > 1279)
-    overlay = draw_overlay([rivet("R01", edge, 0, "red", scene.rig)], [], scene, ["T"])
+    overlay = draw_overlay({"rivet": [rivet("R01", edge, 0, "red", scene.rig)], "seam station": []}, scene, ["T"])
     assert overlay.outside == ("R01",)
     texts = [x.text for x in overlay.labels]
     assert "beyond the picture: R01" in texts
@@ -206,13 +220,17 @@ def test_rivets_cut_by_the_edge_are_drawn_and_listed(scene: Reconstruction) -> N
 def test_a_missing_rivet_is_shown_where_it_should_be(scene: Reconstruction) -> None:
     row = rivet("R07", 10, 10, None, scene.rig)
     row = replace(row, height_mean_mm=None, decision="not measured", reason="missing: no head found")
-    overlay = draw_overlay([row], [], scene, [])
+    overlay = draw_overlay({"rivet": [row], "seam station": []}, scene, [])
     assert "MISSING" in [x.text for x in overlay.labels if x.feature == "R07"]
     assert "NOT JUDGED" in [x.text for x in overlay.labels]
 
 
 def test_values_near_a_limit_are_starred_and_the_star_is_explained(scene: Reconstruction) -> None:
-    overlay = draw_overlay([replace(rivet("R", 0, 0, "green", scene.rig), decision="conditional pass")], [], scene, [])
+    overlay = draw_overlay(
+        {"rivet": [replace(rivet("R", 0, 0, "green", scene.rig), decision="conditional pass")], "seam station": []},
+        scene,
+        [],
+    )
     texts = [x.text for x in overlay.labels]
     assert "+0.12*" in texts
     assert "* within U95 of a limit" in texts
@@ -221,7 +239,7 @@ def test_values_near_a_limit_are_starred_and_the_star_is_explained(scene: Recons
 def test_where_there_is_no_room_grave_values_stay(scene: Reconstruction) -> None:
     spots = [(9.0 * i, 9.0 * j) for i in range(-14, 15) for j in range(-9, 10)]
     rivets = [rivet(f"R{k}", x, y, "red" if k % 37 == 0 else "green", scene.rig) for k, (x, y) in enumerate(spots)]
-    overlay = draw_overlay(rivets, [], scene, ["T"])
+    overlay = draw_overlay({"rivet": rivets, "seam station": []}, scene, ["T"])
     values = [x for x in overlay.labels if x.feature]
     assert sum(x.colour == COLOURS["red"] for x in values) == sum(r.severity == "red" for r in rivets)
     assert sum(x.colour == COLOURS["green"] for x in values) < sum(r.severity == "green" for r in rivets)

@@ -26,6 +26,7 @@ from simulator.rig import RigDesign
 from simulator.scene import Stage, look_at_image, make_rig, set_up
 from simulator.spec import Placement, RigSpec, SceneKeys, SimulationSpec
 from simulator.survey import plate_heights, plate_normals
+from tests.metrology.rows import rivet_at
 
 Array = NDArray[np.float64]
 
@@ -109,8 +110,8 @@ def measured(stage: Stage, rig: Rig, severity: Severity, rng: np.random.Generato
         x, y, z = triangulated(rig, left[None], right[None])[0]
         size = diameter * rig.left.K[0, 0] / z
         rivets.append(
-            Rivet(
-                name, x, y, z, left[0], left[1], right[0], right[1], diameter, size, size, 0.0, 1.0,
+            rivet_at(
+                name, (x, y, z), left, diameter, size, u_right_px=right[0], v_right_px=right[1],
                 height_mean_mm=0.05, severity=severity,
             )
         )  # fmt: skip
@@ -160,7 +161,10 @@ def test_marks_land_on_their_rivets(skin: Skin, rigs: tuple[Rig, Rig]) -> None:
     true, rig = rigs
     stage = set_up(panel, true, panel.placements[0])
     overlay = draw_overlay(
-        measured(stage, rig, "green", rng), [], cloud(stage, rig, rng), ["MSN-1 P1 S1"], OverlaySettings(background=0)
+        {"rivet": measured(stage, rig, "green", rng), "seam station": []},
+        cloud(stage, rig, rng),
+        ["MSN-1 P1 S1"],
+        OverlaySettings(background=0),
     )
     shown = look_at_image(stage, panel, overlay.image()[..., 1])["left"]
     white = look_at_image(stage, panel, np.full((true.projector.height, true.projector.width), 255, np.uint8))["left"]

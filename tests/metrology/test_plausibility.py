@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import pytest
 
+from metrology import kinds
 from metrology.plausibility import plausible_rivet, plausible_station
 from metrology.results import Rivet, SeamStation
-from metrology.tolerance import Limit, PanelSpec, Zone, judge_rivets, judge_stations
+from metrology.tolerance import Limit, PanelSpec, judge
 
-RIVET = Rivet("R01", 1.0, 2.0, 700.0, 10.0, 12.0, None, None, 5.5, 28.0, 27.0, 5.0, 0.9)
+RIVET = Rivet(
+    "R01", x_mm=1.0, y_mm=2.0, z_mm=700.0, u_px=10.0, v_px=12.0, u_right_px=None, v_right_px=None, diameter_mm=5.5,
+    major_px=28.0, minor_px=27.0, angle_deg=5.0, confidence=0.9,
+)  # fmt: skip
 SOUND = replace(
     RIVET,
     height_mean_mm=0.05,
@@ -21,7 +25,10 @@ SOUND = replace(
     tilt_u95_deg=0.1,
     crown_mm=0.1,
 )
-STATION = SeamStation("S01", 4.0, 1.0, 2.0, 700.0, 10.0, 12.0, 0.1, 0.01, 2.4, 0.05, 90, 95)
+STATION = SeamStation(
+    "S01", 4.0, x_mm=1.0, y_mm=2.0, z_mm=700.0, u_px=10.0, v_px=12.0, step_mm=0.1, step_u95_mm=0.01, width_mm=2.4,
+    width_u95_mm=0.05, n_left=90, n_right=95,
+)  # fmt: skip
 
 
 def test_sound_values_stay_as_they_are() -> None:
@@ -69,16 +76,19 @@ SPEC = PanelSpec(
     "P",
     "A",
     {
-        "default": Zone(
-            height_mm=Limit(-0.05, 0.05), tilt_deg=Limit(upper=1.0), step_mm=Limit(-0.1, 0.1), width_mm=Limit(1.0, 1.5)
-        ),
-        "wind": Zone(step_into_wind_mm=Limit(upper=0.02), step_out_of_wind_mm=Limit(upper=0.03)),
+        "default": {
+            "height_mm": Limit(-0.05, 0.05),
+            "tilt_deg": Limit(upper=1.0),
+            "step_mm": Limit(-0.1, 0.1),
+            "width_mm": Limit(1.0, 1.5),
+        },
+        "wind": {"step_into_wind_mm": Limit(upper=0.02), "step_out_of_wind_mm": Limit(upper=0.03)},
     },
 )
 
 
 def test_what_is_vaguer_than_its_limits_range_is_not_judged_by_them() -> None:
-    [vague, sharp] = judge_rivets([replace(SOUND, height_u95_mm=0.11), replace(SOUND, height_u95_mm=0.09)], SPEC)
+    [vague, sharp] = judge(kinds.RIVET, [replace(SOUND, height_u95_mm=0.11), replace(SOUND, height_u95_mm=0.09)], SPEC)
     assert vague.decision == "not measured"
     assert (vague.height_mean_mm, vague.height_u95_mm, vague.height_min_mm) == (None, None, None)
     assert (vague.x_mm, vague.tilt_deg) == (1.0, 0.3)
@@ -88,17 +98,17 @@ def test_what_is_vaguer_than_its_limits_range_is_not_judged_by_them() -> None:
 
 
 def test_seams_are_judged_by_what_their_limits_leave() -> None:
-    [step] = judge_stations([replace(STATION, step_u95_mm=0.21)], SPEC)
+    [step] = judge(kinds.SEAM_STATION, [replace(STATION, step_u95_mm=0.21)], SPEC)
     assert (step.decision, step.step_mm, step.width_mm) == ("fail", None, 2.4)  # its width fails
-    [width] = judge_stations([replace(STATION, width_u95_mm=0.51)], SPEC)
+    [width] = judge(kinds.SEAM_STATION, [replace(STATION, width_u95_mm=0.51)], SPEC)
     assert (width.decision, width.step_mm, width.width_mm) == ("not measured", 0.1, None)
-    [unknown_wind] = judge_stations([replace(STATION, zone="wind", step_u95_mm=0.045)], SPEC)
+    [unknown_wind] = judge(kinds.SEAM_STATION, [replace(STATION, zone="wind", step_u95_mm=0.045)], SPEC)
     assert unknown_wind.step_mm is None
     into_wind = replace(STATION, zone="wind", step_u95_mm=0.045, step_into_wind_mm=0.1)
-    assert judge_stations([into_wind], SPEC)[0].step_into_wind_mm == 0.1
-    assert judge_stations([replace(into_wind, step_u95_mm=0.051)], SPEC)[0].step_into_wind_mm is None
+    assert judge(kinds.SEAM_STATION, [into_wind], SPEC)[0].step_into_wind_mm == 0.1
+    assert judge(kinds.SEAM_STATION, [replace(into_wind, step_u95_mm=0.051)], SPEC)[0].step_into_wind_mm is None
 
 
 def test_limits_that_allow_one_value_alone_still_judge() -> None:
-    nowhere = PanelSpec("P", "A", {"default": Zone(height_mm=Limit(0.0, 0.0))})
-    assert judge_rivets([SOUND], nowhere)[0].decision == "fail"
+    nowhere = PanelSpec("P", "A", {"default": {"height_mm": Limit(0.0, 0.0)}})
+    assert judge(kinds.RIVET, [SOUND], nowhere)[0].decision == "fail"

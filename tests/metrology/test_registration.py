@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.errors import SpecError
+from metrology.kinds import RIVET
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement, course_length, foot_on, points_along
 from metrology.registration import Registration, enrol, register
 from metrology.results import Rivet, SeamStation
 from metrology.rig import Device, Rig
-from metrology.tolerance import PanelSpec, judge_rivets
+from metrology.tolerance import PanelSpec, judge
+from tests.metrology.rows import rivet_at, station_at
 
 Array = NDArray[np.float64]
 SIZE = (203, 154)
@@ -108,7 +110,7 @@ def moved(placement: Placement, rng: np.random.Generator, shift: float = 15.0, t
 def found_rivet(name: str, position: Array, diameter: float) -> Rivet:
     u, v = RIG.left.project(position)
     size = diameter * RIG.left.K[0, 0] / position[2]
-    return Rivet(name, *map(float, position), float(u), float(v), None, None, diameter, size, size, 0.0, 1.0)
+    return rivet_at(name, tuple(map(float, position)), (float(u), float(v)), diameter, size)
 
 
 def visible(points: Array, margin: float = 4.0) -> NDArray[np.bool_]:
@@ -153,7 +155,16 @@ def scan(
         for own, point in zip(s[inside] - s[inside][0], points[inside], strict=True):
             u, v = RIG.left.project(point)
             stations.append(
-                SeamStation(f"L{k}", float(own), *map(float, point), float(u), float(v), 0.1, 0.01, 2.0, 0.05)
+                station_at(
+                    f"L{k}",
+                    float(own),
+                    tuple(map(float, point)),
+                    (float(u), float(v)),
+                    step_mm=0.1,
+                    step_u95_mm=0.01,
+                    width_mm=2.0,
+                    width_u95_mm=0.05,
+                )
             )
     return ScanOf(rivets, {f"F{k:02d}": name for k, (_, _, name) in enumerate(rows)}, stations)
 
@@ -234,7 +245,7 @@ def test_a_head_of_the_wrong_size_keeps_its_name_and_says_so() -> None:
     seen = scan(panel, NOMINAL, rng)
     rivets = [replace(r, diameter_mm=8.0) if k == 3 else r for k, r in enumerate(seen.rivets)]
     result = register(rivets, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
-    said = {r.rivet_id: (r.decision, r.severity) for r in judge_rivets(result.rivets, NOTHING_ASKED) if r.reason}
+    said = {r.rivet_id: (r.decision, r.severity) for r in judge(RIVET, result.rivets, NOTHING_ASKED) if r.reason}
     assert said == {seen.truth[seen.rivets[3].rivet_id]: ("fail", "red")}
     assert not result.missing
     assert not result.warnings
@@ -250,7 +261,7 @@ def test_a_wrong_fastener_is_named_whatever_its_size(size: float) -> None:
         for k, r in enumerate(seen.rivets)
     ]
     result = register(rivets, [], panel.seen(NOMINAL), panel.layout({"S1": NOMINAL}), "S1")
-    judged = judge_rivets(result.rivets, NOTHING_ASKED)
+    judged = judge(RIVET, result.rivets, NOTHING_ASKED)
     findings = {r.rivet_id: r.reason for r in judged if r.decision != "no limit"}
     assert findings == {seen.truth[seen.rivets[3].rivet_id]: f"wrong fastener: {size:.1f} mm, expected 5.0"}
     assert not result.missing
@@ -259,12 +270,12 @@ def test_a_wrong_fastener_is_named_whatever_its_size(size: float) -> None:
 
 def test_a_diameter_that_its_own_uncertainty_explains_is_no_certain_finding() -> None:
     rivet = replace(found_rivet("R1", np.array([0.0, 0, 700]), 5.7), diameter_nominal_mm=5.0)
-    verdicts = {u95: judge_rivets([replace(rivet, diameter_u95_mm=u95)], NOTHING_ASKED)[0] for u95 in (0.1, 0.3)}
+    verdicts = {u95: judge(RIVET, [replace(rivet, diameter_u95_mm=u95)], NOTHING_ASKED)[0] for u95 in (0.1, 0.3)}
     assert verdicts[0.1].decision == "fail"
     assert (verdicts[0.3].decision, verdicts[0.3].severity) == ("conditional fail", "blue")
     assert verdicts[0.3].reason == "perhaps a wrong fastener: 5.7 mm, expected 5.0 (diameter ± 0.3 mm)"
     for unknown in ({"diameter_mm": None}, {"diameter_nominal_mm": None}, {"diameter_mm": 5.4}):
-        assert judge_rivets([replace(rivet, **unknown)], NOTHING_ASKED)[0].decision == "no limit"
+        assert judge(RIVET, [replace(rivet, **unknown)], NOTHING_ASKED)[0].decision == "no limit"
 
 
 @pytest.mark.parametrize("factor", [1.45, 2.6])
@@ -278,7 +289,7 @@ def test_most_heads_of_another_size_ask_for_the_station(factor: float) -> None:
     if result.status == "recognised":
         n = len(seen.rivets)
         assert f"heads of another size than the pattern's: {n} of {n}" in result.warnings[-1]
-        assert {r.decision for r in judge_rivets(result.rivets, NOTHING_ASKED)} == {"fail"}
+        assert {r.decision for r in judge(RIVET, result.rivets, NOTHING_ASKED)} == {"fail"}
 
 
 def test_a_half_turn_is_resolved_by_the_station() -> None:

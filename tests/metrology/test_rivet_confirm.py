@@ -12,12 +12,13 @@ from reference_scans import reference_scan
 from rivet_scan import Head, Skin, scan
 
 from metrology.cloud import Reconstruction
+from metrology.kinds import RIVET
 from metrology.limits import Limit, PanelSpec, Zone
 from metrology.registration import enrol
 from metrology.rivets import detect_rivets, measure_rivets
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.rim_step import rim_step
-from metrology.tolerance import judge_rivets
+from metrology.tolerance import judge
 
 ROWS = (Head(-45, 20), Head(-15, 20), Head(15, 20), Head(45, 20), Head(-45, -20), Head(15, -20), Head(45, -20))
 
@@ -112,7 +113,7 @@ def test_what_is_in_doubt_is_neither_enrolled_nor_judged(rng: np.random.Generato
     enrolled = enrol(rivets, [], reconstruction.points, "S1")
     assert [r.rivet_id for r in enrolled.enrolled.rivets] == [f"R{k:02d}" for k in range(1, 8)]
     limits = PanelSpec("P", "A", {"default": Zone(height_mm=Limit(lower=-1.0, upper=1.0))})
-    (doubtful,) = (r for r in judge_rivets(enrolled.rivets, limits) if r.rivet_id == "X01")
+    (doubtful,) = (r for r in judge(RIVET, enrolled.rivets, limits) if r.rivet_id == "X01")
     assert (doubtful.decision, doubtful.severity, doubtful.height_mean_mm) == ("unconfirmed", None, None)
     assert doubtful.diameter_mm == pytest.approx(11.0, abs=0.2)
 

@@ -163,7 +163,7 @@ def test_a_bent_step_is_uncertain_by_what_the_strip_s_mean_misses():
     # Its mean over ±2 mm misses nothing of a slope, and ε_d²/3 of a parabola's factor.
     for step, off in ((0.1 + 0.01 * s, 0.0), (0.1 + 0.002 * s**2, 0.002 * HALF_LENGTH**2 / 3)):
         rows = [
-            SeamStation("S01", place, 0, 0, 0, 0, 0, step_mm=value, step_u95_mm=0.001)
+            SeamStation("S01", place, x_mm=0, y_mm=0, z_mm=0, u_px=0, v_px=0, step_mm=value, step_u95_mm=0.001)
             for place, value in zip(s, step, strict=True)
         ]
         rows[0] = replace(rows[0], step_mm=None, step_u95_mm=None)

@@ -402,7 +402,9 @@ def test_points_beyond_another_seam_lie_on_another_plate():
 
 
 def test_summary():
-    rows = [SeamStation("S01", s, 0, 0, 0, 0, 0, step_mm=s / 10, width_mm=None) for s in range(11)]
+    rows = [
+        SeamStation("S01", s, x_mm=0, y_mm=0, z_mm=0, u_px=0, v_px=0, step_mm=s / 10, width_mm=None) for s in range(11)
+    ]
     summary = summarize(rows, "step_mm")[0]
     assert (summary.stations, summary.measured) == (11, 11)
     assert (summary.minimum, summary.maximum, summary.mean) == (0, 1, pytest.approx(0.5))

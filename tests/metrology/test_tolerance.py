@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from metrology.errors import SpecError
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.results import Rivet, SeamStation
-from metrology.tolerance import Limit, PanelSpec, Zone, judge_rivets, judge_stations
+from metrology.tolerance import Limit, PanelSpec, judge
+from tests.metrology.rows import rivet_at, station_at
 
 LIMIT = Limit(lower=-0.1, upper=0.1, serious_lower=-0.2, serious_upper=0.2, source="DS-1", revision="B")
 
 
 def rivet(height: float | None, u95: float | None = 0.01, tilt: float | None = 0.1) -> Rivet:
-    return Rivet(
-        "R01", 0, 0, 700, 10, 10, None, None, 8, 30, 29, 0, 1,
+    return rivet_at(
+        "R01", (0, 0, 700), (10, 10), 8, 30, minor_px=29,
         height_mean_mm=height, height_u95_mm=u95, tilt_deg=tilt, tilt_u95_deg=0.02,
     )  # fmt: skip
 
@@ -36,21 +38,21 @@ def rivet(height: float | None, u95: float | None = 0.01, tilt: float | None = 0
     ],
 )
 def test_colour_and_decision(value: float, severity: str, decision: str) -> None:
-    judged = judge_rivets([rivet(value)], PanelSpec("P", "1", {"default": Zone(height_mm=LIMIT)}))[0]
+    judged = judge(RIVET, [rivet(value)], PanelSpec("P", "1", {"default": {"height_mm": LIMIT}}))[0]
     assert (judged.severity, judged.decision) == (severity, decision)
     assert (judged.reason is None) == (decision == "pass")
 
 
 def test_not_measured_is_never_a_pass_and_never_hides_a_failure() -> None:
-    spec = PanelSpec("P", "1", {"default": Zone(height_mm=LIMIT, tilt_deg=Limit(upper=0.5))})
-    missing = judge_rivets([rivet(None)], spec)[0]
+    spec = PanelSpec("P", "1", {"default": {"height_mm": LIMIT, "tilt_deg": Limit(upper=0.5)}})
+    missing = judge(RIVET, [rivet(None)], spec)[0]
     assert (missing.severity, missing.decision) == (None, "not measured")
-    failing = judge_rivets([rivet(None, tilt=0.9)], spec)[0]
+    failing = judge(RIVET, [rivet(None, tilt=0.9)], spec)[0]
     assert (failing.severity, failing.decision) == ("blue", "fail")
 
 
 def test_without_limits_nothing_is_judged() -> None:
-    judged = judge_rivets([rivet(5.0)], PanelSpec("P", "1"))[0]
+    judged = judge(RIVET, [rivet(5.0)], PanelSpec("P", "1"))[0]
     assert (judged.severity, judged.decision, judged.reason) == (None, "no limit", None)
 
 
@@ -71,24 +73,25 @@ def test_limits_out_of_order_are_refused() -> None:
 
 
 def station(step: float, into_wind: float | None = None, zone: str | None = None) -> SeamStation:
-    return SeamStation(
-        "S01", 0, 0, 0, 700, 10, 10, step, 0.01, 2.0, 0.05, step_into_wind_mm=into_wind, zone=zone
+    return station_at(
+        "S01", 0, (0, 0, 700), (10, 10), step_mm=step, step_u95_mm=0.01, width_mm=2.0, width_u95_mm=0.05,
+        step_into_wind_mm=into_wind, zone=zone,
     )  # fmt: skip
 
 
 def test_each_feature_is_judged_by_its_own_zone_and_by_the_default_where_that_is_silent() -> None:
     tight = Limit(lower=-0.01, upper=0.01)
-    zones = {"default": Zone(height_mm=LIMIT, tilt_deg=Limit(upper=0.05)), "nose": Zone(height_mm=tight)}
+    zones = {"default": {"height_mm": LIMIT, "tilt_deg": Limit(upper=0.05)}, "nose": {"height_mm": tight}}
     spec = PanelSpec("P", "1", zones)
-    nose, wing = judge_rivets([replace(rivet(0.05), zone="nose"), replace(rivet(0.05), tilt_deg=0.0)], spec)
+    nose, wing = judge(RIVET, [replace(rivet(0.05), zone="nose"), replace(rivet(0.05), tilt_deg=0.0)], spec)
     assert (nose.decision, wing.decision) == ("fail", "pass")
     assert "tilt" in (nose.reason or "")
 
 
-WIND = Zone(
-    step_into_wind_mm=Limit(upper=0.1, serious_upper=0.2, source="DS-7", revision="C"),
-    step_out_of_wind_mm=Limit(upper=0.3, source="DS-8", revision="A"),
-)
+WIND = {
+    "step_into_wind_mm": Limit(upper=0.1, serious_upper=0.2, source="DS-7", revision="C"),
+    "step_out_of_wind_mm": Limit(upper=0.3, source="DS-8", revision="A"),
+}
 
 
 @pytest.mark.parametrize(
@@ -109,7 +112,7 @@ WIND = Zone(
 def test_steps_are_judged_by_where_the_wind_comes_from(
     step: float, into_wind: float | None, severity: str, decision: str
 ) -> None:
-    judged = judge_stations([station(step, into_wind)], PanelSpec("P", "1", {"default": WIND}))[0]
+    judged = judge(SEAM_STATION, [station(step, into_wind)], PanelSpec("P", "1", {"default": WIND}))[0]
     assert (judged.severity, judged.decision) == (severity, decision)
     if decision == "fail":
         assert "DS-" in (judged.reason or "")
@@ -117,9 +120,9 @@ def test_steps_are_judged_by_where_the_wind_comes_from(
 
 def test_limits_of_a_step_by_wind_are_of_its_amount() -> None:
     with pytest.raises(SpecError, match="amount"):
-        Zone(step_into_wind_mm=Limit(lower=-0.1, upper=0.1))
+        PanelSpec("P", "1", {"default": {"step_into_wind_mm": Limit(lower=-0.1, upper=0.1)}})
 
 
 def test_reasons_name_rule_source_and_revision() -> None:
-    judged = judge_rivets([rivet(0.15)], PanelSpec("P", "1", {"default": Zone(height_mm=LIMIT)}))[0]
+    judged = judge(RIVET, [rivet(0.15)], PanelSpec("P", "1", {"default": {"height_mm": LIMIT}}))[0]
     assert judged.reason == "height +0.150 ± 0.010 mm outside -0.100 … +0.100 (DS-1 B); ISO 14253-1, guard band U95"

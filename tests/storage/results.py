@@ -53,7 +53,10 @@ def small_result(key: SceneKey | None = None, height_mm: float = 0.05, rivets: i
     grey = np.full((HEIGHT, WIDTH), 90, np.float32)
     column = rig.projector.project(points)[..., 0].astype(np.float32)
     view = DecodedView(column, grey, grey, grey, flags)
-    rivet = Rivet("R1", 1.0, 2.0, 700.0, 10.0, 12.0, None, None, 8.0, 20.0, 18.0, 5.0, 0.9)
+    rivet = Rivet(
+        "R1", x_mm=1.0, y_mm=2.0, z_mm=700.0, u_px=10.0, v_px=12.0, u_right_px=None, v_right_px=None,
+        diameter_mm=8.0, major_px=20.0, minor_px=18.0, angle_deg=5.0, confidence=0.9,
+    )  # fmt: skip
     measured = replace(
         rivet,
         height_mean_mm=height_mm,
@@ -63,13 +66,21 @@ def small_result(key: SceneKey | None = None, height_mm: float = 0.05, rivets: i
         severity="green",
         decision="pass",
     )
-    station = SeamStation("M1", 0.0, 1.0, 2.0, 700.0, 10.0, 12.0, 0.1, 0.01, 2.4, 0.05, 90, 95, "blue", "fail", "step")
-    unmeasured = SeamStation("M1", 2.0, None, None, None, 11.0, 13.0, decision="not measured", reason="over a rivet")
+    station = SeamStation(
+        "M1", 0.0, x_mm=1.0, y_mm=2.0, z_mm=700.0, u_px=10.0, v_px=12.0, step_mm=0.1, step_u95_mm=0.01,
+        width_mm=2.4, width_u95_mm=0.05, n_left=90, n_right=95, severity="blue", decision="fail", reason="step",
+    )  # fmt: skip
+    unmeasured = SeamStation(
+        "M1", 2.0, x_mm=None, y_mm=None, z_mm=None, u_px=11.0, v_px=13.0, decision="not measured",
+        reason="over a rivet",
+    )  # fmt: skip
     return InspectionResult(
         key=key or small_key(),
         reconstruction=Reconstruction(rig, view, view, points, sigma, flags),
-        rivets=tuple(replace(measured, rivet_id=f"R{i + 1}") for i in range(rivets)),
-        stations=(station, unmeasured),
+        features={
+            "rivet": tuple(replace(measured, rivet_id=f"R{i + 1}") for i in range(rivets)),
+            "seam station": (station, unmeasured),
+        },
         overlay=Overlay((40, 30), 24, (), ()),
         preview=np.full((HEIGHT, WIDTH), 90, np.uint8),
         rig_document=rig_document(rig),

@@ -15,7 +15,7 @@ from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
 from storage.archive import Store
 from storage.archive.enrolment import pattern_of
-from storage.archive.schema import RIVETS
+from storage.archive.schema import OF_KIND
 from storage.panel_spec import load_panel_spec
 from storage.report import panel_page, panel_record, rows_csv, scene_page, scene_record
 from storage.report.overlays import write_overlays
@@ -132,7 +132,7 @@ def test_a_panel_with_a_nominal_pattern_has_a_map(tmp_path: Path) -> None:
 
 def test_csv_has_every_column_and_empty_cells_for_what_was_not_measured(store: Store) -> None:
     scene = scene_record(store, small_key("S3").scene_id)
-    text = rows_csv(scene.rivets, [column.name for column in RIVETS.columns])
+    text = rows_csv(scene.of_kind["rivet"], [column.name for column in OF_KIND["rivet"].columns])
     rows = list(csv.DictReader(io.StringIO(text, newline="")))
     assert [row["rivet_id"] for row in rows] == ["R1", "R2", "R3"]
     assert rows[2]["height_mean_mm"] == ""

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from metrology.errors import FlushlineError, OutdatedError, StoreError, UsageError
+from metrology.kinds import SEAM_STATION
 from storage import review_keeping
-from storage.review import MAX_COMMENT, Feature, ReviewLog, ShownFinding, ShownScene, station_id
+from storage.review import MAX_COMMENT, Feature, ReviewLog, ShownFinding, ShownScene
 from storage.review_checking import check_log
 
 SCENE = "A~P~S1~T"
@@ -298,4 +299,5 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
 
 
 def test_station_names_do_not_depend_on_the_last_digit() -> None:
-    assert station_id("S1", 24.000000001) == station_id("S1", 23.9999999) == "S1@24.0"
+    for place in (24.000000001, 23.9999999):
+        assert SEAM_STATION.id_of({"seam_id": "S1", "s_mm": place}) == "S1@24.0"

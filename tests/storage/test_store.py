@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from metrology.errors import RigError, StoreError
+from metrology.kinds import KINDS
 from metrology.panel import NominalRivet, PanelLayout
-from metrology.results import Rivet, SeamStation
 from storage.archive import Store, maintenance
 from storage.archive.panels import PatternTaken
-from storage.archive.schema import KEY, RIVETS, SEAM_STATIONS, TABLES
+from storage.archive.schema import KEY, OF_KIND, TABLES
 from storage.archive.staging import staged_run
 from tests.storage.results import small_key, small_result, small_rig
 
@@ -42,8 +42,9 @@ def tree(root: Path) -> dict[str, float]:
 
 
 def test_every_field_of_a_result_has_a_column() -> None:
-    for row, table in ((Rivet, RIVETS), (SeamStation, SEAM_STATIONS)):
-        assert {f.name for f in fields(row)} == {c.name for c in table.columns} - {c.name for c in KEY}
+    for kind in KINDS:
+        columns = {c.name for c in OF_KIND[kind.name].columns} - {c.name for c in KEY}
+        assert {f.name for f in fields(kind.row_type)} == columns
 
 
 def test_what_is_published_is_read_back(store: Store) -> None:

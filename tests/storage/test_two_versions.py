@@ -13,18 +13,18 @@ import pytest
 
 from metrology.errors import StoreError
 from storage.archive import Store, bookkeeping, bundle, maintenance, schema, views
-from storage.archive.schema import KEY, RIVETS, SCENES, SEAM_STATIONS, Column, Table
+from storage.archive.schema import KEY, SCENES, TABLES, Column, Table
 from storage.archive.views import View
 from tests.storage.results import small_key, small_result
 
 HOLES = Table("holes", "One row per hole", (*KEY, Column("hole_id", "VARCHAR", "name of the hole")))
-WIDER = replace(RIVETS, columns=(*RIVETS.columns, Column("torque_nm", "DOUBLE", "torque, N m")))
+WIDER = replace(TABLES[1], columns=(*TABLES[1].columns, Column("torque_nm", "DOUBLE", "torque, N m")))
 ONE_WORD = tuple(replace(view, comment=view.comment.replace("newest", "latest")) for view in views.VIEWS)
 NEW_VIEW = (*views.VIEWS, View("torques", "Rivets with a torque", "SELECT * FROM rivets WHERE torque_nm IS NOT NULL"))
 OTHER_TABLES = {
-    "one word of a view": ((SCENES, RIVETS, SEAM_STATIONS), ONE_WORD),
-    "a column": ((SCENES, WIDER, SEAM_STATIONS), NEW_VIEW),
-    "a table": ((SCENES, RIVETS, SEAM_STATIONS, HOLES), views.VIEWS),
+    "one word of a view": (TABLES, ONE_WORD),
+    "a column": ((SCENES, WIDER, *TABLES[2:]), NEW_VIEW),
+    "a table": ((*TABLES, HOLES), views.VIEWS),
 }
 Other = Callable[[], Any]
 
@@ -99,10 +99,10 @@ def test_both_ways_round_nothing_is_lost(store: Store, monkeypatch: pytest.Monke
 
 def test_an_older_version_keeps_the_views_of_a_newer_one(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        become(patch, (SCENES, RIVETS, SEAM_STATIONS), ONE_WORD)
+        become(patch, TABLES, ONE_WORD)
         store.publish(small_result(small_key("S4")))
     with monkeypatch.context() as patch:
-        become(patch, (SCENES, RIVETS, SEAM_STATIONS), views.VIEWS[:-1], "0.0.9")
+        become(patch, TABLES, views.VIEWS[:-1], "0.0.9")
         store.publish(small_result(small_key("S5")))
     sql = "SELECT comment FROM duckdb_views() WHERE view_name = 'latest_rivets'"
     assert "latest scan" in store.query(sql).column(0)[0].as_py()
@@ -114,9 +114,9 @@ def test_a_column_of_another_type_is_refused_and_the_version_named(
 ) -> None:
     before = store.layout.archive.resolve()
     changed = tuple(
-        replace(column, sql_type="BIGINT") if column.name == "n_inner" else column for column in RIVETS.columns
+        replace(column, sql_type="BIGINT") if column.name == "n_inner" else column for column in TABLES[1].columns
     )
-    become(monkeypatch, (SCENES, replace(RIVETS, columns=changed), SEAM_STATIONS), views.VIEWS)
+    become(monkeypatch, (SCENES, replace(TABLES[1], columns=changed), *TABLES[2:]), views.VIEWS)
     with pytest.raises(StoreError, match=r"rivets\.n_inner as INTEGER, as version 0\.1\.0 has it, expected BIGINT"):
         store.publish(small_result(small_key("S4")))
     assert store.layout.archive.resolve() == before

@@ -59,9 +59,9 @@ def run(loaded: steps.LoadedScene, spec: PanelSpecification, store: Store) -> st
     rng = np.random.default_rng(3)
     rivets = [
         replace(r, x_mm=x, y_mm=y, z_mm=700.0, u_px=32 + x / 7, v_px=24 + y / 7)
-        for r, (x, y) in zip(result.rivets, rng.uniform(-60, 60, (3, 2)), strict=True)
+        for r, (x, y) in zip(result.features["rivet"], rng.uniform(-60, 60, (3, 2)), strict=True)
     ]
-    return steps.register(rivets, [], result.reconstruction, loaded, spec, store, InspectionSettings())
+    return steps.register({"rivet": rivets}, result.reconstruction, loaded, spec, store, InspectionSettings())
 
 
 def test_the_first_scan_of_a_station_enrols_it_and_the_next_is_recognised(
@@ -95,7 +95,7 @@ def test_the_pattern_of_the_panels_specification_comes_first(
 
 def test_a_scan_in_which_nothing_was_found_enrols_nothing(loaded: steps.LoadedScene, store: Store) -> None:
     result = small_result()
-    registered = steps.register([], [], result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings())
+    registered = steps.register({}, result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings())
     assert registered.rivets == ()
     assert registered.status == "not enrolled"
     assert registered.enrolled is None
@@ -120,7 +120,13 @@ def test_a_scan_with_contradictory_fringes_enrols_nothing(loaded: steps.LoadedSc
     doubts = steps.doubts(contradicting(result.reconstruction, camera, 0.25), health("ok"))
     assert doubts == (f"25% of the {camera} camera's fringes contradict each other",)
     registered = steps.register(
-        result.rivets, [], result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings(), doubts
+        {"rivet": result.features["rivet"]},
+        result.reconstruction,
+        loaded,
+        load_panel_spec(),
+        store,
+        InspectionSettings(),
+        doubts,
     )
     assert (registered.status, registered.enrolled) == ("not enrolled", None)
     assert doubts[0] in registered.warnings[0]

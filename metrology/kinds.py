@@ -1,0 +1,218 @@
+"""The kinds of features that are measured, declared once; every room reads them here.
+
+Tables and views, ids, limits, verdicts, overlay, reports and pages follow from these declarations. They are dataclasses
+and strings alone, so that reading them costs nothing: what a kind needs of other modules is named "module:name" and
+loaded where it is used. docs/kinds.md says how to add a kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from metrology.results import Feature
+
+
+@dataclass(frozen=True)
+class LimitName:
+    """A limit that a zone of a panel specification may have.
+
+    Attributes
+    ----------
+    name : str
+        Its key in a zone, with the unit.
+    title : str
+        For people, with the unit.
+    amount : bool
+        Whether it is an upper limit of the value's amount alone.
+    """
+
+    name: str
+    title: str
+    amount: bool = False
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity of a kind.
+
+    Attributes
+    ----------
+    name : str
+        In messages, addresses and charts; no other quantity of any kind has it.
+    column, u95_column : str
+        Of the value and of its expanded uncertainty.
+    unit, title : str
+        For people.
+    limits : tuple of LimitName
+        What a zone may ask of it. The first is of the value itself.
+    signed : bool
+        Whether the value has a direction, so that its sign is written.
+    rests_on_it : tuple of str
+        Further columns that say nothing without it.
+    into_wind : str
+        Column of the value as the air meets it, where that is what two of the limits are of: the second of what rises
+        in the air's way, the third of what falls.
+    """
+
+    name: str
+    column: str
+    u95_column: str
+    unit: str
+    title: str
+    limits: tuple[LimitName, ...]
+    signed: bool = False
+    rests_on_it: tuple[str, ...] = ()
+    into_wind: str = ""
+
+
+@dataclass(frozen=True)
+class Count:
+    """A column of `scenes` that counts a kind: its rows, those that were found, or the different names among them."""
+
+    column: str
+    meaning: str
+    of: Literal["rows", "found", "names"] = "found"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of feature.
+
+    Attributes
+    ----------
+    name : str
+        As decisions and findings name it.
+    table, row : str
+        Its table, and the dataclass of a row ("module:name").
+    one, many : str
+        What a row is of, for people: "position along a seam", "seam positions".
+    id_columns : tuple of str
+        The column of its name, and where a name has several places, the column of the position, mm.
+    point, pixel : str
+        What x, y, z are of; what u, v are of.
+    quantities : tuple of Quantity
+        The first is the one that findings are sorted by.
+    counts : tuple of Count
+    per_panel : tuple of str
+        Columns of the view `panel_summary` beside the numbers of rows and of those failing, as SQL.
+    subject : str
+        What bears the name, as trends follow it: a seam for its positions.
+    parameter : str
+        As addresses of pages name it.
+    verdict : str
+        A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
+    """
+
+    name: str
+    table: str
+    row: str
+    one: str
+    many: str
+    id_columns: tuple[str, ...]
+    point: str
+    quantities: tuple[Quantity, ...]
+    counts: tuple[Count, ...]
+    pixel: str = "that point"
+    per_panel: tuple[str, ...] = ()
+    subject: str = ""
+    parameter: str = ""
+    verdict: str = ""
+
+    @property
+    def row_type(self) -> type[Feature]:
+        """The dataclass of a row."""
+        row: type[Feature] = load(self.row)
+        return row
+
+    @property
+    def id_sql(self) -> str:
+        """SQL for the id of a row within its scene."""
+        name, *positions = self.id_columns
+        return " || '@' || ".join([name, *(f"printf('%.1f', {position})" for position in positions)])
+
+    def names(self, rows: Iterable[Feature]) -> set[str]:
+        """The different names among rows: of seams, where the rows are positions along them."""
+        return {getattr(row, self.id_columns[0]) for row in rows}
+
+    def id_of(self, row: Feature | Mapping[str, Any]) -> str:
+        """The id of a row within its scene, such as ``R12``, or ``S1@24.0`` for a position along a seam."""
+        name, *positions = [row[c] if isinstance(row, Mapping) else getattr(row, c) for c in self.id_columns]
+        return "@".join([str(name), *(f"{position:.1f}" for position in positions)])
+
+
+def load(name: str) -> Any:
+    """What "module:name" names."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+RIVET = Kind(
+    name="rivet",
+    table="rivets",
+    row="metrology.results:Rivet",
+    one="rivet",
+    many="rivets",
+    id_columns=("rivet_id",),
+    point="centre of the head",
+    pixel="the head's centre",
+    quantities=(
+        Quantity(
+            "height", "height_mean_mm", "height_u95_mm", "mm", "Rivet height",
+            (LimitName("height_mm", "rivet height, mm"),), signed=True,
+            rests_on_it=("height_min_mm", "height_max_mm", "crown_mm"),
+        ),
+        Quantity(
+            "tilt", "tilt_deg", "tilt_u95_deg", "°", "Rivet tilt",
+            (LimitName("tilt_deg", "rivet tilt, °"),), rests_on_it=("height_min_mm", "height_max_mm"),
+        ),
+    ),
+    counts=(Count("n_rivets", "rivets found, without unconfirmed ones"),),
+    per_panel=(
+        "count(*) FILTER (decision = 'not measured') AS n_rivets_not_measured",
+        "max(abs(height_mean_mm)) AS height_worst_mm",
+        "avg(height_mean_mm) AS height_mean_mm",
+    ),
+    subject="rivet",
+    parameter="rivet",
+    verdict="metrology.fastener:size_finding",
+)  # fmt: skip
+
+SEAM_STATION = Kind(
+    name="seam station",
+    table="seam_stations",
+    row="metrology.results:SeamStation",
+    one="position along a seam",
+    many="seam positions",
+    id_columns=("seam_id", "s_mm"),
+    point="middle between the ideal edges",
+    quantities=(
+        Quantity(
+            "step", "step_mm", "step_u95_mm", "mm", "Seam step",
+            (
+                LimitName("step_mm", "seam step, mm"),
+                LimitName("step_into_wind_mm", "seam step into the wind, mm", amount=True),
+                LimitName("step_out_of_wind_mm", "seam step out of the wind, mm", amount=True),
+            ),
+            signed=True, rests_on_it=("step_into_wind_mm",), into_wind="step_into_wind_mm",
+        ),
+        Quantity("width", "width_mm", "width_u95_mm", "mm", "Seam width", (LimitName("width_mm", "seam gap, mm"),)),
+    ),
+    counts=(
+        Count("n_seams", "seams found", of="names"),
+        Count("n_stations", "positions measured along seams", of="rows"),
+    ),
+    per_panel=("max(abs(step_mm)) AS step_worst_mm", "max(width_mm) AS width_worst_mm"),
+    subject="seam",
+    parameter="station",
+)  # fmt: skip
+
+KINDS = (RIVET, SEAM_STATION)
+"""In the order in which tables, reports and pages show them."""
+
+BY_NAME = {kind.name: kind for kind in KINDS}
+LIMITS = {limit.name: limit for kind in KINDS for quantity in kind.quantities for limit in quantity.limits}
+"""Everything that a zone may ask, by its key."""
