@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import HOLE, RIVET, SEAM_STATION
 from metrology.results import Features, SceneKey
 from metrology.rig_health import RigHealth
 from storage.archive import Store
@@ -116,17 +116,19 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
     with ThreadPoolExecutor(2) as helpers:
         encoding = aside(steps.encode, reconstruction)
         with timed("detect_rivets"):
-            detections = call(steps.detect_rivets, reconstruction, settings)
+            fasteners = call(steps.detect_rivets, reconstruction, settings)
+            detections = fasteners.rivets
         checking = aside(check_rig)
         with timed("detect_seams"):
             lines = call(steps.detect_seams, reconstruction, detections, settings)
         health = checking.result()  # refused before anything is measured with a rig that does not fit
         with timed("measure_rivets"):
             rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
+            holes = call(steps.measure_holes, fasteners.openings, reconstruction, settings)
         with timed("measure_seams"):
             stations = call(steps.measure_seams, lines, reconstruction, detections, settings)
         encoded = encoding.result()
-    found: Features = {RIVET.name: rivets, SEAM_STATION.name: stations}
+    found: Features = {RIVET.name: rivets, SEAM_STATION.name: stations, HOLE.name: holes}
     spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
 
     def conclude() -> Inspected:

@@ -210,7 +210,27 @@ SEAM_STATION = Kind(
     parameter="station",
 )  # fmt: skip
 
-KINDS = (RIVET, SEAM_STATION)
+HOLE = Kind(
+    name="hole",
+    table="holes",
+    row="metrology.results:Hole",
+    one="hole",
+    many="holes",
+    id_columns=("hole_id",),
+    point="middle of the hole at the skin",
+    quantities=(
+        Quantity(
+            "hole diameter", "diameter_mm", "diameter_u95_mm", "mm", "Hole diameter",
+            (LimitName("hole_diameter_mm", "hole diameter, mm"),),
+        ),
+    ),
+    counts=(Count("n_holes", "open holes, missing and temporary fasteners found, without unconfirmed ones"),),
+    subject="hole",
+    parameter="hole",
+    verdict="metrology.holes.verdict:hole_finding",
+)  # fmt: skip
+
+KINDS = (RIVET, SEAM_STATION, HOLE)
 """In the order in which tables, reports and pages show them."""
 
 BY_NAME = {kind.name: kind for kind in KINDS}

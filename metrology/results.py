@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 Severity = Literal["green", "blue", "red"]
 Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "unconfirmed", "no limit"]
 FoundBy = Literal["image", "relief"]
+HoleKind = Literal["open hole", "missing fastener", "temporary fastener"]
 
 MISSING = "missing"
 """How the reason of a row begins that stands for something which the panel's pattern has and which was not found."""
@@ -145,6 +146,29 @@ class Rivet(Feature):
         FoundBy | None,
         "what showed it: image (its ring) or relief (the cloud's deviation from the skin); NULL in older runs",
     ] = None
+
+
+@dataclass(frozen=True)
+class Hole(Feature):
+    """One row of `holes`."""
+
+    hole_id: Annotated[str, "name of the hole in its scene, from the top of the left image down"]
+    _: KW_ONLY
+    kind: Annotated[HoleKind, "open hole, missing fastener (the panel's pattern has one here), temporary fastener"]
+    diameter_mm: Annotated[float | None, "diameter of the hole; below a countersink, where it ends, mm"] = None
+    diameter_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of diameter_mm, mm"] = None
+    depth_mm: Annotated[float | None, "how far what is seen inside lies below the skin, mm; NULL where nothing is"] = (
+        None
+    )
+    countersink_diameter_mm: Annotated[
+        float | None, "diameter of the countersink at the skin, mm; NULL without one"
+    ] = None
+    countersink_diameter_u95_mm: Annotated[
+        float | None, "expanded uncertainty (95 %) of countersink_diameter_mm, mm"
+    ] = None
+    countersink_depth_mm: Annotated[float | None, "depth of the countersink, mm"] = None
+    countersink_angle_deg: Annotated[float | None, "whole angle of the countersink's cone, degrees"] = None
+    fastener_id: Annotated[str | None, "rivet of the panel's pattern that belongs here"] = None
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ TASKS = {
     steps.check_rig: _step(steps.check_rig, "metrology"),
     steps.detect_seams: _step(steps.detect_seams, "metrology"),
     steps.measure_rivets: _step(steps.measure_rivets, "metrology"),
+    steps.measure_holes: _step(steps.measure_holes, "metrology"),
     steps.measure_seams: _step(steps.measure_seams, "metrology"),
     steps.register: _step(steps.register, "io", "metrology"),
     steps.judge: _step(steps.judge, "metrology"),

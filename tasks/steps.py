@@ -14,16 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
+from metrology import holes, overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
+from metrology.fastening import Fasteners, detect_fasteners
 from metrology.inspection import InspectionResult
 from metrology.kinds import KINDS, RIVET, SEAM_STATION
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
 from metrology.registration import Registration
-from metrology.results import Features, Rivet, RivetDetection, SceneKey, SeamLine, SeamStation, of_type
+from metrology.results import Features, Hole, Rivet, RivetDetection, SceneKey, SeamLine, SeamStation, of_type
 from metrology.rig import Rig
 from metrology.rig_health import RigHealth
 from storage.archive import Store
@@ -115,9 +116,9 @@ def _read(scene: Scene, camera: Camera, readers: Executor) -> FrameStack:
     return stack
 
 
-def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
-    """Rivet heads in the left image."""
-    return rivets.detect_rivets(reconstruction, settings.rivets)
+def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> Fasteners:
+    """Rivet heads in the left image, and open holes without one."""
+    return detect_fasteners(reconstruction, settings.rivets)
 
 
 def check_rig(
@@ -153,6 +154,13 @@ def measure_rivets(
 ) -> list[Rivet]:
     """Height and tilt of each rivet."""
     return rivets.measure_rivets(detections, reconstruction, lines, settings.rivets)
+
+
+def measure_holes(
+    openings: list[holes.Opening], reconstruction: Reconstruction, settings: InspectionSettings
+) -> list[Hole]:
+    """Diameter and countersink of each hole."""
+    return holes.measure_holes(openings, reconstruction, settings.rivets)
 
 
 def measure_seams(
@@ -203,7 +211,7 @@ def register(
             settings.registration,
             missing_rows=vouched is not None,
         )
-    return registration.with_others(registered, others)
+    return registration.with_others(registered, others, pattern)
 
 
 def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,8 +12,9 @@ from metrology.results import RivetDetection
 from metrology.rivets.confirm import confirm_rings, steps_up
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.ellipse_detection import Ring, detect_ellipses
-from metrology.rivets.geometry import circle_shapes, nearby_plane
-from metrology.rivets.relief import PlainHead, plain_heads, relief_map
+from metrology.rivets.geometry import nearby_plane
+from metrology.rivets.ground import Ground, ground_of
+from metrology.rivets.relief import PlainHead, plain_heads
 from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
@@ -19,11 +22,25 @@ from metrology.rivets.settings import RivetSettings
 Array = NDArray[np.float64]
 
 
-def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None = None) -> list[RivetDetection]:
+def detect_rivets(
+    reconstruction: Reconstruction,
+    settings: RivetSettings | None = None,
+    ground: Ground | None = None,
+    holes: Sequence[Ellipse] = (),
+) -> list[RivetDetection]:
     """Find the rivet heads of a scan.
 
     The cloud tells how large heads look and what ellipse a circle on the skin makes where; rings of that size and shape
     are looked for in the left texture.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+    settings : RivetSettings
+    ground : Ground
+        See `ground_of`; found where it is not given.
+    holes : sequence of Ellipse
+        Where there is no head, whatever ring shows.
 
     Returns
     -------
@@ -31,19 +48,19 @@ def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None
         In reading order: rows from the top, each from the left. What may be no rivet has a doubt.
     """
     settings = settings or RivetSettings()
-    shapes, scale = circle_shapes(reconstruction)
+    ground = ground or ground_of(reconstruction, settings)
     texture = reconstruction.left.texture
-    if not np.isfinite(scale).all():
+    if ground is None:
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
         return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
-    least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
-    most = 0.5 * settings.max_diameter_mm * scale.max()
-    rings = detect_ellipses(texture, settings, shapes, (least, most))
+    rings = detect_ellipses(texture, settings, ground.shapes, ground.radii)
+    rings = [r for r in rings if not any(_overlap(r.ellipse, hole) for hole in holes)]
     confirmed = confirm_rings(rings, reconstruction, settings)
     found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
     if settings.plain_heads:
-        heads = plain_heads(reconstruction, relief_map(reconstruction, most), shapes, (least, most))
-        free = [h for h in heads if not any(_overlap(h.ellipse, c.ring.ellipse) for c in confirmed)]
+        taken = [*holes, *(c.ring.ellipse for c in confirmed)]
+        heads = plain_heads(reconstruction, ground.relief, ground.shapes, ground.radii)
+        free = [h for h in heads if not any(_overlap(h.ellipse, other) for other in taken)]
         free = [h for h in free if steps_up(h.height_mm, rim_step(reconstruction, h.ellipse))]
         found += [_plain_detection(head, reconstruction) for head in free]
     return _in_reading_order(found)
