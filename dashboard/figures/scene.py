@@ -15,7 +15,7 @@ from dashboard.findings import feature_parameter
 from dashboard.habits import Habits
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
 from dashboard.pictures import data_uri, shrunk
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import HOLE, RIVET, SEAM_STATION
 from metrology.verdicts import IN_ORDER, SEVERITIES
 from storage.review import Feature
 
@@ -59,6 +59,7 @@ def scene_figure(
     for severity in reversed(SEVERITIES):
         _add_seams(fig, features[SEAM_STATION.name], severity, habits)
         _add_rivets(fig, features[RIVET.name], severity, habits)
+        _add_holes(fig, features[HOLE.name], severity, habits)
     if values:
         _add_values(fig, features[RIVET.name], habits)
     _mark_chosen(fig, features, chosen)
@@ -100,6 +101,30 @@ def _add_rivets(fig: go.Figure, rivets: pd.DataFrame, severity: str | None, habi
         text=text,
         hovertemplate="%{text}<extra></extra>",
         name=f"rivet {SEVERITY_WORDS[severity]}",
+        selected={"marker": {"opacity": 1}},
+        unselected={"marker": {"opacity": 1}},
+    )
+
+
+def _add_holes(fig: go.Figure, holes: pd.DataFrame, severity: str | None, habits: Habits) -> None:
+    part = _with(holes, severity)
+    if part.empty:
+        return
+    text = [
+        f"<b>{escape(h.hole_id)}</b> {escape(h.kind)}: {escape(h.decision)}"
+        f"<br>Ø {habits.measured(h.diameter_mm, h.diameter_u95_mm, 'mm', sign=False)}"
+        for h in part.itertuples()
+    ]
+    colour = SEVERITY_COLOURS[severity]
+    fig.add_scattergl(
+        x=part["u_px"],
+        y=part["v_px"],
+        mode="markers",
+        marker={"color": colour, "symbol": "circle-x-open", "size": 16, "line": {"width": 2.5, "color": colour}},
+        customdata=[feature_parameter(Feature(HOLE.name, str(name))) for name in part["hole_id"]],
+        text=text,
+        hovertemplate="%{text}<extra></extra>",
+        name=f"hole {SEVERITY_WORDS[severity]}",
         selected={"marker": {"opacity": 1}},
         unselected={"marker": {"opacity": 1}},
     )

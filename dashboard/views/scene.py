@@ -29,7 +29,7 @@ from dashboard.scenes import (
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.kinds import BY_NAME, RIVET, SEAM_STATION
+from metrology.kinds import BY_NAME, HOLE, RIVET, SEAM_STATION
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.archive.views import NEWEST_FIRST
@@ -198,6 +198,25 @@ def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
         picked=partial(_choose, row.scene_id),
         at=at,
     )
+    if not features[HOLE.name].empty:
+        show_table(
+            features[HOLE.name],
+            {
+                "hole_id": "Hole",
+                "kind": "Kind",
+                "diameter_mm": "Ø, mm",
+                "diameter_u95_mm": "± U95, mm",
+                "countersink_diameter_mm": "Countersink Ø, mm",
+                "decision": "Verdict",
+                "reason": "Why",
+            },
+            desk.habits,
+            key="holes",
+            height=120,
+            names=[feature_parameter(Feature(HOLE.name, str(name))) for name in features[HOLE.name]["hole_id"]],
+            picked=partial(_choose, row.scene_id),
+            at=at,
+        )
     show_table(
         features[SEAM_STATION.name],
         {

@@ -26,13 +26,14 @@ from metrology.overlay.marks import (
 )
 from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import map_skin
-from metrology.results import Decision, Features, Rivet, SeamStation, Severity, of_type
+from metrology.results import Decision, Feature, Features, Hole, Rivet, SeamStation, Severity, of_type
 from metrology.skin_normal import skin_normal
 from metrology.verdicts import DECISIONS
 
 Array = NDArray[np.float64]
 
 _MISSING = "MISSING"
+_UNKNOWN_HOLE_MM = 8.0  # drawn for a hole whose size was not measured
 _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
 
@@ -124,7 +125,7 @@ def draw_overlay(
         Lines above the legend: station, date.
     """
     settings = settings or OverlaySettings()
-    rivets, stations = of_type(features, Rivet), of_type(features, SeamStation)
+    rivets, stations, holes = (of_type(features, kind) for kind in (Rivet, SeamStation, Hole))
     projector = reconstruction.rig.projector
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)
@@ -133,21 +134,25 @@ def draw_overlay(
     wishes: list[_Wish] = []
     outside: list[str] = []
 
-    for rivet in rivets:
-        outline = _rim(rivet, reconstruction)
+    # A missing fastener's place is drawn once: as the hole that is there.
+    taken = {hole.fastener_id for hole in holes}
+    circles = [(r.rivet_id, _rivet_text(r), _rim(r, reconstruction), r.severity) for r in rivets]
+    circles = [circle for circle in circles if circle[0] not in taken]
+    circles += [(h.hole_id, _hole_text(h), _hole_rim(h, reconstruction), h.severity) for h in holes]
+    for name, text, outline, severity in circles:
         if outline is None:
             continue
         inside = projector.inside(outline)
         if not inside.all():
-            outside.append(rivet.rivet_id)
+            outside.append(name)
             if not inside.any():
                 continue
-        marks = rivet_marks(outline, rivet.severity, settings.line_width_px)
-        strokes += [replace(mark, feature=rivet.rivet_id) for mark in marks]
+        marks = rivet_marks(outline, severity, settings.line_width_px)
+        strokes += [replace(mark, feature=name) for mark in marks]
         extent = np.concatenate([mark.points for mark in marks])
         for mark in marks:
             layout.occupy(mark.points, mark.width)
-        wishes.append(_Wish(rivet.rivet_id, _rivet_text(rivet), outline.mean(0), layout.extent(extent), rivet.severity))
+        wishes.append(_Wish(name, text, outline.mean(0), layout.extent(extent), severity))
 
     for seam_id in dict.fromkeys(station.seam_id for station in stations):
         seam = [s for s in stations if s.seam_id == seam_id and s.x_mm is not None]
@@ -167,7 +172,7 @@ def draw_overlay(
                 if projector.inside(course[k]):
                     wishes.append(_Wish(seam_id, _seam_text(seam[k]), course[k], np.full(2, reach), severity))
 
-    judged: list[Rivet | SeamStation] = [*rivets, *stations]
+    judged: list[Feature] = [*rivets, *stations, *holes]
     present = {item.severity for item in judged}
     key = [s for s in reversed(GRAVEST_FIRST) if s is not None or None in present]
     legend = entries(title, key, _notes(rivets, stations, outside))
@@ -199,6 +204,25 @@ def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
     towards_rig = np.array([0.0, 0.0, -1.0])
     rig = reconstruction.rig
     return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, rig.projector.project)
+
+
+def _hole_rim(hole: Hole, reconstruction: Reconstruction) -> Array | None:
+    """Outline of a hole in projector pixels; None where it has no position."""
+    if hole.x_mm is None or hole.y_mm is None or hole.z_mm is None:
+        return None
+    diameter = hole.countersink_diameter_mm or hole.diameter_mm or _UNKNOWN_HOLE_MM
+    reach = diameter * reconstruction.rig.left.K[0, 0] / hole.z_mm
+    normal = skin_normal(reconstruction.points, hole.u_px, hole.v_px, reach)
+    centre, towards_rig = np.array([hole.x_mm, hole.y_mm, hole.z_mm]), np.array([0.0, 0.0, -1.0])
+    projector = reconstruction.rig.projector
+    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, projector.project)
+
+
+def _hole_text(hole: Hole) -> str:
+    if hole.kind == "temporary fastener":
+        return "TEMPORARY"
+    size = "" if hole.diameter_mm is None else f" {hole.diameter_mm:.1f}"
+    return f"{_MISSING} {hole.fastener_id}" if hole.kind == "missing fastener" else f"HOLE{size}"
 
 
 def _rivet_text(rivet: Rivet) -> str:

@@ -35,14 +35,17 @@ _CORNERS: dict[Symbol, list[tuple[float, float]]] = {
 _SIZE: dict[Symbol, float] = {"disc": 4.5, "diamond": 6.5, "cross": 5.5, "ring": 4.5}
 
 
-def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> str:
-    """What the left camera sees, with each rivet's rim, name and symbol, and the symbols of seam stations."""
+def marked_picture(
+    preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row], holes: Sequence[Row] = ()
+) -> str:
+    """What the left camera sees, with each rivet's rim, name and symbol, and the symbols of seam stations and holes."""
     height, width = preview.shape
     small = cv2.resize(preview, (_PICTURE_WIDTH, round(height * _PICTURE_WIDTH / width)), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     unit = width / _PICTURE_WIDTH
     marks = [_station_mark(station, unit) for station in stations]
     marks += [_rivet_mark(rivet, unit) for rivet in rivets]
+    marks += [_hole_mark(hole, unit) for hole in holes]
     return (
         f'<svg viewBox="-0.5 -0.5 {width} {height}" xmlns="http://www.w3.org/2000/svg" role="img">'
         f'<image href="{data_uri(jpeg.tobytes(), "jpeg")}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>'
@@ -68,6 +71,16 @@ def _rivet_mark(rivet: Row, unit: float) -> str:
         f'<text x="{u + rivet["major_px"] / 2 + 7 * unit:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" '
         f'font-family="sans-serif" fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">'
         f"{escape(rivet['rivet_id'])}</text>"
+    )
+
+
+def _hole_mark(hole: Row, unit: float) -> str:
+    title = escape(f"{hole['hole_id']} {hole['kind']}: {hole['decision']}")
+    u, v, size = hole["u_px"], hole["v_px"], 15 * unit
+    return (
+        f"{_placed(u, v, unit, hole['severity'], title)}"
+        f'<text x="{u + size:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" font-family="sans-serif" '
+        f'fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">{escape(hole["hole_id"])}</text>'
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import HOLE, RIVET, SEAM_STATION
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
@@ -13,6 +13,7 @@ from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
     decisions_table,
     entries_table,
+    hole_table,
     limits_table,
     rivet_table,
     seams,
@@ -100,13 +101,21 @@ def _station(scene: SceneRecord) -> list[str]:
         verdict(scene.features),
         '<div class="pair">',
         figure(
-            marked_picture(scene.preview, scene.of_kind[RIVET.name], scene.of_kind[SEAM_STATION.name]), "Left camera."
+            marked_picture(
+                scene.preview,
+                scene.of_kind[RIVET.name],
+                scene.of_kind[SEAM_STATION.name],
+                scene.of_kind[HOLE.name],
+            ),
+            "Left camera.",
         ),
         figure(f'<img src="{data_uri(scene.overlay_png, "png")}" alt="overlay">', "The overlay."),
         "</div>",
     ]
     if scene.of_kind[RIVET.name]:
         parts.append(rivet_table(scene.of_kind[RIVET.name]))
+    if scene.of_kind[HOLE.name]:
+        parts += ["<h3>Holes</h3>", hole_table(scene.of_kind[HOLE.name])]
     parts += seams(scene.of_kind[SEAM_STATION.name], scene.limits)
     if decided := decisions_table(scene):
         parts += ["<h3>Decisions of people</h3>", decided]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from html import escape
 
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import HOLE, RIVET, SEAM_STATION
 from storage.report.drawings import heights_chart, marked_picture
 from storage.report.markup import data_uri, figure, moment, page
 from storage.report.record import SceneRecord
 from storage.report.sections import (
     decisions_table,
     feature_limits,
+    hole_table,
     limits_table,
     rivet_table,
     seams,
@@ -33,7 +34,12 @@ def scene_page(record: SceneRecord) -> str:
         *(f'<div class="warning">{escape(text)}</div>' for text in scene["warnings"] or ()),
         '<div class="pair">',
         figure(
-            marked_picture(record.preview, record.of_kind[RIVET.name], record.of_kind[SEAM_STATION.name]),
+            marked_picture(
+                record.preview,
+                record.of_kind[RIVET.name],
+                record.of_kind[SEAM_STATION.name],
+                record.of_kind[HOLE.name],
+            ),
             f"Left camera. {_MARKS}",
         ),
         figure(
@@ -49,6 +55,8 @@ def scene_page(record: SceneRecord) -> str:
         ):
             parts.append(figure(chart, "Heights with their U95; dashed: the limits that each was judged by."))
         parts.append(rivet_table(record.of_kind[RIVET.name]))
+    if record.of_kind[HOLE.name]:
+        parts += ["<h2>Holes</h2>", hole_table(record.of_kind[HOLE.name])]
     if record.of_kind[SEAM_STATION.name]:
         parts += ["<h2>Seams</h2>", *seams(record.of_kind[SEAM_STATION.name], record.limits)]
     if decided := decisions_table(record):

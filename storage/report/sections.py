@@ -56,6 +56,23 @@ def rivet_table(rivets: Sequence[Row], where: bool = False) -> str:
     return table(heads, rows, numeric)
 
 
+def hole_table(holes: Sequence[Row]) -> str:
+    """Open holes, missing and temporary fasteners."""
+    heads = ["hole", "kind", "diameter mm", "countersink mm", "verdict", "why"]
+    rows = [
+        [
+            escape(h["hole_id"]),
+            escape(h["kind"]),
+            with_u95(h["diameter_mm"], h["diameter_u95_mm"], 2),
+            with_u95(h["countersink_diameter_mm"], h["countersink_diameter_u95_mm"], 2),
+            badge(h["decision"]),
+            why(h),
+        ]
+        for h in holes
+    ]
+    return table(heads, rows, [2, 3])
+
+
 def station_table(stations: Sequence[Row], where: bool = False) -> str:
     """Positions along seams."""
     heads = ["seam", "at mm", "step mm", "into the wind mm", "gap mm", "zone", "verdict", "why"]

@@ -13,7 +13,7 @@ from rivet_scan import Head, Skin, scan
 
 from metrology.cloud import Reconstruction
 from metrology.kinds import RIVET
-from metrology.limits import Limit, PanelSpec, Zone
+from metrology.limits import Limit, PanelSpec
 from metrology.registration import enrol
 from metrology.rivets import detect_rivets, measure_rivets
 from metrology.rivets.ellipse import Ellipse
@@ -112,7 +112,7 @@ def test_what_is_in_doubt_is_neither_enrolled_nor_judged(rng: np.random.Generato
     assert sorted(r.rivet_id for r in rivets) == [*(f"R{k:02d}" for k in range(1, 8)), "X01"]
     enrolled = enrol(rivets, [], reconstruction.points, "S1")
     assert [r.rivet_id for r in enrolled.enrolled.rivets] == [f"R{k:02d}" for k in range(1, 8)]
-    limits = PanelSpec("P", "A", {"default": Zone(height_mm=Limit(lower=-1.0, upper=1.0))})
+    limits = PanelSpec("P", "A", {"default": {"height_mm": Limit(lower=-1.0, upper=1.0)}})
     (doubtful,) = (r for r in judge(RIVET, enrolled.rivets, limits) if r.rivet_id == "X01")
     assert (doubtful.decision, doubtful.severity, doubtful.height_mean_mm) == ("unconfirmed", None, None)
     assert doubtful.diameter_mm == pytest.approx(11.0, abs=0.2)
