@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from metrology.kinds import RIVET, SEAM_STATION, Kind, Quantity
-from metrology.results import Feature, Rivet, SeamStation
+from metrology.results import Decision, Feature, Rivet, SeamStation
 
 Row = TypeVar("Row", bound=Feature)
 
@@ -60,7 +60,7 @@ def without(row: Row, quantity: Quantity, reason: str) -> Row:
     """A feature without a quantity, nor what rests on it."""
     nothing: dict[str, Any] = dict.fromkeys((quantity.column, quantity.u95_column, *quantity.rests_on_it))
     # Doubt about what something is outlives what was measured of it.
-    decision = "unconfirmed" if row.decision == "unconfirmed" else "not measured"
+    decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "not measured"
     return replace(row, **nothing, decision=decision, reason=_with(row.reason, reason))
 
 

@@ -111,7 +111,7 @@ def _edge(departure: Array) -> float | None:
     first = int(beyond[0])
     span = int(_PLATEAU_PX / _SPACING_PX)
     behind = departure[first : first + 4 * span]
-    if len(behind) < 4 * span or (behind > _PLATEAU * behind.max()).sum() < span:
+    if len(behind) < 2 * span or (behind > _PLATEAU * behind.max()).sum() < span:
         return None
     half = 0.5 * float(behind.max())
     j = first + int(np.argmax(behind >= half)) if departure[first] < half else first

@@ -125,7 +125,8 @@ def draw_overlay(
         Lines above the legend: station, date.
     """
     settings = settings or OverlaySettings()
-    rivets, stations, holes = (of_type(features, kind) for kind in (Rivet, SeamStation, Hole))
+    rivets, stations = of_type(features, Rivet), of_type(features, SeamStation)
+    holes = of_type(features, Hole)
     projector = reconstruction.rig.projector
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)

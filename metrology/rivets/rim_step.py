@@ -114,6 +114,7 @@ def _robust(design: Array, values: Array) -> tuple[Array, Array] | None:
     kept = weights > 0
     variance = float((weights * residual**2)[kept].sum() / max(weights.sum() - design.shape[1], 1.0))
     try:
-        return solution, np.linalg.inv((design * weights[:, None]).T @ design) * variance
+        covariance = np.linalg.inv((design * weights[:, None]).T @ design) * variance
     except np.linalg.LinAlgError:
         return None
+    return np.asarray(solution, float), np.asarray(covariance, float)
