@@ -140,7 +140,8 @@ def _measure(job: Job, run: _Run) -> _Measured:
     with ThreadPoolExecutor(2) as helpers:
         # What nobody waits for yet, each in the run's own context.
         encoding = helpers.submit(copy_context().run, steps.encode, reconstruction)
-        detections = run.step(steps.detect_rivets, reconstruction, settings)
+        fasteners = run.step(steps.detect_rivets, reconstruction, settings)
+        detections = fasteners.rivets
         check = partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings)
         checking = helpers.submit(copy_context().run, check)
         lines = run.step(steps.detect_seams, reconstruction, detections, settings)
@@ -150,8 +151,10 @@ def _measure(job: Job, run: _Run) -> _Measured:
         features: dict[str, Sequence[Feature]] = {RIVET.name: rivets, SEAM_STATION.name: stations}
         for kind in KINDS:
             if kind.measure:
-                sighted = Sighted(reconstruction, detections, lines, dict(features))
-                features[kind.name] = run.step(load(kind.measure), sighted, getattr(settings, kind.table, None))
+                sighted = Sighted(reconstruction, detections, lines, dict(features), fasteners.openings)
+                features[kind.name] = run.step(
+                    load(kind.measure), sighted, getattr(settings, kind.settings or kind.table, None)
+                )
         return _Measured(loaded, reconstruction, health, features, encoding.result())
 
 

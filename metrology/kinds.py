@@ -148,8 +148,10 @@ class Kind:
         A function of a row that gives what the projector writes behind its values; "" where there is nothing to say.
     measure : str
         A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
-        before it ("module:name"): from a `metrology.sighted.Sighted`, and the block of the settings that has the name
-        of the table (None where there is none), to rows. "" for rivets and seams, whose steps come first.
+        before it ("module:name"): from a `metrology.sighted.Sighted`, and its block of the settings (None where there
+        is none), to rows. "" for rivets and seams, whose steps come first.
+    settings : str
+        Name of that block; "" for the name of the table.
     cells : tuple of Cell
         What reports have in a row between its name and its zone; its quantities where nothing is given.
     """
@@ -170,6 +172,7 @@ class Kind:
     verdict: str = ""
     note: str = ""
     measure: str = ""
+    settings: str = ""
     cells: tuple[Cell, ...] = ()
 
     @property
@@ -232,7 +235,7 @@ RIVET = Kind(
             (LimitName("tilt_deg", "rivet tilt, °"),), projected=False, rests_on_it=("height_min_mm", "height_max_mm"),
         ),
     ),
-    counts=(Count("n_rivets", "rivets found"),),
+    counts=(Count("n_rivets", "rivets found, without unconfirmed ones"),),
     per_panel=(
         "count(*) FILTER (decision = 'not measured') AS n_rivets_not_measured",
         "max(abs(height_mean_mm)) AS height_worst_mm",
@@ -288,7 +291,35 @@ SEAM_STATION = Kind(
     ),
 )  # fmt: skip
 
-KINDS = (RIVET, SEAM_STATION)
+HOLE = Kind(
+    name="hole",
+    table="holes",
+    row="metrology.results:Hole",
+    one="hole",
+    many="holes",
+    id_columns=("hole_id",),
+    point="middle of the hole at the skin",
+    quantities=(
+        Quantity(
+            "hole diameter", "diameter_mm", "diameter_u95_mm", "mm", "Hole diameter",
+            (LimitName("hole_diameter_mm", "hole diameter, mm"),),
+        ),
+    ),
+    counts=(Count("n_holes", "open holes, missing and temporary fasteners found, without unconfirmed ones"),),
+    subject="hole",
+    parameter="hole",
+    verdict="metrology.holes.verdict:hole_finding",
+    note="metrology.holes.verdict:hole_note",
+    measure="metrology.holes.measure:measure_sighted",
+    settings="rivets",
+    cells=(
+        Cell("kind", ("kind",)),
+        Cell("diameter mm", ("diameter_mm", "diameter_u95_mm"), 2),
+        Cell("countersink mm", ("countersink_diameter_mm", "countersink_diameter_u95_mm"), 2),
+    ),
+)  # fmt: skip
+
+KINDS = (RIVET, SEAM_STATION, HOLE)
 """In the order in which tables, reports and pages show them."""
 
 BY_NAME = {kind.name: kind for kind in KINDS}

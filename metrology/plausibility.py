@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from metrology.kinds import RIVET, SEAM_STATION, Quantity
-from metrology.results import Feature, Rivet, SeamStation
+from metrology.kinds import RIVET, SEAM_STATION, Kind, Quantity
+from metrology.results import Decision, Feature, Rivet, SeamStation
 
 Row = TypeVar("Row", bound=Feature)
 
@@ -59,7 +59,16 @@ def plausible_station(station: SeamStation) -> SeamStation:
 def without(row: Row, quantity: Quantity, reason: str) -> Row:
     """A feature without a quantity, nor what rests on it."""
     nothing: dict[str, Any] = dict.fromkeys((quantity.column, quantity.u95_column, *quantity.rests_on_it))
-    return replace(row, **nothing, decision="not measured", reason=_with(row.reason, reason))
+    # Doubt about what something is outlives what was measured of it.
+    decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "not measured"
+    return replace(row, **nothing, decision=decision, reason=_with(row.reason, reason))
+
+
+def unjudged(kind: Kind, row: Row) -> Row:
+    """What may be no feature of the kind, with its place and size alone: the rest waits until a person confirms it."""
+    names = [(q.column, q.u95_column, *q.rests_on_it) for q in kind.quantities]
+    nothing: dict[str, Any] = dict.fromkeys(name for group in names for name in group)
+    return replace(row, **nothing, severity=None)
 
 
 def _problem(name: str, unit: str, value: float | None, u95: float | None, widest: float, most: float) -> str | None:

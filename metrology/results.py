@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Severity = Literal["green", "blue", "red"]
-Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "no limit"]
+Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "unconfirmed", "no limit"]
+FoundBy = Literal["image", "relief"]
+HoleKind = Literal["open hole", "missing fastener", "temporary fastener"]
 # A gap between two sheets, open or filled with sealant; or the edge of one sheet on another: a step without a gap.
 Joint = Literal["butt", "butt sealed", "lap"]
 
@@ -46,6 +48,10 @@ class RivetDetection:
         Where the right camera sees the head's centre.
     rim_sigma_px : float or None
         Half-width of the rim's image (standard deviation of gap and blur together).
+    doubt : str or None
+        Why it may be no fastener; None where it is one.
+    found_by : "image" or "relief"
+        What showed it: the ring in the image, or the deviation of the cloud from the skin.
     """
 
     u_px: float
@@ -58,6 +64,8 @@ class RivetDetection:
     u_right_px: float | None = None
     v_right_px: float | None = None
     rim_sigma_px: float | None = None
+    doubt: str | None = None
+    found_by: FoundBy = "image"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,13 +87,20 @@ class Feature:
     z_panel_mm: Annotated[float | None, "the same point in the panel's frame, mm"] = None
     zone: Annotated[str | None, "tolerance zone of the panel specification"] = None
     severity: Annotated[Severity | None, "green meets the limits, blue slightly outside, red seriously outside"] = None
-    decision: Annotated[Decision, "pass, conditional pass, conditional fail, fail, not measured, no limit"] = "no limit"
+    decision: Annotated[
+        Decision, "pass, conditional pass, conditional fail, fail, not measured, unconfirmed (a person must), no limit"
+    ] = "no limit"
     reason: Annotated[str | None, "why there is no value, or why the decision is not a pass"] = None
 
     @property
     def is_missing(self) -> bool:
         """Whether the row stands for something that the panel's pattern has and that was not found."""
         return (self.reason or "").startswith(MISSING)
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the row is a feature that was found, beyond doubt."""
+        return not self.is_missing and self.decision != "unconfirmed"
 
 
 Features = Mapping[str, Sequence[Feature]]
@@ -129,6 +144,33 @@ class Rivet(Feature):
     diameter_nominal_mm: Annotated[
         float | None, "diameter of the head by the panel's pattern, mm; NULL where it names none"
     ] = None
+    found_by: Annotated[
+        FoundBy | None,
+        "what showed it: image (its ring) or relief (the cloud's deviation from the skin); NULL in older runs",
+    ] = None
+
+
+@dataclass(frozen=True)
+class Hole(Feature):
+    """One row of `holes`."""
+
+    hole_id: Annotated[str, "name of the hole in its scene, from the top of the left image down"]
+    _: KW_ONLY
+    kind: Annotated[HoleKind, "open hole, missing fastener (the panel's pattern has one here), temporary fastener"]
+    diameter_mm: Annotated[float | None, "diameter of the hole; below a countersink, where it ends, mm"] = None
+    diameter_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of diameter_mm, mm"] = None
+    depth_mm: Annotated[float | None, "how far what is seen inside lies below the skin, mm; NULL where nothing is"] = (
+        None
+    )
+    countersink_diameter_mm: Annotated[
+        float | None, "diameter of the countersink at the skin, mm; NULL without one"
+    ] = None
+    countersink_diameter_u95_mm: Annotated[
+        float | None, "expanded uncertainty (95 %) of countersink_diameter_mm, mm"
+    ] = None
+    countersink_depth_mm: Annotated[float | None, "depth of the countersink, mm"] = None
+    countersink_angle_deg: Annotated[float | None, "whole angle of the countersink's cone, degrees"] = None
+    fastener_id: Annotated[str | None, "rivet of the panel's pattern that belongs here"] = None
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from metrology.cloud import Reconstruction
+from metrology.holes.find import Opening
 from metrology.results import Features, RivetDetection, SeamLine
 
 
@@ -20,9 +21,12 @@ class Sighted:
     lines : sequence of SeamLine
     features : mapping
         What was measured already, by kind.
+    openings : sequence of Opening
+        Circles of the skin inside which nothing lies at its height.
     """
 
     reconstruction: Reconstruction
     detections: Sequence[RivetDetection]
     lines: Sequence[SeamLine]
     features: Features
+    openings: Sequence[Opening] = ()

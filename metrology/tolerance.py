@@ -8,6 +8,7 @@ beyond the serious limits. The decision also looks at the value's expanded uncer
     conditional fail   outside, but by no more than U95
     fail               outside by more than U95
 
+What was found and may be no fastener is unconfirmed: nobody but a person judges it.
 What was not measured is its own state and never a pass; what has no limit is judged neither way. A value whose U95 is
 wider than the range that its limits leave cannot be judged by them and counts as not measured.
 
@@ -23,7 +24,7 @@ from typing import TypeVar
 
 from metrology.kinds import Kind, load
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
-from metrology.plausibility import without
+from metrology.plausibility import unjudged, without
 from metrology.requirements import Requirement, downstream_of, limit_of, requirements
 from metrology.results import Feature, Severity
 from metrology.verdicts import DECISIONS, SEVERITIES, Verdict
@@ -86,6 +87,8 @@ def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
 
 
 def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
+    if row.decision == "unconfirmed":
+        return unjudged(kind, row)
     otherwise: Verdict | None = load(kind.verdict)(row) if kind.verdict else None
     parts = [*([otherwise] if otherwise else []), *(_judge(required) for required in requirements(kind, row, spec))]
     verdict = _gravest(parts, row.reason)

@@ -84,6 +84,7 @@ DECISIONS: dict[Decision, DecisionLook] = {
     "fail": DecisionLook("✗", "bad"),
     "conditional fail": DecisionLook("(✗)", "doubtful", "*"),
     "not measured": DecisionLook("?", "none"),
+    "unconfirmed": DecisionLook("…", "none"),
     "conditional pass": DecisionLook("(✓)", "fair", "*"),
     "pass": DecisionLook("✓", "good"),
     "no limit": DecisionLook("–", "none"),

@@ -18,6 +18,7 @@ from metrology import overlay, reconstruct, registration, rig_health, rivets, se
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
+from metrology.fastening import Fasteners, detect_fasteners
 from metrology.inspection import InspectionResult
 from metrology.kinds import KINDS, RIVET, SEAM_STATION
 from metrology.overlay import Overlay
@@ -115,9 +116,9 @@ def _read(scene: Scene, camera: Camera, readers: Executor) -> FrameStack:
     return stack
 
 
-def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> list[RivetDetection]:
-    """Rivet heads in the left image."""
-    return rivets.detect_rivets(reconstruction, settings.rivets)
+def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> Fasteners:
+    """Rivet heads in the left image, and open holes without one."""
+    return detect_fasteners(reconstruction, settings.rivets)
 
 
 def check_rig(
@@ -203,7 +204,7 @@ def register(
             settings.registration,
             missing_rows=vouched is not None,
         )
-    return registration.with_others(registered, others)
+    return registration.with_others(registered, others, pattern)
 
 
 def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:

@@ -29,7 +29,7 @@ from dashboard.scenes import (
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.kinds import BY_NAME, KINDS, RIVET, SEAM_STATION, Kind
+from metrology.kinds import BY_NAME, HOLE, KINDS, RIVET, SEAM_STATION, Kind
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.archive.views import NEWEST_FIRST
@@ -204,6 +204,8 @@ def _columns(kind: Kind) -> dict[str, str]:
         columns[quantity.u95_column] = f"± U95{of_which}, {quantity.unit}"
     if kind is RIVET:
         columns["diameter_mm"] = "Ø, mm"
+    if kind is HOLE:
+        columns = {"kind": "Kind", **columns, "countersink_diameter_mm": "Countersink Ø, mm"}
     return {**columns, "decision": "Verdict", "reason": "Why"}
 
 

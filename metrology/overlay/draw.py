@@ -109,8 +109,11 @@ def draw_overlay(
     layout = Layout(projector.width, projector.height, skin)
     text_px = settings.text_height_mm * skin.px_per_mm
     canvas = Canvas(reconstruction, layout, skin.px_per_mm, settings.line_width_px, settings.label_every_mm)
+    # The place of a missing fastener is drawn once: as the hole that is there.
+    replaced = {getattr(row, "fastener_id", None) for rows in features.values() for row in rows}
     for kind in KINDS:
-        (mark_course if kind.is_course else mark_rings)(kind, features.get(kind.name, ()), canvas)
+        rows = [row for row in features.get(kind.name, ()) if kind.id_of(row) not in replaced]
+        (mark_course if kind.is_course else mark_rings)(kind, rows, canvas)
 
     present = {row.severity for rows in features.values() for row in rows}
     key = [s for s in reversed(GRAVEST_FIRST) if s is not None or None in present]

@@ -112,7 +112,8 @@ def _ring(row: Feature, reconstruction: Reconstruction) -> Array | None:
     if row.x_mm is None or row.y_mm is None or row.z_mm is None:
         return None
     size: float = getattr(row, "major_px", None) or _RING_PX
-    diameter: float = getattr(row, "diameter_mm", None) or size * row.z_mm / reconstruction.rig.left.K[0, 0]
+    own = getattr(row, "countersink_diameter_mm", None) or getattr(row, "diameter_mm", None)
+    diameter: float = own or size * row.z_mm / reconstruction.rig.left.K[0, 0]
     normal = skin_normal(reconstruction.points, row.u_px, row.v_px, size)
     towards_rig = np.array([0.0, 0.0, -1.0])
     centre, project = np.array([row.x_mm, row.y_mm, row.z_mm]), screen(reconstruction.rig).project
@@ -123,10 +124,10 @@ def _text(kind: Kind, row: Feature) -> str:
     """The values that the projector writes beside a feature, to hundredths."""
     shown = [quantity for quantity in kind.quantities if quantity.projected and not quantity.lacking(row)]
     values: list[Any] = [getattr(row, quantity.column) for quantity in shown]
-    if all(value is None for value in values):
-        return MISSING.upper() if row.is_missing else "?"
-    said = [_said(value, quantity.signed) for value, quantity in zip(values, shown, strict=True)]
     note: str = load(kind.note)(row) if kind.note else ""
+    if all(value is None for value in values):
+        return note or (MISSING.upper() if row.is_missing else "?")
+    said = [_said(value, quantity.signed) for value, quantity in zip(values, shown, strict=True)]
     return " | ".join(said) + DECISIONS[row.decision].note + (f" {note}" if note else "")
 
 

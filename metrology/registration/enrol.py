@@ -35,7 +35,7 @@ def enrol(
     Parameters
     ----------
     rivets, stations
-        With the ids that they are to keep.
+        With the ids that they are to keep. What is unconfirmed is no part of the pattern.
     points : (h, w, 3) array
         Organised cloud on the left image's pixels, rig frame, mm.
     station : str
@@ -53,7 +53,10 @@ def enrol(
             normal=_normal(rivet, points, placement),
         )
         for rivet in placed_rivets
-        if rivet.x_panel_mm is not None and rivet.y_panel_mm is not None and rivet.z_panel_mm is not None
+        if rivet.decision != "unconfirmed"
+        and rivet.x_panel_mm is not None
+        and rivet.y_panel_mm is not None
+        and rivet.z_panel_mm is not None
     ]
     seams = []
     for name in dict.fromkeys(item.seam_id for item in placed_stations):

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.fastener import size_verdict
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import HOLE, RIVET, SEAM_STATION
 from metrology.panel import NominalRivet, PanelLayout, Placement
 from metrology.registration.hypothesis import Hypothesis, Matcher, Scan
+from metrology.registration.openings import explained, missing_fasteners
 from metrology.registration.relabel import Recognised, relabel_rivets, relabel_stations
 from metrology.registration.rows import has_position, placed, positions
 from metrology.registration.search import PointPattern, estimated_normals, motion
 from metrology.registration.settings import RegistrationSettings
-from metrology.results import Features, Rivet, SeamStation
+from metrology.results import Features, Hole, Rivet, SeamStation, of_type
 from metrology.skin_normal import skin_normal
 
 Array = NDArray[np.float64]
@@ -143,7 +144,7 @@ def register(
         tuple(relabel_stations(stations, known, reconstruction, layout.seams, settings.gap_mm)),
         matched=tuple(rivet.rivet_id for rivet in known.rivets.values()),
         missing=tuple(rivet.rivet_id for rivet in known.missing),
-        unlisted=tuple(rivet.rivet_id for rivet in named if rivet.rivet_id not in listed),
+        unlisted=tuple(r.rivet_id for r in named if r.rivet_id not in listed and r.decision != "unconfirmed"),
         rms_mm=float(np.sqrt((distances**2).mean())) if len(distances) else None,
         shift_mm=shift,
         turn_deg=turn_deg,
@@ -151,13 +152,19 @@ def register(
     )
 
 
-def with_others(registered: Registration, found: Features) -> Registration:
-    """The registration with features of kinds that no pattern names, placed in the panel's frame where it is known."""
+def with_others(registered: Registration, found: Features, layout: PanelLayout | None = None) -> Registration:
+    """The registration with features of kinds that no pattern names, placed in the panel's frame where it is known.
+
+    A hole where the pattern has a rivet that was not found is a missing fastener.
+    """
     placement = registered.placement
     others = {
         name: rows if placement is None else [placed(row, placement) for row in rows] for name, rows in found.items()
     }
-    return replace(registered, others=others)
+    missing = [rivet for rivet in layout.rivets if rivet.rivet_id in registered.missing] if layout else []
+    holes = missing_fasteners(of_type(others, Hole), missing)
+    rivets = explained(registered.rivets, holes)
+    return replace(registered, rivets=tuple(rivets), others={**others, HOLE.name: holes} if holes else others)
 
 
 def _scan(rivets: Sequence[Rivet], stations: Sequence[SeamStation], reconstruction: Reconstruction) -> Scan:

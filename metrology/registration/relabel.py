@@ -59,7 +59,7 @@ def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: R
             unlisted.append(replace(placed(rivet, known.placement), reason=_joined(rivet.reason, UNLISTED)))
         else:
             named = replace(
-                rivet, rivet_id=nominal.rivet_id, zone=nominal.zone, diameter_nominal_mm=nominal.diameter_mm
+                _confirmed(rivet), rivet_id=nominal.rivet_id, zone=nominal.zone, diameter_nominal_mm=nominal.diameter_mm
             )
             listed.append(placed(named, known.placement))
     listed.sort(key=lambda rivet: rivet.rivet_id)
@@ -67,6 +67,13 @@ def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: R
     extra = [replace(rivet, rivet_id=f"X{k:02d}") for k, rivet in enumerate(unlisted, 1)]
     missing = known.missing if known.missing_rows else ()
     return [*listed, *(_missing_rivet(nominal, known.placement, reconstruction) for nominal in missing), *extra]
+
+
+def _confirmed(rivet: Rivet) -> Rivet:
+    """A ring in doubt where the pattern has a rivet is that rivet."""
+    if rivet.decision != "unconfirmed":
+        return rivet
+    return replace(rivet, decision="not measured" if rivet.height_mean_mm is None else "no limit", reason=None)
 
 
 def relabel_stations(

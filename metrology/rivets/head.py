@@ -14,6 +14,8 @@ Mask = NDArray[np.bool_]
 
 # Points this many standard deviations off a surface do not belong to it: one in 2 million by noise.
 _OFF = 5.0
+# A recess leaves little of a small head. Four points for each unknown of a plane make one; U95 says how good it is.
+_FEWEST_CLEAR = 12
 _FEW = 0.01  # share of such points that dirt and single wrong matches make
 # RANSAC finds a surface on which this share of the points lies: sixty samples of three hold four good ones.
 _LEAST_SHARE = 0.4
@@ -43,8 +45,8 @@ def head_surface(
         clear = _clear_of_recesses(patch, inner, skin, generator)
         if clear is None:
             return "head: its points lie on no one surface"
-        if clear.sum() < settings.min_inner:
-            return f"head: {int(clear.sum())} points clear of its recesses, at least {settings.min_inner} needed"
+        if clear.sum() < _FEWEST_CLEAR:
+            return f"head: {int(clear.sum())} points clear of its recesses, at least {_FEWEST_CLEAR} needed"
         inner, surface = clear, _plane_or_dome(patch, clear, settings, generator)
     return "points lie too unevenly for a surface" if surface is None else (surface, inner)
 

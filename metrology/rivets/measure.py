@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,8 @@ def measure_rivets(
     Returns
     -------
     list of Rivet
-        In the order of the detections, numbered R01 …; what could not be measured is None, with the reason.
+        In the order of the detections, numbered R01 …, and X01 … what is in doubt; what could not be measured is None,
+        with the reason.
     """
     settings = settings or RivetSettings()
     generator = generator or np.random.default_rng(0)
@@ -67,9 +69,16 @@ def measure_rivets(
     fits = [f for f in outcomes if isinstance(f, Fits)]
     inflation = noise_inflation(fits, controls)
     return [
-        plausible_rivet(_row(f"R{k + 1:02d}", detection, outcome, reconstruction, inflation, settings, generator))
-        for k, (detection, outcome) in enumerate(zip(detections, outcomes, strict=True))
+        plausible_rivet(_row(name, detection, outcome, reconstruction, inflation, settings, generator))
+        for name, detection, outcome in zip(_names(detections), detections, outcomes, strict=True)
     ]
+
+
+def _names(detections: Sequence[RivetDetection]) -> list[str]:
+    """R01, R02 … for fasteners; X01, X02 … for what a person must confirm first."""
+    counts = {"R": count(1), "X": count(1)}
+    letters = ["X" if detection.doubt else "R" for detection in detections]
+    return [f"{letter}{next(counts[letter]):02d}" for letter in letters]
 
 
 def _fit(patch: Patch, bare: bool, settings: RivetSettings, generator: np.random.Generator) -> Fits | str:
@@ -125,10 +134,12 @@ def _row(
         minor_px=detection.minor_px,
         angle_deg=detection.angle_deg,
         confidence=detection.confidence,
-        decision="not measured",
+        decision="unconfirmed" if detection.doubt else "not measured",
+        reason=detection.doubt,
+        found_by=detection.found_by,
     )
     if isinstance(outcome, str):
-        return replace(empty, reason=outcome)
+        return replace(empty, reason="; ".join(part for part in (detection.doubt, outcome) if part))
     p, rig = outcome.patch, reconstruction.rig
     head = outcome.head
     circle = _circle(detection, outcome, head, reconstruction)
@@ -158,7 +169,7 @@ def _row(
         n_outer=int((outcome.skin.weights > 0).sum()),
         rms_inner_mm=head.rms_mm,
         rms_outer_mm=outcome.skin.rms_mm,
-        decision="no limit",
+        decision="unconfirmed" if detection.doubt else "no limit",
         fit=HeadFit(
             p.frame, outcome.skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)
         ),

@@ -37,11 +37,14 @@ class ReliefMap:
     ----------
     height : (h/4, w/4) float32
         mm, positive towards the rig; NaN where there is no cloud.
+    skin : (h/4, w/4) float32
+        1/z of the smoothed skin, 1/mm.
     noise : float
         Standard deviation of a cell, mm.
     """
 
     height: Float32
+    skin: Float32
     noise: float
 
 
@@ -62,7 +65,7 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
     sigma = 1.5 * radius_px / _REDUCTION
     depth = np.where(known, 1 / np.maximum(inverse, 1e-9), np.nan)
     residual = np.full(inverse.shape, np.nan, np.float32)
-    noise = 0.0
+    noise, smooth = 0.0, inverse
     for _ in range(3):
         smooth = _linear_smooth(inverse, trusted, sigma)
         residual = np.where(known, (inverse - smooth) * depth**2, np.nan).astype(np.float32)
@@ -70,7 +73,7 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
         steps = np.abs(np.diff(residual, axis=1))
         noise = float(1.4826 * np.nanmedian(steps) / np.sqrt(2)) if np.isfinite(steps).any() else np.inf
         trusted = known & (np.abs(residual) < max(4 * noise, 0.01))
-    return ReliefMap(residual, noise)
+    return ReliefMap(residual, smooth.astype(np.float32), noise)
 
 
 def _cells(reconstruction: Reconstruction) -> tuple[Float32, Float32]:
@@ -87,7 +90,7 @@ def _cells(reconstruction: Reconstruction) -> tuple[Float32, Float32]:
     return (total / np.maximum(share, 1e-6)).astype(np.float32), share
 
 
-def _linear_smooth(values: Float32, mask: NDArray[np.bool_], sigma: float) -> Array:
+def _linear_smooth(values: Float32, mask: NDArray[np.bool_], sigma: float) -> NDArray[np.floating]:
     """Local linear regression with Gaussian weights: exact on planes, at borders and round holes too.
 
     On a grid four times as coarse, since the result changes over `sigma` cells only.

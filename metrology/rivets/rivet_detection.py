@@ -2,72 +2,68 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection
+from metrology.rivets.confirm import confirm_rings, steps_up
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.ellipse_detection import Ring, detect_ellipses
-from metrology.rivets.geometry import circle_shapes, nearby_plane
-from metrology.rivets.relief import HeadRelief, PlainHead, head_relief, plain_heads, relief_map
+from metrology.rivets.geometry import nearby_plane
+from metrology.rivets.ground import Ground, ground_of
+from metrology.rivets.relief import PlainHead, plain_heads
+from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
 
 Array = NDArray[np.float64]
 
-_SURROUNDED = 0.9  # of the pixels round a weak ring must have points
-_LEAST_STEP = 0.6  # of a head's height in the height map, between the points inside and outside its border
 
-
-def detect_rivets(reconstruction: Reconstruction, settings: RivetSettings | None = None) -> list[RivetDetection]:
+def detect_rivets(
+    reconstruction: Reconstruction,
+    settings: RivetSettings | None = None,
+    ground: Ground | None = None,
+    holes: Sequence[Ellipse] = (),
+) -> list[RivetDetection]:
     """Find the rivet heads of a scan.
 
     The cloud tells how large heads look and what ellipse a circle on the skin makes where; rings of that size and shape
     are looked for in the left texture.
 
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+    settings : RivetSettings
+    ground : Ground
+        See `ground_of`; found where it is not given.
+    holes : sequence of Ellipse
+        Where there is no head, whatever ring shows.
+
     Returns
     -------
     list of RivetDetection
-        In reading order: rows from the top, each from the left.
+        In reading order: rows from the top, each from the left. What may be no rivet has a doubt.
     """
     settings = settings or RivetSettings()
-    shapes, scale = circle_shapes(reconstruction)
+    ground = ground or ground_of(reconstruction, settings)
     texture = reconstruction.left.texture
-    if not np.isfinite(scale).all():
+    if ground is None:
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
         return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
-    least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
-    most = 0.5 * settings.max_diameter_mm * scale.max()
-    rings = detect_ellipses(texture, settings, shapes, (least, most))
-    rings = [r for r in rings if _borne_out(r, head_relief(reconstruction, r.ellipse), settings)]
-    found = [_detection(ring, reconstruction) for ring in rings]
+    rings = detect_ellipses(texture, settings, ground.shapes, ground.radii)
+    rings = [r for r in rings if not any(_overlap(r.ellipse, hole) for hole in holes)]
+    confirmed = confirm_rings(rings, reconstruction, settings)
+    found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
     if settings.plain_heads:
-        heads = plain_heads(reconstruction, relief_map(reconstruction, most), shapes, (least, most))
-        free = [h for h in heads if not any(_overlap(h.ellipse, r.ellipse) for r in rings)]
-        free = [h for h in free if _steps_up(h, reconstruction)]
+        taken = [*holes, *(c.ring.ellipse for c in confirmed)]
+        heads = plain_heads(reconstruction, ground.relief, ground.shapes, ground.radii)
+        free = [h for h in heads if not any(_overlap(h.ellipse, other) for other in taken)]
+        free = [h for h in free if steps_up(h.height_mm, rim_step(reconstruction, h.ellipse))]
         found += [_plain_detection(head, reconstruction) for head in free]
     return _in_reading_order(found)
-
-
-def _borne_out(ring: Ring, relief: HeadRelief, settings: RivetSettings) -> bool:
-    """Whether ring and cloud together make a rivet.
-
-    A hole has skin round it and nothing inside, or something far below. A ring that hardly stands out of the grain
-    needs a step in height to be believed, and skin all round: beside the panel's border there are other steps.
-    """
-    if relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm):
-        return False
-    if ring.quality >= settings.sure_quality:
-        return True
-    on_skin = relief.outer_share > _SURROUNDED and abs(relief.step_mm) < settings.max_sunk_mm
-    return on_skin and relief.significance >= settings.sure_relief
-
-
-def _steps_up(head: PlainHead, reconstruction: Reconstruction) -> bool:
-    """Whether the points beside the disc bear its height out: waves of the skin do not step at its border."""
-    step = head_relief(reconstruction, head.ellipse).step_mm
-    return bool(step * np.sign(head.height_mm) > _LEAST_STEP * abs(head.height_mm))
 
 
 def _overlap(one: Ellipse, other: Ellipse) -> bool:
@@ -92,7 +88,7 @@ def reading_order(detections: list[RivetDetection]) -> list[int]:
     return [i for row in rows for i in sorted(row, key=lambda i: (detections[i].u_px, detections[i].v_px))]
 
 
-def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
+def _detection(ring: Ring, reconstruction: Reconstruction, doubt: str | None = None) -> RivetDetection:
     e = ring.ellipse
     right = _in_right_camera(e, reconstruction)
     return RivetDetection(
@@ -106,6 +102,7 @@ def _detection(ring: Ring, reconstruction: Reconstruction) -> RivetDetection:
         u_right_px=right[0] if right else None,
         v_right_px=right[1] if right else None,
         rim_sigma_px=ring.fit.sigma_px,
+        doubt=doubt,
     )
 
 
@@ -124,6 +121,7 @@ def _plain_detection(head: PlainHead, reconstruction: Reconstruction) -> RivetDe
         covariance=np.diag([place, place, 4 * place, 4 * place, 100.0]),
         u_right_px=right[0] if right else None,
         v_right_px=right[1] if right else None,
+        found_by="relief",
     )
 
 

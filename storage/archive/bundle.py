@@ -259,7 +259,7 @@ def _counted(kind: Kind, count: Count, result: InspectionResult) -> int:
     rows = result.features.get(kind.name, ())
     if count.of == "names":
         return len(kind.names(rows))
-    return len(rows) if count.of == "rows" else sum(not row.is_missing for row in rows)
+    return len(rows) if count.of == "rows" else sum(row.is_found for row in rows)
 
 
 def _plain(name: str, value: object) -> object:

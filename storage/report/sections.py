@@ -54,6 +54,8 @@ def features_table(kind: Kind, rows: Sequence[Row], where: bool = False) -> Mark
 
 def _cell(cell: Cell, row: Row) -> str:
     first, *more = (row[column] for column in cell.columns)
+    if isinstance(first, str):
+        return first
     if cell.span:
         low, high = (number(value, cell.digits, cell.signed) for value in (first, *more))
         return "–" if first is None else f"{low} … {high}"

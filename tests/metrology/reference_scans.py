@@ -29,7 +29,7 @@ def read_rig(path: Path) -> Rig:
 
 
 @cache
-def reference_scan(folder: Path) -> tuple[Reconstruction, dict[str, Any]]:
+def reference_scan(folder: Path, rig_name: str = "rig.json") -> tuple[Reconstruction, dict[str, Any]]:
     """Cloud and truth of one scene folder."""
     scene = json.loads((folder / "scene.json").read_text())
     frames = {
@@ -38,6 +38,6 @@ def reference_scan(folder: Path) -> tuple[Reconstruction, dict[str, Any]]:
     }
     fringe = scene["fringe"]
     code = FringeCode(fringe["axis"], fringe["steps"], tuple(fringe["counts"]))
-    rig = read_rig(folder.parent / "rig.json")
+    rig = read_rig(folder.parent / rig_name)
     cloud = reconstruct(frames["left"], frames["right"], rig, code, scene["exposures"])
     return cloud, json.loads((folder / "truth.json").read_text())

@@ -82,7 +82,7 @@ def test_screen_paper_and_projector_follow_the_table() -> None:
     assert list(palette.DECISIONS) == list(DECISIONS) == sorted(DECISIONS, key=gravity)
     assert tuple(SEVERITIES) == marks.GRAVEST_FIRST
     assert OUTSIDE == ("fail", "conditional fail")
-    assert OPEN == ("fail", "conditional fail", "not measured", "conditional pass")
+    assert OPEN == ("fail", "conditional fail", "not measured", "unconfirmed", "conditional pass")
 
 
 @pytest.mark.parametrize("severity", [*get_args(Severity), None])

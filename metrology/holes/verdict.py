@@ -1,0 +1,20 @@
+"""What a hole is judged by beside its limits: whether a fastener belongs into it."""
+
+from __future__ import annotations
+
+from metrology.results import MISSING, Hole
+from metrology.verdicts import Verdict
+
+
+def hole_note(hole: Hole) -> str:
+    """What the projector writes beside a hole."""
+    if hole.kind == "temporary fastener":
+        return "TEMPORARY"
+    return f"{MISSING.upper()} {hole.fastener_id}" if hole.kind == "missing fastener" else "HOLE"
+
+
+def hole_finding(hole: Hole) -> Verdict | None:
+    """A missing fastener fails; a temporary one, and a hole of unknown size, are not measured; else None."""
+    if hole.kind == "missing fastener":
+        return Verdict("red", "fail", hole.reason)
+    return Verdict(None, "not measured", hole.reason) if hole.diameter_mm is None else None

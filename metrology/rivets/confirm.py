@@ -1,0 +1,193 @@
+"""Whether a ring in the image is a fastener's rim: letters, painted rings and dents are none.
+
+What speaks for a fastener: a thin line that closes on itself; a step or a tilt of the surface at that line; the same
+ring in the other camera; and, where neither step nor tilt shows, a size or a row shared with other fasteners of the
+scan. A stroke of paint is wide, ends somewhere, and lies on the skin; a dent has no line and does not step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.fastener import HALF_STEP
+from metrology.rivets.bilinear import sample_image
+from metrology.rivets.ellipse_detection import Ring
+from metrology.rivets.geometry import lay_on_plane, nearby_plane
+from metrology.rivets.relief import HeadRelief, head_relief
+from metrology.rivets.rim_step import RimStep, rim_step
+from metrology.rivets.settings import RivetSettings
+
+Array = NDArray[np.float64]
+
+_SURROUNDED = 0.9  # of the pixels round a weak ring must have points
+_CLOSED = 0.8  # of a rim's directions in which it shows; a glint or a scratch hides the rest
+# Half-width of a rim's line: blur of 0.7 px and a gap of a millimetre at five pixels each give 1.6.
+_THIN_PX = 1.6
+# By how much of its own darkness a rim departs from the model; grain departs as much where a rim is faint.
+_CLEAN, _STROKE = 0.25, 0.15
+_STEPS = 3.0  # standard deviations of a step or tilt that is one
+_RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
+_FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
+_IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
+_OF_PITCH = 0.03  # the same as a share of the row's pitch
+_NEAREST = 4  # neighbours that make a row
+_OTHER_VIEW = 0.2  # of a rim's contrast in the left camera that the right one must show
+_DIRECTIONS = 48
+_SEEN = 0.7  # of a rim that the right camera must see to be asked
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """A ring that is a rivet's rim, or may be one: then `doubt` says what speaks against it."""
+
+    ring: Ring
+    doubt: str | None = None
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A ring, and how the surface steps there."""
+
+    ring: Ring
+    step: RimStep | None
+
+    @property
+    def clear(self) -> bool:
+        """Whether it is a thin line that closes on itself."""
+        fit = self.ring.fit
+        return fit.coverage >= _CLOSED and fit.sigma_px <= _THIN_PX and fit.noise <= _CLEAN * abs(fit.amplitude)
+
+    @property
+    def stroke(self) -> bool:
+        """Whether it is a brush's or a stencil's: wide, and no ring at close sight."""
+        fit = self.ring.fit
+        return fit.sigma_px > _THIN_PX and fit.noise > _STROKE * abs(fit.amplitude)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the surface steps there. The edges of paint seem to tilt it: only a clear line's tilt counts."""
+        if self.step is None:
+            return False
+        return (self.step.significance if self.clear else self.step.mean_significance) >= _STEPS
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A ring laid onto the skin: centre and normal in the rig frame, diameter, mm."""
+
+    centre: Array
+    normal: Array
+    diameter: float
+
+    @classmethod
+    def of(cls, ring: Ring, reconstruction: Reconstruction) -> _Place | None:
+        plane = nearby_plane(reconstruction, ring.ellipse)
+        if plane is None:
+            return None
+        frame = plane[0]
+        x, y, radius = lay_on_plane(reconstruction.rig.left, ring.ellipse, frame)
+        return cls(frame.rig([x, y, 0.0]), frame.axes[2], 2 * radius)
+
+    def offset(self, point: Array) -> Array:
+        """(3,) along the skin to a point: a row follows the skin's curvature."""
+        way = point - self.centre
+        return np.asarray(way - (way @ self.normal) * self.normal)
+
+
+def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, settings: RivetSettings) -> list[Confirmed]:
+    """The rings that are rims, or may be; holes, strokes of paint and grain are left out."""
+    shown = []
+    for ring in rings:
+        relief = head_relief(reconstruction, ring.ellipse)
+        if _is_hole(relief, settings):
+            continue
+        step = rim_step(reconstruction, ring.ellipse)
+        if ring.quality >= settings.sure_quality or _bears_out(relief, step, settings):
+            shown.append(_Shown(ring, step))
+    certain = [s.ring for s in shown if s.clear and s.stands]
+    found = []
+    for s in shown:
+        if s.stands:
+            found.append(Confirmed(s.ring))
+        elif s.clear:
+            found.append(Confirmed(s.ring, _doubt(s.ring, certain, reconstruction)))
+        elif not s.stroke:
+            share = f"{s.ring.fit.coverage:.0%}"
+            found.append(Confirmed(s.ring, f"its rim shows in {share} of all directions, and the surface has no step"))
+    return found
+
+
+def steps_up(height_mm: float, step: RimStep | None) -> bool:
+    """Whether a height is that of a head: at its rim it is there at once, where a dent only begins."""
+    return step is not None and bool(step.mean_mm * np.sign(height_mm) > _RIM_SHARE * abs(height_mm))
+
+
+def _is_hole(relief: HeadRelief, settings: RivetSettings) -> bool:
+    """A hole has skin round it and nothing inside, or something far below."""
+    return relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm)
+
+
+def _bears_out(relief: HeadRelief, step: RimStep | None, settings: RivetSettings) -> bool:
+    """Whether the surface makes a rivet of a ring that hardly stands out of the grain.
+
+    It must step there, with skin all round: beside the panel's border there are other steps.
+    """
+    on_skin = relief.outer_share > _SURROUNDED and abs(relief.step_mm) < settings.max_sunk_mm
+    return on_skin and relief.significance >= settings.sure_relief and steps_up(relief.step_mm, step)
+
+
+def _doubt(ring: Ring, certain: Sequence[Ring], reconstruction: Reconstruction) -> str | None:
+    """What speaks against a clear line at which the surface neither steps nor tilts."""
+    if not _right_camera_shows(ring, reconstruction):
+        return "a ring that one camera shows and the other does not"
+    place = _Place.of(ring, reconstruction)
+    others = [p for p in (_Place.of(other, reconstruction) for other in certain) if p is not None]
+    if place is None or len(others) < _FEW or _usual_size(place, others) or _in_row(place, others):
+        return None
+    return "a ring without a step, of another size than the fasteners here and in no row of theirs"
+
+
+def _usual_size(place: _Place, others: Sequence[_Place]) -> bool:
+    return any(abs(place.diameter / other.diameter - 1) < HALF_STEP for other in others)
+
+
+def _in_row(place: _Place, others: Sequence[_Place]) -> bool:
+    """Whether two neighbours make a row in which the place is the next one, or the one between them."""
+    near = sorted((place.offset(other.centre) for other in others), key=np.linalg.norm)[:_NEAREST]
+    for one, other in permutations(near, 2):
+        reach = max(_IN_PLACE * place.diameter, _OF_PITCH * float(np.linalg.norm(other - one)))
+        if min(np.linalg.norm(2 * one - other), np.linalg.norm(0.5 * (one + other))) < reach:
+            return True
+    return False
+
+
+def _right_camera_shows(ring: Ring, reconstruction: Reconstruction) -> bool:
+    """Whether the right camera sees the same ring at the skin's depth; a glint or a shadow lies elsewhere.
+
+    True where it sees too little of it to tell.
+    """
+    plane = nearby_plane(reconstruction, ring.ellipse)
+    if plane is None:
+        return True
+    frame, left = plane[0], reconstruction.rig.left
+    x, y, radius = lay_on_plane(left, ring.ellipse, frame)
+    beside = max(2.5, 2.5 * ring.fit.sigma_px) / ring.ellipse.radius
+    turn = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    around = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
+    places = frame.rig([x, y, 0.0] + radius * np.array([1 - beside, 1.0, 1 + beside])[:, None, None] * around)
+    contrasts = []
+    for view, device in ((reconstruction.left, left), (reconstruction.right, reconstruction.rig.right)):
+        inside, line, outside = sample_image(view.texture, device.project(places))
+        contrasts.append(1 - 2 * line / (inside + outside))
+    here, there = contrasts
+    known = np.isfinite(here) & np.isfinite(there)
+    if known.mean() < _SEEN:
+        return True
+    here_median, there_median = float(np.median(here[known])), float(np.median(there[known]))
+    return there_median * np.sign(here_median) > _OTHER_VIEW * abs(here_median)

@@ -1,0 +1,120 @@
+"""Whether the surface steps at a ring: a head stands off the skin there or is tilted, a dent only goes on bending.
+
+Skin and inside are fitted together, in 1/z, in which a plane is linear over the image:
+
+    1/z = q(x, y) + [inside] (c_0 + c_1 x + c_2 y + c_3 (ℓ² − 1)) / z²
+
+q is a quadric, ℓ the radius relative to the ring's own, x and y run from −1 to 1 across it. c_0 … c_2 are the step at
+the ring itself, c_3 is a head's dome: a bowl or bump that crosses the ring smoothly has no step, whatever its depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import PixelFlag, Reconstruction
+from metrology.rivets.ellipse import Ellipse
+
+Array = NDArray[np.float64]
+
+_REACH = 1.9  # radii of the skin round the ring that is looked at
+_CLEAR_PX = 3.0  # from the ring, where phase is mixed
+_LEAST_INSIDE = 0.5  # of the radius, where a ring is so small that nothing is clear
+_ENOUGH = 800  # points inside, and outside
+_FEWEST = 40
+_TUKEY = 4.685
+_CORRELATED = 4.0  # pixels of a cloud that are worth one: matching correlates neighbours
+_WAVES_MM = 0.004  # of the skin that no quadric follows
+
+
+@dataclass(frozen=True)
+class RimStep:
+    """The step of the surface at a ring.
+
+    Attributes
+    ----------
+    mean_mm : float
+        Height of the inside over the outside, mean over the ring.
+    rise_mm : float
+        By how much that differs from the mean where it differs most: a tilt.
+    significance : float
+        Length of both over their standard deviation (χ of three components): above 3.4 in one flat ring of a hundred.
+    mean_significance : float
+        Size of the mean alone over its standard deviation.
+    """
+
+    mean_mm: float
+    rise_mm: float
+    significance: float
+    mean_significance: float
+
+
+def rim_step(reconstruction: Reconstruction, ellipse: Ellipse) -> RimStep | None:
+    """The step at a ring; None where points are too few on either side."""
+    reach = int(_REACH * ellipse.a) + 2
+    height, width = reconstruction.points.shape[:2]
+    rows = slice(max(0, int(ellipse.v) - reach), min(height, int(ellipse.v) + reach + 1))
+    columns = slice(max(0, int(ellipse.u) - reach), min(width, int(ellipse.u) + reach + 1))
+    v, u = np.mgrid[rows, columns]
+    z = reconstruction.points[rows, columns, 2]
+    good = np.isfinite(z) & ((reconstruction.flags[rows, columns] & np.uint16(PixelFlag.SLOPE)) == 0)
+    level = ellipse.level(u, v)
+    clear = _CLEAR_PX / ellipse.b
+    sides = good & (level < max(1 - clear, _LEAST_INSIDE)), good & (level > 1 + clear) & (level < _REACH)
+    chosen, thinned = zip(*(_thinned(side) for side in sides), strict=True)
+    if min(len(part) for part in chosen) < _FEWEST:
+        return None
+    at = np.concatenate(chosen)
+    inside = np.arange(len(at)) < len(chosen[0])
+    x, y = (u.ravel()[at] - ellipse.u) / ellipse.a, (v.ravel()[at] - ellipse.v) / ellipse.a
+    depth = z.ravel()[at].astype(float)
+    middle = float(np.median(depth))
+    heights = (1 / depth - 1 / middle) * middle**2
+    one = np.ones_like(x)
+    skin = np.stack([one, x, y, x * x, x * y, y * y], axis=1)
+    head = np.stack([one, x, y, level.ravel()[at] ** 2 - 1], axis=1) * inside[:, None]
+    solved = _robust(np.hstack([head, skin]), heights)
+    if solved is None:
+        return None
+    solution, covariance = solved
+    spread = covariance[:3, :3] * max(1.0, _CORRELATED / min(thinned)) + _WAVES_MM**2 * np.eye(3)
+    step = solution[:3]
+    return RimStep(
+        mean_mm=float(step[0]),
+        rise_mm=float(np.hypot(step[1], step[2])),
+        significance=float(np.sqrt(step @ np.linalg.solve(spread, step))),
+        mean_significance=float(abs(step[0]) / np.sqrt(spread[0, 0])),
+    )
+
+
+def _thinned(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
+    """Flat indices of at most about `_ENOUGH` pixels of a mask, and every how many of them that is."""
+    every = np.flatnonzero(mask)
+    stride = max(1, len(every) // _ENOUGH)
+    return every[::stride], stride
+
+
+def _robust(design: Array, values: Array) -> tuple[Array, Array] | None:
+    """Least squares in which what a recess, a scratch or a wrong match says does not count: solution, covariance."""
+    weights = np.ones(len(values))
+    for iteration in range(12):
+        weighted = design * weights[:, None]
+        try:
+            solution = np.linalg.solve(weighted.T @ design, weighted.T @ values)
+        except np.linalg.LinAlgError:
+            return None
+        residual = np.abs(values - design @ solution)
+        scale = 1.4826 * float(np.median(residual)) + 1e-9
+        # Least absolute deviations first, since a recess may be a third of the head; then Tukey's weights.
+        t = residual / (_TUKEY * scale)
+        weights = 1 / np.maximum(residual, 0.1 * scale) if iteration < 7 else np.where(t < 1, (1 - t**2) ** 2, 0.0)
+    kept = weights > 0
+    variance = float((weights * residual**2)[kept].sum() / max(weights.sum() - design.shape[1], 1.0))
+    try:
+        covariance = np.linalg.inv((design * weights[:, None]).T @ design) * variance
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(solution, float), np.asarray(covariance, float)

@@ -1,0 +1,119 @@
+"""Open holes: found in the cloud, measured in both pictures, and named after the fastener that is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rivet_scan import Head, Skin, scan
+
+from metrology.cloud import Reconstruction
+from metrology.fastening import detect_fasteners
+from metrology.holes import measure_holes
+from metrology.kinds import HOLE
+from metrology.limits import PanelSpec
+from metrology.panel import NominalRivet
+from metrology.registration.openings import explained, missing_fasteners
+from metrology.results import Hole, Rivet
+from metrology.tolerance import judge
+
+SKIN = Skin()
+DEEP = 4.0
+
+
+def on_skin(reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    local = SKIN.frame.local(reconstruction.points.astype(float))
+    return local[..., 0], local[..., 1]
+
+
+def darkened(reconstruction: Reconstruction, x: float, y: float, radius: float, share: float = 0.9) -> Reconstruction:
+    """Both pictures with a dark disc on the skin, blurred to 0.75 pixels, as a hole without light is."""
+    rig, views = reconstruction.rig, []
+    for view, camera in ((reconstruction.left, rig.left), (reconstruction.right, rig.right)):
+        v, u = np.mgrid[: camera.height, : camera.width].astype(float)
+        rays = camera.rays(np.stack([u, v], axis=-1)) @ SKIN.frame.axes.T
+        eye = SKIN.frame.local(camera.centre)
+        reach = -eye[2] / rays[..., 2]
+        away = np.hypot(eye[0] + reach * rays[..., 0] - x, eye[1] + reach * rays[..., 1] - y) - radius
+        sigma = 0.75 * 700.0 / rig.left.K[0, 0]
+        inside = 0.5 - 0.5 * np.tanh(0.85 * away / sigma)
+        views.append(replace(view, texture=(view.texture * (1 - share * inside)).astype(np.float32)))
+    return replace(reconstruction, left=views[0], right=views[1])
+
+
+def moved(reconstruction: Reconstruction, inside: np.ndarray, height: np.ndarray | float) -> Reconstruction:
+    """The cloud with a part lifted (mm); NaN takes its points away."""
+    local = SKIN.frame.local(reconstruction.points.astype(float))
+    local[..., 2] += np.where(inside, height, 0.0)
+    return replace(reconstruction, points=SKIN.frame.rig(local).astype(np.float32))
+
+
+@pytest.mark.parametrize("floor", [-DEEP, np.nan])
+@pytest.mark.parametrize("diameter", [3.0, 5.0, 8.0])
+def test_a_hole_is_found_and_its_diameter_measured(rng: np.random.Generator, diameter: float, floor: float) -> None:
+    reconstruction = scan(SKIN, (Head(-30, 10), Head(30, 10)), rng)
+    x, y = on_skin(reconstruction)
+    reconstruction = moved(reconstruction, np.hypot(x - 2, y + 5) < diameter / 2, floor)
+    found = detect_fasteners(darkened(reconstruction, 2.0, -5.0, diameter / 2))
+    (hole,) = measure_holes(found.openings, reconstruction := darkened(reconstruction, 2.0, -5.0, diameter / 2))
+    assert len(found.rivets) == 2
+    assert (hole.hole_id, hole.kind, hole.decision) == ("H01", "open hole", "no limit")
+    assert hole.diameter_mm == pytest.approx(diameter, abs=0.05)
+    assert abs(hole.diameter_mm - diameter) < hole.diameter_u95_mm < 0.15
+    assert [hole.x_mm, hole.y_mm, hole.z_mm] == pytest.approx(SKIN.frame.rig([2.0, -5.0, 0.0]), abs=0.05)
+    assert hole.countersink_diameter_mm is None
+
+
+def test_a_countersink_has_diameter_depth_and_angle(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    r = np.hypot(x, y)
+    slope = 1 / np.tan(np.radians(50))
+    cone = np.where(r > 2.5, -(5.0 - r) * slope, -DEEP)
+    reconstruction = darkened(moved(reconstruction, r < 5.0, cone), 0.0, 0.0, 2.5)
+    (hole,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
+    assert hole.countersink_diameter_mm == pytest.approx(10.0, abs=0.2)
+    assert hole.countersink_angle_deg == pytest.approx(100.0, abs=5.0)
+    assert hole.countersink_depth_mm == pytest.approx(2.5 * slope, abs=0.25)
+    assert hole.diameter_mm == pytest.approx(5.0, abs=0.3)
+
+
+def test_paint_and_sunk_heads_are_no_holes(rng: np.random.Generator) -> None:
+    heads = (Head(-30, 0, height=-1.0), Head(30, 0, height=-0.3))
+    painted = darkened(scan(SKIN, heads, rng), 0.0, 0.0, 4.0, share=0.75)
+    assert detect_fasteners(painted).openings == []
+
+
+def test_black_paint_without_points_is_unconfirmed(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    black = darkened(moved(reconstruction, np.hypot(x, y) < 4.0, np.nan), 0.0, 0.0, 4.0, share=0.75)
+    (hole,) = measure_holes(detect_fasteners(black).openings, black)
+    assert hole.decision == "unconfirmed"
+    assert "paint" in hole.reason
+
+
+def test_a_temporary_fastener_is_named_and_not_measured(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    proud = moved(reconstruction, np.hypot(x, y) < 4.0, 8.0)
+    found = detect_fasteners(proud)
+    assert found.rivets == []
+    (hole,) = judge(HOLE, measure_holes(found.openings, proud), PanelSpec("P", "A"))
+    assert (hole.kind, hole.decision, hole.diameter_mm) == ("temporary fastener", "not measured", None)
+
+
+def test_a_hole_where_the_pattern_has_a_rivet_is_a_missing_fastener() -> None:
+    hole = Hole("H01", x_mm=0.0, y_mm=0.0, z_mm=700.0, u_px=1.0, v_px=2.0, kind="open hole", diameter_mm=8.02,
+                x_panel_mm=10.4, y_panel_mm=5.0, z_panel_mm=0.0)  # fmt: skip
+    (named,) = missing_fasteners([hole], [NominalRivet("R05", (10.0, 5.0, 0.0), 8.0), NominalRivet("R06", (40, 5, 0))])
+    (judged,) = judge(HOLE, [named], PanelSpec("P", "A"))
+    assert (judged.kind, judged.fastener_id, judged.decision) == ("missing fastener", "R05", "fail")
+    assert judged.reason == "missing fastener R05: open hole of 8.0 mm"
+    (elsewhere,) = missing_fasteners([hole], [NominalRivet("R06", (40.0, 5.0, 0.0), 8.0)])
+    assert elsewhere == hole
+    absent = Rivet("R05", x_mm=None, y_mm=None, z_mm=None, u_px=1.0, v_px=2.0, u_right_px=None, v_right_px=None,
+                   diameter_mm=8.0, major_px=1.0, minor_px=1.0, angle_deg=0.0, confidence=0.0,
+                   reason="missing: no head found where the pattern has one")  # fmt: skip
+    assert explained([absent], [named])[0].reason == "missing: open hole of 8.0 mm (H01)"

@@ -1,0 +1,126 @@
+"""What is a fastener: paint and dents are none, and what is in doubt is neither enrolled nor judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from reference_scans import reference_scan
+from rivet_scan import Head, Skin, scan
+
+from metrology.cloud import Reconstruction
+from metrology.kinds import RIVET
+from metrology.limits import Limit, PanelSpec
+from metrology.registration import enrol
+from metrology.rivets import detect_rivets, measure_rivets
+from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.rim_step import rim_step
+from metrology.tolerance import judge
+
+ROWS = (Head(-45, 20), Head(-15, 20), Head(15, 20), Head(45, 20), Head(-45, -20), Head(15, -20), Head(45, -20))
+
+
+def painted(reconstruction: Reconstruction, ring: Head, skin: Skin, width_mm: float = 0.12) -> Reconstruction:
+    """A dark circle painted on the skin, in both cameras' pictures."""
+    views = []
+    for view, camera in (
+        (reconstruction.left, reconstruction.rig.left),
+        (reconstruction.right, reconstruction.rig.right),
+    ):
+        v, u = np.mgrid[: camera.height, : camera.width].astype(float)
+        rays = camera.rays(np.stack([u, v], axis=-1)) @ skin.frame.axes.T
+        eye = skin.frame.local(camera.centre)
+        reach = -eye[2] / rays[..., 2]
+        away = np.hypot(eye[0] + reach * rays[..., 0] - ring.x, eye[1] + reach * rays[..., 1] - ring.y)
+        dark = ring.contrast * np.exp(-0.5 * ((away - ring.diameter / 2) / (width_mm + 0.05)) ** 2)
+        views.append(replace(view, texture=(view.texture - dark).astype(np.float32)))
+    return replace(reconstruction, left=views[0], right=views[1])
+
+
+def dented(
+    reconstruction: Reconstruction, skin: Skin, x: float, y: float, depth: float, width: float
+) -> Reconstruction:
+    """A smooth dent, `width` across at half its depth."""
+    local = skin.frame.local(reconstruction.points.astype(float))
+    away = np.hypot(local[..., 0] - x, local[..., 1] - y)
+    local[..., 2] -= depth * np.exp(-np.log(2) * (2 * away / width) ** 2)
+    return replace(reconstruction, points=skin.frame.rig(local).astype(np.float32))
+
+
+def test_a_painted_ring_of_another_size_between_the_rows_is_in_doubt(rng: np.random.Generator) -> None:
+    skin = Skin()
+    detections = detect_rivets(painted(scan(skin, ROWS, rng), Head(-32, 6, 11.0), skin))
+    doubtful = [d for d in detections if d.doubt]
+    assert len(detections) - len(doubtful) == len(ROWS)
+    assert len(doubtful) == 1
+    assert "without a step" in doubtful[0].doubt
+
+
+def test_a_flush_head_in_its_row_or_of_the_usual_size_is_not_in_doubt(rng: np.random.Generator) -> None:
+    heads = (*ROWS, Head(-15, -20, diameter=5.0, height=0.0), Head(-2, 3, height=0.0))
+    detections = detect_rivets(scan(Skin(), heads, rng))
+    assert len(detections) == len(heads)
+    assert not any(d.doubt for d in detections)
+
+
+def test_a_ring_that_one_camera_alone_shows_is_in_doubt(rng: np.random.Generator) -> None:
+    flush = scan(Skin(), (Head(0, 0, height=0.0),), rng)
+    glint = replace(flush, right=replace(flush.right, texture=scan(Skin(), (), rng).right.texture))
+    assert detect_rivets(flush)[0].doubt is None
+    assert "other does not" in detect_rivets(glint)[0].doubt
+
+
+def test_stencilled_letters_are_no_rivets(rng: np.random.Generator) -> None:
+    reconstruction = scan(Skin(), ROWS, rng)
+    views = []
+    for view in (reconstruction.left, reconstruction.right):
+        ink = np.zeros(view.texture.shape, np.uint8)
+        for row, text in enumerate(("LIFT HERE 0O8QG", "RH-F1 STA 872 6")):
+            cv2.putText(ink, text, (60, 225 + 50 * row), cv2.FONT_HERSHEY_SIMPLEX, 1.5, 255, 8, cv2.LINE_AA)
+        views.append(replace(view, texture=view.texture * (1 - np.float32(0.003) * cv2.GaussianBlur(ink, (0, 0), 0.7))))
+    found = detect_rivets(replace(reconstruction, left=views[0], right=views[1]))
+    assert sum(d.doubt is None for d in found) == len(ROWS)
+
+
+def test_a_dent_does_not_step_at_any_ring_and_a_head_does(rng: np.random.Generator) -> None:
+    skin = Skin()
+    dent = dented(scan(skin, (), rng), skin, 0.0, 0.0, 0.25, 18.0)
+    u, v = dent.rig.left.project(skin.frame.rig([0.0, 0.0, 0.0]))
+    for radius in (15.0, 22.0, 29.0):
+        step = rim_step(dent, Ellipse(u, v, radius, radius, 0.0))
+        assert abs(step.mean_mm) < 0.015
+    head = scan(skin, (Head(0, 0, height=-0.058),), rng)
+    step = rim_step(head, Ellipse(u, v, 20.0, 19.7, 0.0))
+    assert step.mean_mm == pytest.approx(-0.058, abs=0.008)
+    assert step.significance > 5
+
+
+@pytest.mark.parametrize("depth", [0.25, -0.25, 0.6])
+@pytest.mark.parametrize("width", [10.0, 14.0, 18.0])
+def test_dents_and_bumps_are_no_rivets(rng: np.random.Generator, depth: float, width: float) -> None:
+    skin = Skin()
+    assert detect_rivets(dented(scan(skin, (), rng), skin, 0.0, 0.0, depth, width)) == []
+
+
+def test_what_is_in_doubt_is_neither_enrolled_nor_judged(rng: np.random.Generator) -> None:
+    skin = Skin()
+    reconstruction = painted(scan(skin, ROWS, rng), Head(-32, 6, 11.0), skin)
+    rivets = measure_rivets(detect_rivets(reconstruction), reconstruction)
+    assert sorted(r.rivet_id for r in rivets) == [*(f"R{k:02d}" for k in range(1, 8)), "X01"]
+    enrolled = enrol(rivets, [], reconstruction.points, "S1")
+    assert [r.rivet_id for r in enrolled.enrolled.rivets] == [f"R{k:02d}" for k in range(1, 8)]
+    limits = PanelSpec("P", "A", {"default": {"height_mm": Limit(lower=-1.0, upper=1.0)}})
+    (doubtful,) = (r for r in judge(RIVET, enrolled.rivets, limits) if r.rivet_id == "X01")
+    assert (doubtful.decision, doubtful.severity, doubtful.height_mean_mm) == ("unconfirmed", None, None)
+    assert doubtful.diameter_mm == pytest.approx(11.0, abs=0.2)
+
+
+def test_heads_of_a_lettered_skin_and_nothing_else(shared: Path) -> None:
+    reconstruction, truth = reference_scan(shared / "scenes" / "hall", "rig-11.json")
+    confirmed = [d for d in detect_rivets(reconstruction) if d.doubt is None]
+    heads = [t["uv_px"] for t in truth["rivets"] if t["kind"] != "hole"]
+    assert len(confirmed) == len(heads)
+    assert all(min(np.hypot(d.u_px - u, d.v_px - v) for d in confirmed) < 1 for u, v in heads)
