@@ -57,8 +57,8 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
             break
     chamfers = np.append(0.0, tried)[: len(states)]
     # What is not rendered well tells less of what it is.
-    costs = list(np.array(costs) / max(1.0, free.misfit))
-    weights, widths = _weights(np.array(costs), free, chamfers), np.array([np.median(s.widths) for s in states])
+    flattened = np.array(costs) / free.excess_misfit
+    weights, widths = _weights(flattened, free, chamfers), np.array([np.median(s.widths) for s in states])
     chamfer = float(np.interp(0.5, np.cumsum(weights), chamfers))
     median = _with_chamfers(states[int(np.abs(chamfers - chamfer).argmin())], some, chamfer)
     away = np.abs(widths - np.median(median.widths))

@@ -33,6 +33,7 @@ Mask = NDArray[np.bool_]
 _RENDERING, _RENDERING_FOUND = 0.004, 0.002
 # Blur spreads such an error over 2√π σ = 2.5 px at a usual σ of 0.7 px, which is so many bins: of as many one counts.
 _ALIKE_BINS = 7.5
+_USUAL_MISFIT = _ALIKE_BINS * (_RENDERING_FOUND / _RENDERING) ** 2
 # Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy).
 _DOUBTFUL = 3.0
 # An iteration that gains less than this, in squared standard deviations, is the last.
@@ -72,7 +73,7 @@ class State:
     gradients: Array
     levels: Array
     costs: Array
-    misfit: float = _ALIKE_BINS * (_RENDERING_FOUND / _RENDERING) ** 2
+    misfit: float = _USUAL_MISFIT
 
     @property
     def widths(self) -> Array:
@@ -125,6 +126,11 @@ class State:
         normal += damping * np.diag(np.diag(normal))
         normal -= ((trust * cross).transpose(0, 2, 1) @ (inverse @ cross)).sum(axis=0)
         return normal, cross, inverse
+
+    @property
+    def excess_misfit(self) -> float:
+        """How many times more the rendering errs than usual, as a variance."""
+        return self.misfit / _USUAL_MISFIT
 
     @property
     def mean_width_sigma(self) -> float:
