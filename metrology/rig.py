@@ -163,7 +163,7 @@ class Rig:
     def with_projector(self) -> Device:
         """The projector; RigError where none is calibrated."""
         if self.projector is None:
-            raise RigError(f"rig {self.id!r}: found no calibrated projector, expected one: flushline rig fit-projector")
+            raise RigError(f"rig {self.id!r}: found no calibrated projector, expected one calibrated with the cameras")
         return self.projector
 
     @property

@@ -280,7 +280,7 @@ def assemble(
         warnings.append(
             f"rig {loaded.rig.id} has no calibrated projector: the overlay is drawn over the left camera's picture, "
             "gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be "
-            "noticed; find the projector with flushline rig fit-projector"
+            "noticed"
         )
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
