@@ -207,6 +207,10 @@ def _cloud(
     return Reconstruction(rig, view, view, points, sigma, flags.astype(np.uint16)), preview
 
 
+def _place(point: Array) -> dict[str, float]:
+    return dict(zip(("x_mm", "y_mm", "z_mm"), point.tolist(), strict=True))
+
+
 def _rivets(rig: Rig, recipe: Recipe, heads: list[_Head], rng: np.random.Generator) -> list[Rivet]:
     rivets = []
     for i, head in enumerate(heads):
@@ -218,7 +222,7 @@ def _rivets(rig: Rig, recipe: Recipe, heads: list[_Head], rng: np.random.Generat
         right = rig.right.project(centre)
         rivet = FittedRivet(
             f"R{i + 1:02d}",
-            *centre.tolist(),
+            **_place(centre),
             u_px=float(u),
             v_px=float(v),
             u_right_px=float(right[0]),
@@ -298,7 +302,7 @@ def _stations(rig: Rig, recipe: Recipe, rng: np.random.Generator) -> list[SeamSt
             FittedStation(
                 "M1",
                 float(y + reach),
-                *middle.tolist(),
+                **_place(middle),
                 u_px=float(u),
                 v_px=float(v),
                 step_mm=step_height(fit, *fit.edges_mm),

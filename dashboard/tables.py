@@ -12,8 +12,14 @@ import streamlit as st
 from dashboard.habits import NOTHING, Habits, with_minus
 from dashboard.palette import DECISION_MARKS
 from dashboard.picking import Picked, clicked_row, fresh_key
+from metrology.kinds import KINDS
 
-_SIGNED = ("value_mm", "height_mean_mm", "step_mm", "difference_mm", "deviation_mm")
+_SIGNED = (
+    "value_mm",
+    "difference_mm",
+    "deviation_mm",
+    *(quantity.column for kind in KINDS for quantity in kind.quantities if quantity.signed),
+)
 
 
 def show_table(

@@ -16,26 +16,13 @@ from flows.progress import progress_bar
 from metrology.errors import FlushlineError
 from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
+from metrology.steps import PROGRESS
 from storage.archive import Store
 from storage.documents import printable
 from storage.panel_spec import load_panel_spec
 from storage.rig import load_rig
 from tasks import steps
 from tasks.settings import load_settings
-
-_STEP_TEXT = {
-    "load": "checking",
-    "reconstruct": "reconstructing",
-    "detect_rivets": "finding rivets",
-    "check_rig": "checking the rig",
-    "detect_seams": "finding seams",
-    "measure_rivets": "measuring rivets",
-    "measure_seams": "measuring seams",
-    "register": "recognising the panel",
-    "judge": "judging",
-    "overlay": "drawing the overlay",
-    "publish": "storing",
-}
 
 
 @dataclass(frozen=True)
@@ -63,7 +50,7 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
 
         def inspect(job: Job) -> None:
             def show(step: str) -> None:
-                progress.update(bar, description=f"{printable(job.folder.name)}: {_STEP_TEXT[step]}")
+                progress.update(bar, description=f"{printable(job.folder.name)}: {PROGRESS[step]}")
 
             print(describe(run(job, show)))
 

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import ParamSpec, Protocol, TypeVar
 
-from metrology.kinds import RIVET, SEAM_STATION
-from metrology.results import Features, SceneKey
+from metrology.cloud import Reconstruction
+from metrology.kinds import KINDS, RIVET, SEAM_STATION, load
+from metrology.results import Feature, Features, SceneKey
 from metrology.rig_health import RigHealth
+from metrology.sighted import Sighted
+from metrology.steps import STEPS
 from storage.archive import Store
 from storage.archive.panels import PatternTaken
 from storage.panel_spec import PanelSpecification
 from tasks import steps
 from tasks.settings import InspectionSettings
 
+P = ParamSpec("P")
 Result = TypeVar("Result")
+_NAMES = {step.function: step.name for step in STEPS}
 
 
 class Call(Protocol):
     """How a step is run: directly, or as a Prefect task."""
 
-    def __call__(self, step: Callable[..., Result], *arguments: Any) -> Result: ...
+    def __call__(self, step: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result: ...
 
 
 @dataclass(frozen=True)
@@ -74,9 +79,39 @@ class Inspected:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-def directly(step: Callable[..., Result], *arguments: Any) -> Result:
+def directly(step: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
     """Run a step as the plain function it is."""
-    return step(*arguments)
+    return step(*arguments, **named)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """How the steps of one inspection are run, and how long they took."""
+
+    call: Call
+    on_step: Callable[[str], None]
+    began: float = field(default_factory=time.perf_counter)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def step(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
+        """Run a step under its declared name."""
+        name = _NAMES[f"{function.__module__}:{function.__name__}"]
+        self.on_step(name)
+        start = time.perf_counter()
+        result = self.call(function, *arguments, **named)
+        self.seconds[name] = time.perf_counter() - start
+        return result
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A scan measured in its rig's frame, before its panel is known."""
+
+    loaded: steps.LoadedScene
+    reconstruction: Reconstruction
+    health: RigHealth
+    features: Features
+    encoded: steps.Encoded
 
 
 def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None] = lambda _: None) -> Inspected:
@@ -90,62 +125,56 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
     on_step : callable
         Told the name of each step as it begins.
     """
-    seconds: dict[str, float] = {}
-    began = time.perf_counter()
-
-    @contextmanager
-    def timed(name: str) -> Iterator[None]:
-        on_step(name)
-        start = time.perf_counter()
-        yield
-        seconds[name] = time.perf_counter() - start
-
-    def aside(work: Callable[..., Result], *arguments: Any) -> Future[Result]:
-        """Work on what nobody waits for yet, in the run's own context."""
-        return helpers.submit(copy_context().run, work, *arguments)
-
-    def check_rig() -> RigHealth:
-        with timed("check_rig"):
-            return call(steps.check_rig, loaded, reconstruction, detections, settings)
-
-    settings = job.settings
-    with timed("load"):
-        loaded = call(steps.load, job.folder, job.rig_path, job.store)
-    with timed("reconstruct"):
-        reconstruction = call(steps.reconstruct_scene, loaded, settings)
-    with ThreadPoolExecutor(2) as helpers:
-        encoding = aside(steps.encode, reconstruction)
-        with timed("detect_rivets"):
-            detections = call(steps.detect_rivets, reconstruction, settings)
-        checking = aside(check_rig)
-        with timed("detect_seams"):
-            lines = call(steps.detect_seams, reconstruction, detections, settings)
-        health = checking.result()  # refused before anything is measured with a rig that does not fit
-        with timed("measure_rivets"):
-            rivets = call(steps.measure_rivets, detections, reconstruction, lines, settings)
-        with timed("measure_seams"):
-            stations = call(steps.measure_seams, lines, reconstruction, detections, settings)
-        encoded = encoding.result()
-    found: Features = {RIVET.name: rivets, SEAM_STATION.name: stations}
-    spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
-
-    def conclude() -> Inspected:
-        with timed("register"):
-            doubts = steps.doubts(reconstruction, health)
-            registered = call(steps.register, found, reconstruction, loaded, spec, job.store, settings, doubts)
-        with timed("judge"):
-            judged = call(steps.judge, registered.features, spec)
-        with timed("overlay"):
-            drawn = call(steps.draw_overlay, judged, loaded, reconstruction, settings)
-        seconds["total"] = time.perf_counter() - began
-        result = steps.assemble(
-            loaded, reconstruction, health, registered, judged, drawn, encoded, settings, spec, seconds
-        )
-        with timed("publish"):
-            run_id = call(steps.publish, job.store, result, loaded.rig)
-        return Inspected(result.key, run_id, result.features, result.warnings, seconds)
-
+    run = _Run(call, on_step)
+    measured = _measure(job, run)
     try:
-        return conclude()
+        return _conclude(job, run, measured)
     except PatternTaken:  # another first scan of the station was stored meanwhile: this one is recognised by it
-        return conclude()
+        return _conclude(job, run, measured)
+
+
+def _measure(job: Job, run: _Run) -> _Measured:
+    settings = job.settings
+    loaded = run.step(steps.load, job.folder, job.rig_path, job.store)
+    reconstruction = run.step(steps.reconstruct_scene, loaded, settings)
+    with ThreadPoolExecutor(2) as helpers:
+        # What nobody waits for yet, each in the run's own context.
+        encoding = helpers.submit(copy_context().run, steps.encode, reconstruction)
+        detections = run.step(steps.detect_rivets, reconstruction, settings)
+        check = partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings)
+        checking = helpers.submit(copy_context().run, check)
+        lines = run.step(steps.detect_seams, reconstruction, detections, settings)
+        health = checking.result()  # refused before anything is measured with a rig that does not fit
+        rivets = run.step(steps.measure_rivets, detections, reconstruction, lines, settings)
+        stations = run.step(steps.measure_seams, lines, reconstruction, detections, settings)
+        features: dict[str, Sequence[Feature]] = {RIVET.name: rivets, SEAM_STATION.name: stations}
+        for kind in KINDS:
+            if kind.measure:
+                sighted = Sighted(reconstruction, detections, lines, dict(features))
+                features[kind.name] = run.step(load(kind.measure), sighted, getattr(settings, kind.table, None))
+        return _Measured(loaded, reconstruction, health, features, encoding.result())
+
+
+def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:
+    """Recognise the panel, judge, draw and publish."""
+    loaded, reconstruction, settings = measured.loaded, measured.reconstruction, job.settings
+    spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
+    doubts = steps.doubts(reconstruction, measured.health)
+    registered = run.step(steps.register, measured.features, reconstruction, loaded, spec, job.store, settings, doubts)
+    judged = run.step(steps.judge, registered.features, spec)
+    drawn = run.step(steps.draw_overlay, judged, loaded, reconstruction, settings)
+    run.seconds["total"] = time.perf_counter() - run.began
+    result = steps.assemble(
+        loaded,
+        reconstruction,
+        measured.health,
+        registered,
+        judged,
+        drawn,
+        measured.encoded,
+        settings,
+        spec,
+        run.seconds,
+    )
+    run_id = run.step(steps.publish, job.store, result, loaded.rig)
+    return Inspected(result.key, run_id, result.features, result.warnings, run.seconds)

@@ -43,6 +43,11 @@ def size_said(rivet: Rivet) -> str | None:
     return f"perhaps a {said}{u95}"
 
 
+def size_note(rivet: Rivet) -> str:
+    """What the projector says of a head that is of another size for certain."""
+    return f"SIZE {rivet.diameter_mm:.1f}" if size_verdict(rivet) == "wrong" else ""
+
+
 def size_finding(rivet: Rivet) -> Verdict | None:
     """The verdict on a head of another size than the pattern's, whatever its height; None where nothing is wrong."""
     verdict, said = size_verdict(rivet), size_said(rivet)

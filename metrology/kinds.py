@@ -51,6 +51,10 @@ class Quantity:
         What a zone may ask of it. The first is of the value itself.
     signed : bool
         Whether the value has a direction, so that its sign is written.
+    word : str
+        What reports and the projector call it; its name where nothing is given.
+    projected : bool
+        Whether the projector writes it beside its feature.
     rests_on_it : tuple of str
         Further columns that say nothing without it.
     into_wind : str
@@ -65,8 +69,36 @@ class Quantity:
     title: str
     limits: tuple[LimitName, ...]
     signed: bool = False
+    word: str = ""
+    projected: bool = True
     rests_on_it: tuple[str, ...] = ()
     into_wind: str = ""
+
+    @property
+    def said(self) -> str:
+        """What reports and the projector call it."""
+        return self.word or self.name
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A column of a report's table: a value, a value with its U95, or the range between two.
+
+    Attributes
+    ----------
+    head : str
+        With the unit.
+    columns : tuple of str
+        One; or the value's and its U95's; or the least's and the greatest's where `span`.
+    digits : int
+    signed, span : bool
+    """
+
+    head: str
+    columns: tuple[str, ...]
+    digits: int = 3
+    signed: bool = False
+    span: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,6 +137,14 @@ class Kind:
         As addresses of pages name it.
     verdict : str
         A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
+    note : str
+        A function of a row that gives what the projector writes behind its values; "" where there is nothing to say.
+    measure : str
+        A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
+        before it ("module:name"): from a `metrology.sighted.Sighted`, and the block of the settings that has the name
+        of the table (None where there is none), to rows. "" for rivets and seams, whose steps come first.
+    cells : tuple of Cell
+        What reports have in a row between its name and its zone; its quantities where nothing is given.
     """
 
     name: str
@@ -121,6 +161,21 @@ class Kind:
     subject: str = ""
     parameter: str = ""
     verdict: str = ""
+    note: str = ""
+    measure: str = ""
+    cells: tuple[Cell, ...] = ()
+
+    @property
+    def is_course(self) -> bool:
+        """Whether its rows are positions along something that bears the name."""
+        return len(self.id_columns) > 1
+
+    @property
+    def shown(self) -> tuple[Cell, ...]:
+        """What reports have in a row between its name and its zone."""
+        return self.cells or tuple(
+            Cell(f"{q.said} {q.unit}", (q.column, q.u95_column), signed=q.signed) for q in self.quantities
+        )
 
     @property
     def row_type(self) -> type[Feature]:
@@ -167,7 +222,7 @@ RIVET = Kind(
         ),
         Quantity(
             "tilt", "tilt_deg", "tilt_u95_deg", "°", "Rivet tilt",
-            (LimitName("tilt_deg", "rivet tilt, °"),), rests_on_it=("height_min_mm", "height_max_mm"),
+            (LimitName("tilt_deg", "rivet tilt, °"),), projected=False, rests_on_it=("height_min_mm", "height_max_mm"),
         ),
     ),
     counts=(Count("n_rivets", "rivets found"),),
@@ -179,6 +234,13 @@ RIVET = Kind(
     subject="rivet",
     parameter="rivet",
     verdict="metrology.fastener:size_finding",
+    note="metrology.fastener:size_note",
+    cells=(
+        Cell("diameter mm", ("diameter_mm",), 2),
+        Cell("height mm", ("height_mean_mm", "height_u95_mm"), 4, signed=True),
+        Cell("min … max mm", ("height_min_mm", "height_max_mm"), 3, signed=True, span=True),
+        Cell("tilt °", ("tilt_deg", "tilt_u95_deg"), 2),
+    ),
 )  # fmt: skip
 
 SEAM_STATION = Kind(
@@ -199,7 +261,10 @@ SEAM_STATION = Kind(
             ),
             signed=True, rests_on_it=("step_into_wind_mm",), into_wind="step_into_wind_mm",
         ),
-        Quantity("width", "width_mm", "width_u95_mm", "mm", "Seam width", (LimitName("width_mm", "seam gap, mm"),)),
+        Quantity(
+            "width", "width_mm", "width_u95_mm", "mm", "Seam width",
+            (LimitName("width_mm", "seam gap, mm"),), word="gap",
+        ),
     ),
     counts=(
         Count("n_seams", "seams found", of="names"),
@@ -208,6 +273,12 @@ SEAM_STATION = Kind(
     per_panel=("max(abs(step_mm)) AS step_worst_mm", "max(width_mm) AS width_worst_mm"),
     subject="seam",
     parameter="station",
+    cells=(
+        Cell("at mm", ("s_mm",), 0),
+        Cell("step mm", ("step_mm", "step_u95_mm"), 3, signed=True),
+        Cell("into the wind mm", ("step_into_wind_mm",), 3, signed=True),
+        Cell("gap mm", ("width_mm", "width_u95_mm"), 3),
+    ),
 )  # fmt: skip
 
 KINDS = (RIVET, SEAM_STATION)

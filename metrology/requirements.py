@@ -30,6 +30,8 @@ class Requirement:
         As measured; None where it was not.
     limit : Limit or None
         None where the specification has none for it.
+    signed : bool
+        Whether the value has a direction.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Requirement:
     value: float | None
     u95: float | None
     limit: Limit | None
+    signed: bool = False
 
 
 def requirements(kind: Kind, row: Feature, spec: PanelSpec) -> list[Requirement]:
@@ -48,7 +51,7 @@ def requirements(kind: Kind, row: Feature, spec: PanelSpec) -> list[Requirement]
 def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requirement]:
     value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
     limit, *by_wind = (zone.get(limit.name) for limit in quantity.limits)
-    own = Requirement(quantity.name, quantity.unit, value, u95, limit)
+    own = Requirement(quantity.name, quantity.unit, value, u95, limit, quantity.signed)
     if not any(by_wind):
         return [own]
     into, out = by_wind
@@ -56,7 +59,7 @@ def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requireme
     as_met = getattr(row, quantity.into_wind)
     if as_met is not None:
         name, both = f"{quantity.name} into the wind", _either_way(out, into)
-        return [*required, Requirement(name, quantity.unit, as_met, u95, both)]
+        return [*required, Requirement(name, quantity.unit, as_met, u95, both, signed=True)]
     name, amount = f"{quantity.name} (wind direction unknown)", None if value is None else abs(value)
     return required + [Requirement(name, quantity.unit, amount, u95, each) for each in (into, out) if each]
 

@@ -41,14 +41,10 @@ class LimitModel(StrictModel):
     revision: Annotated[str, Field(min_length=1)]
 
 
-_Limits: Any = create_model(
-    "_Limits",
-    __base__=StrictModel,
-    **dict.fromkeys(LIMITS, (LimitModel | None, None)),
-)
+_FIELDS: dict[str, Any] = dict.fromkeys(LIMITS, (LimitModel | None, None))
 
 
-class ZoneModel(_Limits):  # type: ignore[misc]
+class ZoneModel(create_model("_Limits", __base__=StrictModel, **_FIELDS)):  # type: ignore[misc]
     """Limits that hold for the features of a zone; what it leaves open is as in the zone `default`."""
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, cast
 
 from prefect import Task, task
 from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import TaskRun
 from prefect.states import State
 
-from tasks import calibration, steps
+from metrology.kinds import load
+from metrology.steps import STEPS
+from tasks import calibration
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
 
 _IO_RETRIES = 2
 _IO_RETRY_SECONDS = 5.0
@@ -37,17 +42,7 @@ def _step(function: Callable[..., Any], *tags: str) -> Task[..., Any]:
 
 
 TASKS = {
-    steps.load: _step(steps.load, "io"),
-    steps.reconstruct_scene: _step(steps.reconstruct_scene, "io", "metrology"),
-    steps.detect_rivets: _step(steps.detect_rivets, "metrology"),
-    steps.check_rig: _step(steps.check_rig, "metrology"),
-    steps.detect_seams: _step(steps.detect_seams, "metrology"),
-    steps.measure_rivets: _step(steps.measure_rivets, "metrology"),
-    steps.measure_seams: _step(steps.measure_seams, "metrology"),
-    steps.register: _step(steps.register, "io", "metrology"),
-    steps.judge: _step(steps.judge, "metrology"),
-    steps.draw_overlay: _step(steps.draw_overlay, "metrology"),
-    steps.publish: _step(steps.publish, "io", "store"),
+    **{load(step.function): _step(load(step.function), *step.tags) for step in STEPS},
     calibration.load_calibration_capture: _step(calibration.load_calibration_capture, "io"),
     calibration.detect_pose: _step(calibration.detect_pose, "io", "metrology"),
     calibration.solve_rig: _step(calibration.solve_rig, "metrology"),
@@ -55,6 +50,6 @@ TASKS = {
 }
 
 
-def call(step: Callable[..., Any], *arguments: Any) -> Any:
+def call(step: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
     """Run a step as its task."""
-    return TASKS[step](*arguments)
+    return cast(Result, TASKS[step](*arguments, **named))

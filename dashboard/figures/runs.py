@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 from dashboard.figures.base import escape, figure
 from dashboard.habits import Habits
 from dashboard.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, YELLOW
-from storage.archive.schema import STEPS
+from metrology.steps import TIMED
 
 _STEP_COLOURS = (BLUE, ORANGE, GREEN, YELLOW, PURPLE, RED, GREY, "#0072B2", "#44AA99", "#882255")
 _SYMBOLS = ("circle", "diamond", "square", "x", "triangle-up", "cross")
@@ -19,7 +19,7 @@ def seconds_figure(nights: pd.DataFrame, habits: Habits, height: int = 400) -> g
     """Seconds of each step, stacked, per day."""
     fig = figure(habits, height, barmode="stack")
     few = len(nights) < 12  # days as names: a time axis would show hours
-    for step, colour in zip(STEPS, _STEP_COLOURS, strict=False):
+    for step, colour in zip(TIMED, _STEP_COLOURS, strict=False):
         values = nights[f"seconds_{step}"]
         if values.notna().any():
             fig.add_bar(

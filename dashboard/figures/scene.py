@@ -1,8 +1,9 @@
-"""A scene's picture with its rivets and seams drawn on it, and its deviation map and 3-D view."""
+"""A scene's picture with its features drawn on it, and its deviation map and 3-D view."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from dashboard.findings import feature_parameter
 from dashboard.habits import Habits
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
 from dashboard.pictures import data_uri, shrunk
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import KINDS, Kind
 from metrology.verdicts import IN_ORDER, SEVERITIES
 from storage.review import Feature
 
@@ -36,12 +37,12 @@ def scene_figure(
     height: int = 520,
     values: bool = True,
 ) -> go.Figure:
-    """The picture; a click on a rivet or a station comes back with its URL parameter as customdata.
+    """The picture; a click on a feature comes back with its URL parameter as customdata.
 
     Parameters
     ----------
     values : bool
-        Whether heights are written beside rivets that do not pass.
+        Whether values are written beside features that do not pass.
     """
     rows, columns = picture.shape
     fig = figure(habits, height, dragmode="pan", clickmode="event+select")
@@ -57,10 +58,10 @@ def scene_figure(
         layer="below",
     )
     for severity in reversed(SEVERITIES):
-        _add_seams(fig, features[SEAM_STATION.name], severity, habits)
-        _add_rivets(fig, features[RIVET.name], severity, habits)
-    if values:
-        _add_values(fig, features[RIVET.name], habits)
+        for kind in reversed(KINDS):
+            _add_features(fig, kind, features[kind.name], severity, habits)
+    for kind in KINDS if values else ():
+        _add_values(fig, kind, features[kind.name], habits)
     _mark_chosen(fig, features, chosen)
     fig.update_xaxes(range=[-0.5, columns - 0.5], visible=False, constrain="domain")
     fig.update_yaxes(range=[rows - 0.5, -0.5], visible=False, scaleanchor="x", constrain="domain")
@@ -71,21 +72,18 @@ def _with(rows: pd.DataFrame, severity: str | None) -> pd.DataFrame:
     return rows[rows["severity"].isna()] if severity is None else rows[rows["severity"] == severity]
 
 
-def _add_rivets(fig: go.Figure, rivets: pd.DataFrame, severity: str | None, habits: Habits) -> None:
-    part = _with(rivets, severity)
+def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, habits: Habits) -> None:
+    part = _with(rows, severity)
     part = part[part["u_px"].notna() & part["v_px"].notna()]
     if part.empty:
         return
     colour = SEVERITY_COLOURS[severity]
-    u, v = _rims(part)
-    fig.add_scatter(x=u, y=v, mode="lines", line={"color": colour, "width": 2.5}, hoverinfo="skip", showlegend=False)
-    text = [
-        f"<b>{escape(r.rivet_id)}</b> {escape(r.decision)}"
-        f"<br>height {habits.measured(r.height_mean_mm, r.height_u95_mm, 'mm')}"
-        f"<br>tilt {habits.measured(r.tilt_deg, r.tilt_u95_deg, '°', sign=False)}"
-        f"<br>head Ø {habits.number(r.diameter_mm, 2)} mm"
-        for r in part.itertuples()
-    ]
+    if "major_px" in part:
+        u, v = _rims(part)
+        fig.add_scatter(
+            x=u, y=v, mode="lines", line={"color": colour, "width": 2.5}, hoverinfo="skip", showlegend=False
+        )
+    empty, filled, size = (1.5, 0.0, 6) if kind.is_course else (2.0, 0.5, 9)
     fig.add_scattergl(
         x=part["u_px"],
         y=part["v_px"],
@@ -93,16 +91,32 @@ def _add_rivets(fig: go.Figure, rivets: pd.DataFrame, severity: str | None, habi
         marker={
             "color": colour,
             "symbol": SEVERITY_SYMBOLS[severity],
-            "size": 9,
-            "line": {"width": 2 if severity is None else 0.5, "color": colour if severity is None else "white"},
+            "size": size,
+            "line": {
+                "width": empty if severity is None else filled,
+                "color": colour if severity is None or kind.is_course else "white",
+            },
         },
-        customdata=[feature_parameter(Feature(RIVET.name, str(name))) for name in part["rivet_id"]],
-        text=text,
+        customdata=[feature_parameter(Feature(kind.name, str(name))) for name in part["feature_id"]],
+        text=[_said(kind, row, habits) for row in part.itertuples()],
         hovertemplate="%{text}<extra></extra>",
-        name=f"rivet {SEVERITY_WORDS[severity]}",
+        name=f"{kind.subject} {SEVERITY_WORDS[severity]}",
         selected={"marker": {"opacity": 1}},
         unselected={"marker": {"opacity": 1}},
     )
+
+
+def _said(kind: Kind, row: Any, habits: Habits) -> str:
+    """A feature's name, verdict and values."""
+    name, *position = (getattr(row, column) for column in kind.id_columns)
+    at = f" at {habits.number(position[0], 1)} mm:" if position else ""
+    lines = [f"<b>{escape(name)}</b>{at} {escape(row.decision)}"]
+    for quantity in kind.quantities:
+        value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
+        lines.append(f"{quantity.name} {habits.measured(value, u95, quantity.unit, sign=quantity.signed)}")
+    if hasattr(row, "diameter_mm"):
+        lines.append(f"Ø {habits.number(row.diameter_mm, 2)} mm")
+    return "<br>".join(lines)
 
 
 def _rims(rivets: pd.DataFrame) -> tuple[list[float | None], list[float | None]]:
@@ -117,44 +131,19 @@ def _rims(rivets: pd.DataFrame) -> tuple[list[float | None], list[float | None]]
     return tuple(np.round(np.hstack([part, gap]).ravel(), 1) for part in (u, v))  # type: ignore[return-value]
 
 
-def _add_seams(fig: go.Figure, stations: pd.DataFrame, severity: str | None, habits: Habits) -> None:
-    part = _with(stations, severity)
-    if part.empty:
+def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, habits: Habits) -> None:
+    """First values of what does not pass, beside it; positions along a course would cover each other."""
+    if kind.is_course:
         return
-    colour = SEVERITY_COLOURS[severity]
-    text = [
-        f"<b>{escape(s.seam_id)}</b> at {habits.number(s.s_mm, 1)} mm: {escape(s.decision)}"
-        f"<br>step {habits.measured(s.step_mm, s.step_u95_mm, 'mm')}"
-        f"<br>width {habits.measured(s.width_mm, s.width_u95_mm, 'mm', sign=False)}"
-        for s in part.itertuples()
-    ]
-    fig.add_scattergl(
-        x=part["u_px"],
-        y=part["v_px"],
-        mode="markers",
-        marker={
-            "color": colour,
-            "symbol": SEVERITY_SYMBOLS[severity],
-            "size": 6,
-            "line": {"width": 1.5 if severity is None else 0, "color": colour},
-        },
-        customdata=[feature_parameter(Feature(SEAM_STATION.name, str(name))) for name in part["feature_id"]],
-        text=text,
-        hovertemplate="%{text}<extra></extra>",
-        name=f"seam {SEVERITY_WORDS[severity]}",
-        selected={"marker": {"opacity": 1}},
-        unselected={"marker": {"opacity": 1}},
-    )
-
-
-def _add_values(fig: go.Figure, rivets: pd.DataFrame, habits: Habits) -> None:
-    part = rivets[~rivets["decision"].isin(IN_ORDER) & rivets["u_px"].notna()]
-    for rivet in part.head(60).itertuples():
-        value = "?" if pd.isna(rivet.height_mean_mm) else habits.number(rivet.height_mean_mm, 3, sign=True)
+    first = kind.quantities[0]
+    part = rows[~rows["decision"].isin(IN_ORDER) & rows["u_px"].notna()]
+    for row in part.head(60).itertuples():
+        value = getattr(row, first.column)
+        said = "?" if pd.isna(value) else habits.number(value, 3, sign=first.signed)
         fig.add_annotation(
-            x=rivet.u_px,
-            y=rivet.v_px - rivet.minor_px / 2,
-            text=f"{escape(rivet.rivet_id)} {value}",
+            x=row.u_px,
+            y=row.v_px - getattr(row, "minor_px", 0.0) / 2,
+            text=f"{escape(row.feature_id)} {said}",
             showarrow=False,
             yshift=10,
             font={"size": 11, "color": "white"},

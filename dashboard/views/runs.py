@@ -17,7 +17,7 @@ from dashboard.flow_runs import configured_api, flow_runs
 from dashboard.frame import Desk, go, plain
 from dashboard.quarantine import put_aside
 from dashboard.tables import show_table
-from storage.archive.schema import STEPS
+from metrology.steps import TIMED
 from storage.archive.views import TAKEN_AT
 
 TITLE = "Runs and rigs"
@@ -34,7 +34,7 @@ def render(desk: Desk) -> None:
 
 def _runs(desk: Desk, selection: Selection) -> None:
     condition, parameters = selection.where()
-    medians = ", ".join(f"median(seconds_{step}) AS seconds_{step}" for step in STEPS)
+    medians = ", ".join(f"median(seconds_{step}) AS seconds_{step}" for step in TIMED)
     nights = desk.archive.rows(
         "SELECT date_trunc('day', processed_at) AS day, count(*) AS scenes, "
         "count(*) FILTER (status <> 'ok') AS warned, count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, "

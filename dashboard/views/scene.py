@@ -29,7 +29,7 @@ from dashboard.scenes import (
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.kinds import BY_NAME, RIVET, SEAM_STATION
+from metrology.kinds import BY_NAME, KINDS, RIVET, SEAM_STATION, Kind
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.archive.views import NEWEST_FIRST
@@ -42,7 +42,6 @@ _MAP_POINTS = 120_000
 _CLOUD_POINTS = (30_000, 100_000, 300_000)
 _EXAGGERATIONS = (1, 10, 50, 100)
 _HEIGHT = 500
-_SIGNED = ("height", "step", "step into the wind")
 
 
 def render(desk: Desk) -> None:
@@ -66,7 +65,7 @@ def render(desk: Desk) -> None:
         _views(desk, row, features, chosen)
     with right:
         if chosen is None:
-            st.info("Neither a rivet nor a seam was found on this scan.")
+            st.info("Nothing was found on this scan.")
         else:
             close_up(desk, row, features, chosen)
 
@@ -124,7 +123,7 @@ def _picture(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | No
     picture = load_picture(desk.archive.file(row.preview_path))
     fig = scene_figure(picture, features, chosen, desk.habits, _HEIGHT)
     clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False})
-    st.caption("Click a rivet or a seam station for its close-up; scroll to zoom, drag to move.")
+    st.caption("Click a feature for its close-up; scroll to zoom, drag to move.")
 
 
 def _choose(scene_id: str, feature: str) -> None:
@@ -180,45 +179,32 @@ def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
     from dashboard.tables import show_table
 
     at = feature_parameter(chosen) if chosen else None
-    show_table(
-        features[RIVET.name],
-        {
-            "rivet_id": "Rivet",
-            "height_mean_mm": "Height, mm",
-            "height_u95_mm": "± U95, mm",
-            "tilt_deg": "Tilt, °",
-            "diameter_mm": "Ø, mm",
-            "decision": "Verdict",
-            "reason": "Why",
-        },
-        desk.habits,
-        key="rivets",
-        height=270,
-        names=[feature_parameter(Feature(RIVET.name, str(name))) for name in features[RIVET.name]["rivet_id"]],
-        picked=partial(_choose, row.scene_id),
-        at=at,
-    )
-    show_table(
-        features[SEAM_STATION.name],
-        {
-            "feature_id": "Seam@mm",
-            "step_mm": "Step, mm",
-            "step_u95_mm": "± U95, mm",
-            "width_mm": "Width, mm",
-            "width_u95_mm": "± U95 width, mm",
-            "decision": "Verdict",
-            "reason": "Why",
-        },
-        desk.habits,
-        key="stations",
-        height=220,
-        names=[
-            feature_parameter(Feature(SEAM_STATION.name, str(name)))
-            for name in features[SEAM_STATION.name]["feature_id"]
-        ],
-        picked=partial(_choose, row.scene_id),
-        at=at,
-    )
+    for kind in KINDS:
+        rows = features[kind.name]
+        if kind is not RIVET and rows.empty:
+            continue
+        show_table(
+            rows,
+            {"feature_id": f"{kind.subject.capitalize()}{'@mm' if kind.is_course else ''}", **_columns(kind)},
+            desk.habits,
+            key=kind.table,
+            height=220 if kind.is_course else 270,
+            names=[feature_parameter(Feature(kind.name, str(name))) for name in rows["feature_id"]],
+            picked=partial(_choose, row.scene_id),
+            at=at,
+        )
+
+
+def _columns(kind: Kind) -> dict[str, str]:
+    """What the table of a kind has beside its names, with headings."""
+    columns: dict[str, str] = {}
+    for quantity in kind.quantities:
+        of_which = f" {quantity.name}" if columns else ""
+        columns[quantity.column] = f"{quantity.name.capitalize()}, {quantity.unit}"
+        columns[quantity.u95_column] = f"± U95{of_which}, {quantity.unit}"
+    if kind is RIVET:
+        columns["diameter_mm"] = "Ø, mm"
+    return {**columns, "decision": "Verdict", "reason": "Why"}
 
 
 def _files(desk: Desk, row: Any) -> None:
@@ -327,7 +313,7 @@ def _values(desk: Desk, row: Any, measured: Any, chosen: Feature) -> None:
     for start in range(0, len(required), 2):
         for column, wanted in zip(st.columns(2), required[start : start + 2], strict=False):
             with column:
-                value = habits.measured(wanted.value, wanted.u95, wanted.unit, wanted.name in _SIGNED)
+                value = habits.measured(wanted.value, wanted.u95, wanted.unit, wanted.signed)
                 st.markdown(f":small[{wanted.name.capitalize()}] **{plain(value)}**")
                 if wanted.limit is None:
                     st.caption("no limit")

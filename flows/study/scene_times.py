@@ -11,18 +11,18 @@ import plotly.graph_objects as go
 from flows.study import paper
 from flows.study.document import Cell, Column, Section, Table
 from flows.study.series import Series
+from metrology.steps import TIMED
 from storage.archive import Store
-from storage.archive.schema import STEPS
 
 
 def times_section(store: Store, series: Series) -> Section:
     """Median wall time of each step over a series' scans."""
-    columns = ", ".join(f"seconds_{step}" for step in (*STEPS, "total"))
+    columns = ", ".join(f"seconds_{step}" for step in (*TIMED, "total"))
     found = store.query(f"SELECT {columns} FROM scenes WHERE aircraft_serial = ?", [series.name]).to_pydict()
-    medians = {step: _median(found[f"seconds_{step}"]) for step in (*STEPS, "total")}
+    medians = {step: _median(found[f"seconds_{step}"]) for step in (*TIMED, "total")}
     rows: list[list[Cell]] = [[step.replace("_", " "), seconds] for step, seconds in medians.items()]
     figure = go.Figure(
-        go.Bar(x=[medians[step] for step in STEPS], y=[str(row[0]) for row in rows[:-1]], orientation="h")
+        go.Bar(x=[medians[step] for step in TIMED], y=[str(row[0]) for row in rows[:-1]], orientation="h")
     )
     figure.update_layout(xaxis_title="s", height=340, title="Median wall time of the steps")
     figure.update_yaxes(autorange="reversed")

@@ -1,38 +1,27 @@
-"""The overlay of one scene: rivets and seam stations through the calibrated projector (paper §5.1, Fig. 9)."""
+"""The overlay of one scene: its features through the calibrated projector (paper §5.1, Fig. 9)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
-from metrology.fastener import size_verdict
+from metrology.kinds import KINDS
+from metrology.overlay.features import Canvas, Wish, mark_course, mark_rings
 from metrology.overlay.layout import Layout
 from metrology.overlay.legend import draw_legend, entries
-from metrology.overlay.marks import (
-    BAR_END_MM,
-    COLOURS,
-    GRAVEST_FIRST,
-    Label,
-    Stroke,
-    circle_points,
-    rivet_marks,
-    seam_marks,
-)
+from metrology.overlay.marks import COLOURS, GRAVEST_FIRST, Label, Stroke
 from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import map_skin
-from metrology.results import Decision, Features, Rivet, SeamStation, Severity, of_type
-from metrology.skin_normal import skin_normal
+from metrology.results import Features
 from metrology.verdicts import DECISIONS
 
 Array = NDArray[np.float64]
 
-_MISSING = "MISSING"
 _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
 
@@ -95,17 +84,6 @@ class Overlay:
         return paint_svg(self.size, self.background, self.strokes, self.labels)
 
 
-@dataclass(frozen=True)
-class _Wish:
-    """A label that wants a place beside its feature: its centre (projector pixels) and half size (upright frame)."""
-
-    feature: str
-    text: str
-    anchor: Array
-    reach: Array
-    severity: Severity | None
-
-
 def draw_overlay(
     features: Features,
     reconstruction: Reconstruction,
@@ -124,113 +102,43 @@ def draw_overlay(
         Lines above the legend: station, date.
     """
     settings = settings or OverlaySettings()
-    rivets, stations = of_type(features, Rivet), of_type(features, SeamStation)
     projector = reconstruction.rig.projector
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)
     text_px = settings.text_height_mm * skin.px_per_mm
-    strokes: list[Stroke] = []
-    wishes: list[_Wish] = []
-    outside: list[str] = []
+    canvas = Canvas(reconstruction, layout, skin.px_per_mm, settings.line_width_px, settings.label_every_mm)
+    for kind in KINDS:
+        (mark_course if kind.is_course else mark_rings)(kind, features.get(kind.name, ()), canvas)
 
-    for rivet in rivets:
-        outline = _rim(rivet, reconstruction)
-        if outline is None:
-            continue
-        inside = projector.inside(outline)
-        if not inside.all():
-            outside.append(rivet.rivet_id)
-            if not inside.any():
-                continue
-        marks = rivet_marks(outline, rivet.severity, settings.line_width_px)
-        strokes += [replace(mark, feature=rivet.rivet_id) for mark in marks]
-        extent = np.concatenate([mark.points for mark in marks])
-        for mark in marks:
-            layout.occupy(mark.points, mark.width)
-        wishes.append(_Wish(rivet.rivet_id, _rivet_text(rivet), outline.mean(0), layout.extent(extent), rivet.severity))
-
-    for seam_id in dict.fromkeys(station.seam_id for station in stations):
-        seam = [s for s in stations if s.seam_id == seam_id and s.x_mm is not None]
-        if not seam:
-            continue
-        course = projector.project(np.array([(s.x_mm, s.y_mm, s.z_mm) for s in seam], float))
-        if not projector.inside(course).all():
-            outside.append(seam_id)
-        for run in _runs(seam):
-            severity = seam[run.start].severity
-            reach = BAR_END_MM[severity] * skin.px_per_mm
-            marks = seam_marks(course[run], severity, skin.px_per_mm, settings.line_width_px)
-            strokes += [replace(mark, feature=seam_id) for mark in marks]
-            for place in course[run][projector.inside(course[run])]:
-                layout.occupy(place[None], reach)
-            for k in _labelled(seam, run, settings.label_every_mm):
-                if projector.inside(course[k]):
-                    wishes.append(_Wish(seam_id, _seam_text(seam[k]), course[k], np.full(2, reach), severity))
-
-    judged: list[Rivet | SeamStation] = [*rivets, *stations]
-    present = {item.severity for item in judged}
+    present = {row.severity for rows in features.values() for row in rows}
     key = [s for s in reversed(GRAVEST_FIRST) if s is not None or None in present]
-    legend = entries(title, key, _notes(rivets, stations, outside))
+    legend = entries(title, key, _notes(features, canvas.outside))
     labels, shapes = draw_legend(legend, layout, text_px, skin.angle, settings.line_width_px)
     # Grave ones first: they get the best places. What is in order may go without its value where there is no room.
-    for wish in sorted(wishes, key=lambda w: GRAVEST_FIRST.index(w.severity)):
+    for wish in sorted(canvas.wishes, key=lambda w: GRAVEST_FIRST.index(w.severity)):
         size = text_size(wish.text, text_px)
         place = layout.place(wish.anchor, wish.reach, size, must=wish.severity != "green")
         if place is None:
             continue
         labels.append(Label(wish.text, place, text_px, skin.angle, COLOURS[wish.severity], wish.feature))
-        strokes += _leader(wish, place, size, layout)
+        canvas.strokes.extend(_leader(wish, place, size, layout))
     return Overlay(
         (projector.width, projector.height),
         settings.background,
-        (*strokes, *shapes),
+        (*canvas.strokes, *shapes),
         tuple(labels),
-        tuple(outside),
+        tuple(canvas.outside),
     )
 
 
-def _rim(rivet: Rivet, reconstruction: Reconstruction) -> Array | None:
-    """Outline of a rivet's head in projector pixels; None where it has no position."""
-    if rivet.x_mm is None or rivet.y_mm is None or rivet.z_mm is None:
-        return None
-    centre = np.array([rivet.x_mm, rivet.y_mm, rivet.z_mm])
-    diameter = rivet.diameter_mm or rivet.major_px * rivet.z_mm / reconstruction.rig.left.K[0, 0]
-    normal = skin_normal(reconstruction.points, rivet.u_px, rivet.v_px, rivet.major_px)
-    towards_rig = np.array([0.0, 0.0, -1.0])
-    rig = reconstruction.rig
-    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, rig.projector.project)
-
-
-def _rivet_text(rivet: Rivet) -> str:
-    if rivet.height_mean_mm is None:
-        return _MISSING if (rivet.reason or "").startswith(_MISSING.lower()) else "?"
-    size = f" SIZE {rivet.diameter_mm:.1f}" if size_verdict(rivet) == "wrong" else ""
-    return f"{_signed(rivet.height_mean_mm)}{_star(rivet.decision)}{size}"
-
-
-def _seam_text(station: SeamStation) -> str:
-    if station.step_mm is None and station.width_mm is None:
-        return _MISSING if (station.reason or "").startswith(_MISSING.lower()) else "?"
-    step = "?" if station.step_mm is None else _signed(station.step_mm)
-    width = "?" if station.width_mm is None else f"{station.width_mm:.2f}"
-    return f"{step} | {width}{_star(station.decision)}"
-
-
-def _signed(value: float) -> str:
-    """Hundredths of a millimetre with their sign; nothing is not minus nothing."""
-    return f"{round(value, 2) + 0.0:+.2f}"
-
-
-def _star(decision: Decision) -> str:
-    return DECISIONS[decision].note
-
-
-def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Sequence[str]) -> list[str]:
+def _notes(features: Features, outside: Sequence[str]) -> list[str]:
     """What the values are, and what the picture does not show."""
-    meanings = (["RIVET height"] if rivets else []) + (["SEAM step | gap"] if stations else [])
+    shown = [(kind, rows) for kind in KINDS if (rows := features.get(kind.name))]
+    meanings = [
+        f"{kind.subject.upper()} {' | '.join(q.said for q in kind.quantities if q.projected)}" for kind, _ in shown
+    ]
     notes = [f"mm: {', '.join(meanings)}"] if meanings else []
-    judged: list[Rivet | SeamStation] = [*rivets, *stations]
-    for note in dict.fromkeys(DECISIONS[item.decision].note for item in judged):
+    for note in dict.fromkeys(DECISIONS[row.decision].note for _, rows in shown for row in rows):
         if note:
             notes.append(f"{note} within U95 of a limit")
     if outside:
@@ -240,7 +148,7 @@ def _notes(rivets: Sequence[Rivet], stations: Sequence[SeamStation], outside: Se
     return notes
 
 
-def _leader(wish: _Wish, place: Array, size: tuple[float, float], layout: Layout) -> list[Stroke]:
+def _leader(wish: Wish, place: Array, size: tuple[float, float], layout: Layout) -> list[Stroke]:
     """A thin line from a feature to its value where they are apart."""
     half = np.array(size) / 2
     offset = layout.to_upright(place - wish.anchor)
@@ -251,21 +159,3 @@ def _leader(wish: _Wish, place: Array, size: tuple[float, float], layout: Layout
     end = offset - np.clip(offset, -half, half)
     ends = np.stack([wish.anchor + layout.to_projector(start), wish.anchor + layout.to_projector(end)])
     return [Stroke(ends, COLOURS[wish.severity], 1, feature=wish.feature)]
-
-
-def _runs(stations: Sequence[SeamStation]) -> list[slice]:
-    """Slices of consecutive stations with the same severity."""
-    cuts = [k for k in range(1, len(stations)) if stations[k].severity != stations[k - 1].severity]
-    edges = [0, *cuts, len(stations)]
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-def _labelled(stations: Sequence[SeamStation], run: slice, every_mm: float) -> list[int]:
-    """Indices of the stations of a run that get a label: its worst, and others at a distance."""
-    members = range(run.start, run.stop)
-    worst = max(members, key=lambda k: (abs(stations[k].step_mm or 0.0), stations[k].width_mm or 0.0))
-    chosen = [worst]
-    for k in members:
-        if all(abs(stations[k].s_mm - stations[c].s_mm) >= every_mm for c in chosen):
-            chosen.append(k)
-    return chosen

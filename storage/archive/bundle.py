@@ -25,8 +25,9 @@ from metrology.inspection import InspectionResult
 from metrology.kinds import KINDS, Count, Kind
 from metrology.overlay import Overlay
 from metrology.results import SceneKey
+from metrology.steps import TIMED
 from storage.archive.files import protect, sha256, sync, write_durably
-from storage.archive.schema import SCENES, STEPS, TABLES
+from storage.archive.schema import SCENES, TABLES
 from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
 from storage.fits import write_fits
@@ -245,7 +246,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "registration_rms_mm": registration.get("rms_mm"),
         "rig_shift_mm": registration.get("shift_mm"),
         "rig_turn_deg": registration.get("turn_deg"),
-        **{f"seconds_{step}": result.seconds.get(step) for step in STEPS},
+        **{f"seconds_{step}": result.seconds.get(step) for step in TIMED},
         "seconds_total": result.seconds.get("total"),
         "bundle_path": bundle_path,
         "cloud_path": f"{bundle_path}/{CLOUD}",

@@ -8,23 +8,10 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
+from metrology.steps import TIMED
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-STEPS = (
-    "load",
-    "reconstruct",
-    "detect_rivets",
-    "check_rig",
-    "detect_seams",
-    "measure_rivets",
-    "measure_seams",
-    "register",
-    "judge",
-    "overlay",
-)
-"""Steps of an inspection whose time is kept, in their order."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +116,7 @@ registration_rms_mm DOUBLE RMS distance of the recognised rivets from their nomi
 rig_shift_mm DOUBLE how far the rig stood from the station's nominal placement, mm
 rig_turn_deg DOUBLE how far the rig was turned from the station's nominal placement, degrees
 """)
-    + tuple(Column(f"seconds_{step}", "DOUBLE", f"wall time of the step {step}, s") for step in STEPS)
+    + tuple(Column(f"seconds_{step}", "DOUBLE", f"wall time of the step {step}, s") for step in TIMED)
     + _columns("""
 seconds_total DOUBLE wall time from the first frame to the finished result, s
 bundle_path VARCHAR folder with everything of this run, relative to the store

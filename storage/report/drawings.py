@@ -1,4 +1,4 @@
-"""Drawings of a report as SVG within the page: the marked picture, heights of rivets, profiles of seams, the map."""
+"""Drawings of a report as SVG within the page: the marked picture, charts of values, profiles of courses, the map."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.kinds import KINDS, Kind, Quantity
 from metrology.results import Severity
 from metrology.tolerance import Limit
 from metrology.verdicts import SEVERITIES, Symbol
@@ -35,14 +36,19 @@ _CORNERS: dict[Symbol, list[tuple[float, float]]] = {
 _SIZE: dict[Symbol, float] = {"disc": 4.5, "diamond": 6.5, "cross": 5.5, "ring": 4.5}
 
 
-def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: Sequence[Row]) -> str:
-    """What the left camera sees, with each rivet's rim, name and symbol, and the symbols of seam stations."""
+def marked_picture(preview: NDArray[np.uint8], of_kind: Mapping[str, Sequence[Row]]) -> str:
+    """What the left camera sees, with each feature's symbol, and the name and rim of what is no course."""
     height, width = preview.shape
     small = cv2.resize(preview, (_PICTURE_WIDTH, round(height * _PICTURE_WIDTH / width)), interpolation=cv2.INTER_AREA)
     _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     unit = width / _PICTURE_WIDTH
-    marks = [_station_mark(station, unit) for station in stations]
-    marks += [_rivet_mark(rivet, unit) for rivet in rivets]
+    marks = [
+        _placed(row["u_px"], row["v_px"], 0.6 * unit, row["severity"], _title(kind, row))
+        if kind.is_course
+        else _named_mark(kind, row, unit)
+        for kind in reversed(KINDS)
+        for row in of_kind.get(kind.name, ())
+    ]
     return (
         f'<svg viewBox="-0.5 -0.5 {width} {height}" xmlns="http://www.w3.org/2000/svg" role="img">'
         f'<image href="{data_uri(jpeg.tobytes(), "jpeg")}" x="-0.5" y="-0.5" width="{width}" height="{height}"/>'
@@ -50,30 +56,32 @@ def marked_picture(preview: NDArray[np.uint8], rivets: Sequence[Row], stations: 
     )
 
 
-def _rivet_mark(rivet: Row, unit: float) -> str:
-    look = SEVERITIES[rivet["severity"]]
+def _named_mark(kind: Kind, row: Row, unit: float) -> str:
+    u, v, size, title = row["u_px"], row["v_px"], 15 * unit, _title(kind, row)
+    reach = (row.get("major_px") or 0.0) / 2
+    return (
+        f"{_rim(row, unit, title) if reach else ''}{_placed(u, v, unit, row['severity'], title)}"
+        f'<text x="{u + reach + 7 * unit:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" '
+        f'font-family="sans-serif" fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">'
+        f"{escape(kind.id_of(row))}</text>"
+    )
+
+
+def _rim(row: Row, unit: float, title: str) -> str:
+    """The ellipse of a head in the picture."""
+    look = SEVERITIES[row["severity"]]
     width = (5.0 if look.symbol == "cross" else 3.0) * unit
-    u, v, angle = rivet["u_px"], rivet["v_px"], rivet["angle_deg"]
+    u, v, angle = row["u_px"], row["v_px"], row["angle_deg"]
     broken = _BROKEN if look.symbol == "ring" else ""
     dashes = f' stroke-dasharray="{" ".join(str(float(d) * unit) for d in broken.split())}"' if broken else ""
-    size = 15 * unit
     ellipse = (
-        f'<ellipse cx="{u:.1f}" cy="{v:.1f}" rx="{rivet["major_px"] / 2 + 4 * unit:.1f}" '
-        f'ry="{rivet["minor_px"] / 2 + 4 * unit:.1f}" transform="rotate({angle:.1f} {u:.1f} {v:.1f})" fill="none" '
+        f'<ellipse cx="{u:.1f}" cy="{v:.1f}" rx="{row["major_px"] / 2 + 4 * unit:.1f}" '
+        f'ry="{row["minor_px"] / 2 + 4 * unit:.1f}" transform="rotate({angle:.1f} {u:.1f} {v:.1f})" fill="none" '
     )
     return (
         f'{ellipse}stroke="#fff" stroke-width="{width + 2.4 * unit:.1f}"/>'
-        f'{ellipse}stroke="{look.paper}" stroke-width="{width:.1f}"{dashes}><title>{_title(rivet)}</title></ellipse>'
-        f"{_placed(u, v, unit, rivet['severity'], _title(rivet))}"
-        f'<text x="{u + rivet["major_px"] / 2 + 7 * unit:.1f}" y="{v + size / 3:.1f}" font-size="{size:.0f}" '
-        f'font-family="sans-serif" fill="#fff" stroke="#000" stroke-width="{3 * unit:.1f}" paint-order="stroke">'
-        f"{escape(rivet['rivet_id'])}</text>"
+        f'{ellipse}stroke="{look.paper}" stroke-width="{width:.1f}"{dashes}><title>{title}</title></ellipse>'
     )
-
-
-def _station_mark(station: Row, unit: float) -> str:
-    title = escape(f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}")
-    return _placed(station["u_px"], station["v_px"], 0.6 * unit, station["severity"], title)
 
 
 def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> str:
@@ -81,10 +89,14 @@ def _placed(x: float, y: float, scale: float, severity: Severity | None, title: 
     return f'<g transform="translate({x:.2f} {y:.2f}) scale({scale:.4f})">{_symbol(0, 0, severity, title)}</g>'
 
 
-def _title(rivet: Row) -> str:
-    height = rivet["height_mean_mm"]
-    value = "not measured" if height is None else f"{height:+.4f} mm"
-    return escape(f"{rivet['rivet_id']}: {value}, {rivet['decision']}")
+def _title(kind: Kind, row: Row) -> str:
+    if kind.is_course:
+        name, position = (row[column] for column in kind.id_columns)
+        return escape(f"{name} at {position:.0f} mm: {row['decision']}")
+    first = kind.quantities[0]
+    value = row[first.column]
+    said = "not measured" if value is None else f"{value:{'+' if first.signed else ''}.4f} {first.unit}"
+    return escape(f"{kind.id_of(row)}: {said}, {row['decision']}")
 
 
 class _Axes:
@@ -154,30 +166,30 @@ def _span(values: Sequence[float], limits: Sequence[Limit | None]) -> tuple[floa
     return min([low, *inside]), max([high, *inside])
 
 
-def heights_chart(rivets: Sequence[Row], limits: Sequence[Limit | None]) -> str:
-    """Height of each rivet with its U95, and its own limits; "" where nothing was measured."""
-    shown = [r for r in rivets if r["height_mean_mm"] is not None]
-    if not shown:
+def values_chart(kind: Kind, rows: Sequence[Row], limits: Sequence[Limit | None]) -> str:
+    """First quantity of each feature with its U95, and its own limits; "" where nothing was measured."""
+    first = kind.quantities[0]
+    values = [row[first.column] for row in rows if row[first.column] is not None]
+    if not values:
         return ""
-    values = [r["height_mean_mm"] for r in shown]
-    axes = _Axes((0, len(rivets) + 1), _span([*values, 0.0], limits))
-    places = [(k - 0.5, k + 0.5) for k in range(1, len(rivets) + 1)]
-    marks = [axes.frame("height, mm"), _limit_lines(axes, places, limits)]
-    every = max(1, len(rivets) // 40)
-    for k, rivet in enumerate(rivets, 1):
+    axes = _Axes((0, len(rows) + 1), _span([*values, 0.0], limits))
+    places = [(k - 0.5, k + 0.5) for k in range(1, len(rows) + 1)]
+    marks = [axes.frame(f"{first.name}, {first.unit}"), _limit_lines(axes, places, limits)]
+    every = max(1, len(rows) // 40)
+    for k, row in enumerate(rows, 1):
         x = axes.x(k)
         if k % every == 0 or every == 1:
             marks.append(
                 f'<text transform="translate({x + 4:.1f} {_HEIGHT - _BOTTOM + 10}) rotate(-60)" text-anchor="end" '
-                f'font-size="10">{escape(rivet["rivet_id"])}</text>'
+                f'font-size="10">{escape(kind.id_of(row))}</text>'
             )
-        if rivet["height_mean_mm"] is None:
+        if row[first.column] is None:
             marks.append(f'<text x="{x:.1f}" y="{axes.y(0):.1f}" text-anchor="middle">?</text>')
             continue
-        y, u95 = rivet["height_mean_mm"], rivet["height_u95_mm"] or 0.0
+        y, u95 = row[first.column], row[first.u95_column] or 0.0
         marks.append(
             f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{axes.y(y - u95):.1f}" y2="{axes.y(y + u95):.1f}" stroke="#1c2733"/>'
-            + _symbol(x, axes.y(y), rivet["severity"], _title(rivet))
+            + _symbol(x, axes.y(y), row["severity"], _title(kind, row))
         )
     return _svg("".join(marks))
 
@@ -194,53 +206,57 @@ def _symbol(x: float, y: float, severity: Severity | None, title: str) -> str:
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r}" {style}>{said}</circle>'
 
 
-def seam_chart(stations: Sequence[Row], quantity: str, limits: Sequence[Limit | None]) -> str:
-    """Step or width along a seam with its U95 band and each place's limits; "" where nothing was measured."""
-    name = f"{quantity}_mm"
-    shown = [s for s in stations if s[name] is not None]
+def course_chart(kind: Kind, quantity: Quantity, course: Sequence[Row], limits: Sequence[Limit | None]) -> str:
+    """A quantity along a course with its U95 band and each place's limits; "" where nothing was measured."""
+    value, u95, position = quantity.column, quantity.u95_column, kind.id_columns[1]
+    shown = [row for row in course if row[value] is not None]
     if not shown:
         return ""
-    axes = _Axes((stations[0]["s_mm"], stations[-1]["s_mm"]), _span([s[name] for s in shown], limits))
-    marks = [axes.frame(f"{quantity}, mm"), _limit_lines(axes, _stretches(stations), limits)]
-    for measured, run in groupby(stations, key=lambda s: s[name] is not None):
+    along = [float(row[position]) for row in course]
+    axes = _Axes((along[0], along[-1]), _span([row[value] for row in shown], limits))
+    marks = [axes.frame(f"{quantity.name}, {quantity.unit}"), _limit_lines(axes, _stretches(along), limits)]
+    for measured, run in groupby(course, key=lambda row: row[value] is not None):
         if not measured:
             continue
         piece = list(run)
-        upper = [(axes.x(s["s_mm"]), axes.y(s[name] + (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
-        lower = [(axes.x(s["s_mm"]), axes.y(s[name] - (s[f"{quantity}_u95_mm"] or 0))) for s in piece]
+        upper = [(axes.x(row[position]), axes.y(row[value] + (row[u95] or 0))) for row in piece]
+        lower = [(axes.x(row[position]), axes.y(row[value] - (row[u95] or 0))) for row in piece]
         band = " ".join(f"{x:.1f},{y:.1f}" for x, y in [*upper, *reversed(lower)])
-        line = " ".join(f"{axes.x(s['s_mm']):.1f},{axes.y(s[name]):.1f}" for s in piece)
+        line = " ".join(f"{axes.x(row[position]):.1f},{axes.y(row[value]):.1f}" for row in piece)
         marks.append(f'<polygon points="{band}" fill="#1c2733" fill-opacity="0.12"/>')
         marks.append(f'<polyline points="{line}" fill="none" stroke="#1c2733" stroke-width="1.5"/>')
     for tick in _ticks(axes.x0, axes.x1):
         marks.append(f'<text x="{axes.x(tick):.1f}" y="{_HEIGHT - 14}" text-anchor="middle">{tick:g}</text>')
-    marks.append(f'<text x="{_WIDTH - 12}" y="{_HEIGHT - 1}" text-anchor="end">mm along the seam</text>')
+    marks.append(f'<text x="{_WIDTH - 12}" y="{_HEIGHT - 1}" text-anchor="end">mm along the {kind.subject}</text>')
     return _svg("".join(marks))
 
 
-def _stretches(stations: Sequence[Row]) -> list[tuple[float, float]]:
-    """Half-way to the neighbours on both sides, mm along the seam."""
-    s = [float(station["s_mm"]) for station in stations]
+def _stretches(s: Sequence[float]) -> list[tuple[float, float]]:
+    """Half-way to the neighbours on both sides, mm along the course."""
     middles = [s[0], *(0.5 * (a + b) for a, b in pairwise(s)), s[-1]]
     return list(pairwise(middles))
 
 
-def panel_map(rivets: Sequence[Row], stations: Sequence[Row]) -> str:
-    """The panel from outside: rivets and seam stations in panel coordinates; "" where none has any."""
-    places = [(f["x_panel_mm"], f["y_panel_mm"]) for f in (*rivets, *stations) if f["x_panel_mm"] is not None]
-    if not places:
+def panel_map(of_kind: Mapping[str, Sequence[Row]]) -> str:
+    """The panel from outside: features in panel coordinates; "" where none has any."""
+    rows = [
+        (kind, row) for kind in reversed(KINDS) for row in of_kind.get(kind.name, ()) if row["x_panel_mm"] is not None
+    ]
+    if not rows:
         return ""
+    places = [(row["x_panel_mm"], row["y_panel_mm"]) for _, row in rows]
     (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
     unit = max(x1 - x0, y1 - y0) / 1000
-    marks = []
-    for station in stations:
-        if station["x_panel_mm"] is not None:
-            title = escape(f"{station['seam_id']} at {station['s_mm']:.0f} mm: {station['decision']}")
-            marks.append(_placed(station["x_panel_mm"], -station["y_panel_mm"], 0.6 * unit, station["severity"], title))
-    for rivet in rivets:
-        if rivet["x_panel_mm"] is not None:
-            place = rivet["x_panel_mm"], -rivet["y_panel_mm"]
-            marks.append(_placed(*place, unit, rivet["severity"], _title(rivet)))
+    marks = [
+        _placed(
+            row["x_panel_mm"],
+            -row["y_panel_mm"],
+            (0.6 if kind.is_course else 1.0) * unit,
+            row["severity"],
+            _title(kind, row),
+        )
+        for kind, row in rows
+    ]
     return (
         f'<svg viewBox="{x0:.1f} {-y1:.1f} {x1 - x0:.1f} {y1 - y0:.1f}" xmlns="http://www.w3.org/2000/svg" role="img" '
         f'style="border:1px solid #d7dde3;max-height:520px;width:100%">{"".join(marks)}</svg>'

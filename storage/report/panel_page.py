@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from metrology.kinds import RIVET, SEAM_STATION
+from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
@@ -13,10 +13,9 @@ from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
     decisions_table,
     entries_table,
+    features,
+    features_table,
     limits_table,
-    rivet_table,
-    seams,
-    station_table,
     traceability,
     verdict,
 )
@@ -58,40 +57,32 @@ def _stations(record: PanelRecord) -> str:
             f'<a href="#{_anchor(s)}">{escape(s.scene["station"])}</a>',
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
-            str(len(s.of_kind[RIVET.name])),
-            str(len({station["seam_id"] for station in s.of_kind[SEAM_STATION.name]})),
+            *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in KINDS),
             str(sum(needs_attention(feature) for feature in s.features)),
             escape(said(s.standings)),
             escape("; ".join(s.scene["warnings"] or ())),
         ]
         for s in record.scenes
     ]
-    heads = ["station", "captured", "verdict", "rivets", "seams", "need attention", "findings", "warnings"]
-    return table(heads, rows, [3, 4, 5])
+    heads = ["station", "captured", "verdict", *(f"{kind.subject}s" for kind in KINDS), "need attention"]
+    return table([*heads, "findings", "warnings"], rows, list(range(3, len(heads))))
 
 
 def _maps(record: PanelRecord) -> list[str]:
     """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
     placed = [scene for scene in record.scenes if scene.has_common_frame]
-    drawing = panel_map(
-        [rivet for scene in placed for rivet in scene.of_kind[RIVET.name]],
-        [station for scene in placed for station in scene.of_kind[SEAM_STATION.name]],
-    )
+    drawing = panel_map({kind.name: [row for scene in placed for row in scene.of_kind[kind.name]] for kind in KINDS})
     if not drawing:
         return []
     return ["<h2>Map</h2>", figure(drawing, f"In panel coordinates. {KEY}.")]
 
 
 def _attention(record: PanelRecord) -> str:
-    rivets = [rivet for scene in record.scenes for rivet in scene.of_kind[RIVET.name] if needs_attention(rivet)]
-    stations = [
-        station for scene in record.scenes for station in scene.of_kind[SEAM_STATION.name] if needs_attention(station)
-    ]
-    if not rivets and not stations:
-        return "<p>Nothing.</p>"
-    return (rivet_table(rivets, where=True) if rivets else "") + (
-        station_table(stations, where=True) if stations else ""
-    )
+    parts = []
+    for kind in KINDS:
+        rows = [row for scene in record.scenes for row in scene.of_kind[kind.name] if needs_attention(row)]
+        parts += [features_table(kind, rows, where=True)] if rows else []
+    return "".join(parts) or "<p>Nothing.</p>"
 
 
 def _station(scene: SceneRecord) -> list[str]:
@@ -99,15 +90,13 @@ def _station(scene: SceneRecord) -> list[str]:
         f'<h2 id="{_anchor(scene)}">Station {escape(scene.scene["station"])}</h2>',
         verdict(scene.features),
         '<div class="pair">',
-        figure(
-            marked_picture(scene.preview, scene.of_kind[RIVET.name], scene.of_kind[SEAM_STATION.name]), "Left camera."
-        ),
+        figure(marked_picture(scene.preview, scene.of_kind), "Left camera."),
         figure(f'<img src="{data_uri(scene.overlay_png, "png")}" alt="overlay">', "The overlay."),
         "</div>",
     ]
-    if scene.of_kind[RIVET.name]:
-        parts.append(rivet_table(scene.of_kind[RIVET.name]))
-    parts += seams(scene.of_kind[SEAM_STATION.name], scene.limits)
+    for kind in KINDS:
+        if rows := scene.of_kind[kind.name]:
+            parts += features(kind, rows, scene.limits, charted=False)
     if decided := decisions_table(scene):
         parts += ["<h3>Decisions of people</h3>", decided]
     return parts

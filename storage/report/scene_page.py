@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from html import escape
 
-from metrology.kinds import RIVET, SEAM_STATION
-from storage.report.drawings import heights_chart, marked_picture
+from metrology.kinds import KINDS
+from storage.report.drawings import marked_picture
 from storage.report.markup import data_uri, figure, moment, page
 from storage.report.record import SceneRecord
 from storage.report.sections import (
     decisions_table,
-    feature_limits,
+    features,
     limits_table,
-    rivet_table,
-    seams,
     traceability,
     verdict,
 )
@@ -33,7 +31,7 @@ def scene_page(record: SceneRecord) -> str:
         *(f'<div class="warning">{escape(text)}</div>' for text in scene["warnings"] or ()),
         '<div class="pair">',
         figure(
-            marked_picture(record.preview, record.of_kind[RIVET.name], record.of_kind[SEAM_STATION.name]),
+            marked_picture(record.preview, record.of_kind),
             f"Left camera. {_MARKS}",
         ),
         figure(
@@ -42,15 +40,9 @@ def scene_page(record: SceneRecord) -> str:
         ),
         "</div>",
     ]
-    if record.of_kind[RIVET.name]:
-        parts.append("<h2>Rivets</h2>")
-        if chart := heights_chart(
-            record.of_kind[RIVET.name], feature_limits(record.of_kind[RIVET.name], RIVET.quantities[0], record.limits)
-        ):
-            parts.append(figure(chart, "Heights with their U95; dashed: the limits that each was judged by."))
-        parts.append(rivet_table(record.of_kind[RIVET.name]))
-    if record.of_kind[SEAM_STATION.name]:
-        parts += ["<h2>Seams</h2>", *seams(record.of_kind[SEAM_STATION.name], record.limits)]
+    for kind in KINDS:
+        if rows := record.of_kind[kind.name]:
+            parts += [f"<h2>{kind.subject.capitalize()}s</h2>", *features(kind, rows, record.limits)]
     if decided := decisions_table(record):
         parts += ["<h2>Decisions of people</h2>", decided]
     parts += ["<h2>Limits</h2>", limits_table(record.limits), "<h2>Traceability</h2>", traceability(record)]

@@ -8,11 +8,11 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-from metrology.kinds import LIMITS, SEAM_STATION, Quantity
+from metrology.kinds import LIMITS, Cell, Kind, Quantity
 from metrology.requirements import downstream_of, limit_of
 from metrology.tolerance import RULE, Limit, PanelSpec
 from storage.archive.work import OPEN_WORK, said
-from storage.report.drawings import seam_chart
+from storage.report.drawings import course_chart, values_chart
 from storage.report.markup import badge, facts, figure, moment, number, table, with_u95
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
@@ -31,70 +31,60 @@ def why(feature: Row) -> str:
     return escape((feature["reason"] or "").replace(f"; {RULE}", ""))
 
 
-def rivet_table(rivets: Sequence[Row], where: bool = False) -> str:
-    """All rivets; with the station they were seen from where `where`."""
-    heads = ["rivet", "diameter mm", "height mm", "min … max mm", "tilt °", "zone", "verdict", "why"]
-    rows = [
+def features_table(kind: Kind, rows: Sequence[Row], where: bool = False) -> str:
+    """Features of one kind; with the station they were seen from where `where`."""
+    heads = [kind.subject, *(cell.head for cell in kind.shown), "zone", "verdict", "why"]
+    lines = [
         [
-            escape(r["rivet_id"]),
-            number(r["diameter_mm"], 2),
-            with_u95(r["height_mean_mm"], r["height_u95_mm"], 4, sign=True),
-            "–"
-            if r["height_min_mm"] is None
-            else f"{number(r['height_min_mm'], 3, True)} … {number(r['height_max_mm'], 3, True)}",
-            with_u95(r["tilt_deg"], r["tilt_u95_deg"], 2),
-            escape(r["zone"] or "–"),
-            badge(r["decision"]),
-            why(r),
+            escape(row[kind.id_columns[0]]),
+            *(_cell(cell, row) for cell in kind.shown),
+            escape(row["zone"] or "–"),
+            badge(row["decision"]),
+            why(row),
         ]
-        for r in rivets
+        for row in rows
     ]
-    numeric = [1, 2, 3, 4]
+    numeric = [1 + k for k in range(len(kind.shown))]
     if where:
         heads, numeric = ["station", *heads], [k + 1 for k in numeric]
-        rows = [[escape(r["station"]), *row] for r, row in zip(rivets, rows, strict=True)]
-    return table(heads, rows, numeric)
+        lines = [[escape(row["station"]), *line] for row, line in zip(rows, lines, strict=True)]
+    return table(heads, lines, numeric)
 
 
-def station_table(stations: Sequence[Row], where: bool = False) -> str:
-    """Positions along seams."""
-    heads = ["seam", "at mm", "step mm", "into the wind mm", "gap mm", "zone", "verdict", "why"]
-    rows = [
-        [
-            escape(s["seam_id"]),
-            number(s["s_mm"], 0),
-            with_u95(s["step_mm"], s["step_u95_mm"], 3, sign=True),
-            number(s["step_into_wind_mm"], 3, sign=True),
-            with_u95(s["width_mm"], s["width_u95_mm"], 3),
-            escape(s["zone"] or "–"),
-            badge(s["decision"]),
-            why(s),
-        ]
-        for s in stations
-    ]
-    numeric = [1, 2, 3, 4]
-    if where:
-        heads, numeric = ["station", *heads], [k + 1 for k in numeric]
-        rows = [[escape(s["station"]), *row] for s, row in zip(stations, rows, strict=True)]
-    return table(heads, rows, numeric)
+def _cell(cell: Cell, row: Row) -> str:
+    first, *more = (row[column] for column in cell.columns)
+    if cell.span:
+        low, high = (number(value, cell.digits, cell.signed) for value in (first, *more))
+        return "–" if first is None else f"{low} … {high}"
+    return with_u95(first, more[0], cell.digits, cell.signed) if more else number(first, cell.digits, cell.signed)
 
 
-def seams(stations: Sequence[Row], limits: PanelSpec | None) -> list[str]:
-    """Each seam with its profile, a summary, and the positions that need attention."""
+def features(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None, charted: bool = True) -> list[str]:
+    """Features of one kind with a chart of their first quantity where `charted`; courses each on its own."""
+    if kind.is_course:
+        return _courses(kind, rows, limits)
+    first = kind.quantities[0]
+    chart = values_chart(kind, rows, feature_limits(rows, first, limits)) if charted else ""
+    said = f"{first.said.capitalize()}s with their U95; dashed: the limits that each was judged by."
+    return [*([figure(chart, said)] if chart else []), features_table(kind, rows)]
+
+
+def _courses(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None) -> list[str]:
+    """Each course with its profile, a summary, and the positions that need attention."""
     parts = []
-    for seam_id, group in groupby(stations, key=lambda s: s["seam_id"]):
+    for name, group in groupby(rows, key=lambda row: row[kind.id_columns[0]]):
         course = list(group)
-        parts.append(f"<h3>Seam {escape(seam_id)}</h3>{verdict(course)}{_summary(course)}")
-        for quantity in SEAM_STATION.quantities:
-            if chart := seam_chart(course, quantity.name, feature_limits(course, quantity, limits)):
-                said = f"{quantity.name} along seam {seam_id}; grey: U95; dashed: the limits judged by"
+        parts.append(f"<h3>{kind.subject.capitalize()} {escape(name)}</h3>{verdict(course)}{_summary(kind, course)}")
+        for quantity in kind.quantities:
+            if chart := course_chart(kind, quantity, course, feature_limits(course, quantity, limits)):
+                said = f"{quantity.name} along {kind.subject} {name}; grey: U95; dashed: the limits judged by"
                 parts.append(figure(chart, said + (" (zone and wind)" if quantity.into_wind else "")))
-        attention = [s for s in course if needs_attention(s)]
+        attention = [row for row in course if needs_attention(row)]
         if attention:
             parts.append(f"<details open><summary>{len(attention)} positions need attention</summary>")
-            parts.append(f"{station_table(attention)}</details>")
+            parts.append(f"{features_table(kind, attention)}</details>")
         parts.append('<details class="hide-in-print"><summary>all positions</summary>')
-        parts.append(f"{station_table(course)}</details>")
+        parts.append(f"{features_table(kind, course)}</details>")
     return parts
 
 
@@ -105,14 +95,14 @@ def feature_limits(features: Sequence[Row], quantity: Quantity, spec: PanelSpec 
     return [limit_of(spec.zone(f["zone"]), quantity, downstream_of(quantity, f)) for f in features]
 
 
-def _summary(stations: Sequence[Row]) -> str:
+def _summary(kind: Kind, course: Sequence[Row]) -> str:
     rows = []
-    for quantity, name in (("step", "step mm"), ("width", "gap mm")):
-        values = [s[f"{quantity}_mm"] for s in stations if s[f"{quantity}_mm"] is not None]
+    for quantity in kind.quantities:
+        values = [row[quantity.column] for row in course if row[quantity.column] is not None]
         if values:
-            sign = quantity == "step"
             numbers = (min(values), sum(values) / len(values), max(values))
-            rows.append([name, *(number(value, 3, sign) for value in numbers), f"{len(values)} of {len(stations)}"])
+            said = [number(value, 3, quantity.signed) for value in numbers]
+            rows.append([f"{quantity.said} {quantity.unit}", *said, f"{len(values)} of {len(course)}"])
     return table(["", "least", "mean", "most", "measured at"], rows, [1, 2, 3, 4]) if rows else ""
 
 

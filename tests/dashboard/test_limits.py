@@ -41,12 +41,14 @@ def by_zones(night: int, revision: str = "B", zones: dict[str, Any] = ZONES) -> 
     del document["zones"]["default"]["step_mm"]
     made = synthetic_result(recipe(night, "S1"))
     spec = panel_spec_from(document, Path("spec.toml"))
-    rivets = [replace(r, zone="nose" if r.rivet_id == "R04" else "default") for r in made.rivets]
-    stations = [replace(s, zone="lee", step_into_wind_mm=-s.step_mm) for s in made.stations]
+    rivets = [replace(r, zone="nose" if r.rivet_id == "R04" else "default") for r in made.features["rivet"]]
+    stations = [replace(s, zone="lee", step_into_wind_mm=-s.step_mm) for s in made.features["seam station"]]
     return replace(
         made,
-        rivets=tuple(judge(RIVET, rivets, spec.limits)),
-        stations=tuple(judge(SEAM_STATION, stations, spec.limits)),
+        features={
+            "rivet": judge(RIVET, rivets, spec.limits),
+            "seam station": judge(SEAM_STATION, stations, spec.limits),
+        },
         panel_spec=document,
         config_hash=f"zones-{revision}",
     )
@@ -120,7 +122,7 @@ def test_a_close_up_shows_the_limits_of_the_verdict(zoned: Path) -> None:
     archive = Archive(zoned)
     row = load_scene_row(archive, "MSN-0424~LH-F12~S1~20261118T212000Z")
     features = load_features(archive, row)
-    for station in features.stations.itertuples():
+    for station in features["seam station"].itertuples():
         chosen = Feature("seam station", station.feature_id)
         required = requirements(archive, row.bundle_path, chosen, station)
         limited = {r.name: r.limit for r in required if r.limit}

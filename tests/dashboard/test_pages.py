@@ -300,9 +300,9 @@ def test_a_scan_ahead_of_the_clock_is_listed_by_when_it_was_stored(writable: Pat
 
 def test_a_wrong_fastener_s_diameter_stands_beside_the_expected_one(writable: Path, open_page: Open) -> None:
     made = synthetic_result(recipe(5, "S1", "RH-F99"))
-    rivets = [replace(rivet, diameter_nominal_mm=rivet.diameter_mm) for rivet in made.rivets]
+    rivets = [replace(rivet, diameter_nominal_mm=rivet.diameter_mm) for rivet in made.features["rivet"]]
     rivets[2] = replace(rivets[2], diameter_mm=8.0, diameter_u95_mm=0.05, diameter_nominal_mm=5.5)
-    made = replace(made, rivets=tuple(judge(RIVET, rivets, load_panel_spec().limits)))
+    made = replace(made, features={**made.features, "rivet": judge(RIVET, rivets, load_panel_spec().limits)})
     Store(writable).publish(made)
     said = texts(clean(open_page("scene", writable, scene=made.key.scene_id, feature="rivet:R03"))).replace("\\", "")
     assert "8.000 ± 0.050" in said

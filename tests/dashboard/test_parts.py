@@ -131,7 +131,7 @@ def test_rivet_close_up_measures_what_was_made(archive: Archive) -> None:
     made = recipe(5, "S2")
     cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
     fits = archive.fits(load_scene_row(archive, LAST).bundle_path)
-    rivets = load_features(archive, load_scene_row(archive, LAST)).rivets
+    rivets = load_features(archive, load_scene_row(archive, LAST))["rivet"]
     for rivet, height in zip(rivets.itertuples(), made.heights_mm, strict=True):
         found = rivet_close_up(cloud, rivet, fits.head(rivet.rivet_id))
         assert not isinstance(found, str), found
@@ -148,7 +148,7 @@ def test_seam_section_measures_what_was_made(archive: Archive) -> None:
     features = load_features(archive, load_scene_row(archive, LAST))
     cloud = archive.cloud(load_scene_row(archive, LAST).cloud_path)
     fits = archive.fits(load_scene_row(archive, LAST).bundle_path)
-    for station in list(features.stations.itertuples())[3:-3:6]:
+    for station in list(features["seam station"].itertuples())[3:-3:6]:
         found = seam_section(cloud, station, fits.section(station.seam_id, station.s_mm))
         assert not isinstance(found, str), found
         assert (found.step, found.width) == pytest.approx((station.step_mm, station.width_mm), abs=1e-5)
@@ -171,7 +171,7 @@ def test_seam_section_measures_what_was_made(archive: Archive) -> None:
 def test_no_close_up_says_why(archive: Archive, change: dict, why: str) -> None:
     row = load_scene_row(archive, LAST)
     cloud, fits = archive.cloud(row.cloud_path), archive.fits(row.bundle_path)
-    rivet = next(load_features(archive, row).rivets.itertuples(index=False))
+    rivet = next(load_features(archive, row)["rivet"].itertuples(index=False))
     changed = SimpleNamespace(**{**rivet._asdict(), **change})
     found = rivet_close_up(cloud, changed, fits.head(rivet.rivet_id))
     assert isinstance(found, str)
@@ -182,7 +182,7 @@ def test_no_close_up_says_why(archive: Archive, change: dict, why: str) -> None:
 def test_a_step_of_another_version_is_not_drawn(archive: Archive) -> None:
     row = load_scene_row(archive, LAST)
     cloud, fits = archive.cloud(row.cloud_path), archive.fits(row.bundle_path)
-    station = list(load_features(archive, row).stations.itertuples(index=False))[10]
+    station = list(load_features(archive, row)["seam station"].itertuples(index=False))[10]
     fit = fits.section(station.seam_id, station.s_mm)
     for column, said in (("step_mm", "gets a step of"), ("width_mm", "gets a width of")):
         changed = SimpleNamespace(**{**station._asdict(), column: getattr(station, column) + 0.001})
@@ -210,9 +210,9 @@ def test_scene_figure_carries_what_a_click_needs(archive: Archive) -> None:
     fig = scene_figure(picture, features, worst, Habits())
     carried = [name for trace in fig.data if trace.customdata is not None for name in trace.customdata]
     assert sorted(n for n in carried if n.startswith("rivet")) == sorted(
-        f"rivet:{n}" for n in features.rivets["rivet_id"]
+        f"rivet:{n}" for n in features["rivet"]["rivet_id"]
     )
-    assert len([n for n in carried if n.startswith("station")]) == len(features.stations)
+    assert len([n for n in carried if n.startswith("station")]) == len(features["seam station"])
     symbols = {trace.marker.symbol for trace in fig.data if trace.name and trace.name.startswith("rivet")}
     assert len(symbols) > 1  # never colour alone
     assert len(fig.to_json()) < 600_000
@@ -222,7 +222,7 @@ def test_close_up_figures_draw(archive: Archive) -> None:
     row, features = load_scene_row(archive, LAST), load_features(archive, load_scene_row(archive, LAST))
     cloud = archive.cloud(row.cloud_path)
     fits = archive.fits(row.bundle_path)
-    rivet = next(features.rivets.itertuples())
+    rivet = next(features["rivet"].itertuples())
     found = rivet_close_up(cloud, rivet, fits.head(rivet.rivet_id))
     assert not isinstance(found, str)
     judged = requirements(archive, row.bundle_path, Feature("rivet", rivet.rivet_id), rivet)
@@ -234,7 +234,7 @@ def test_close_up_figures_draw(archive: Archive) -> None:
         f"{rivet.height_mean_mm:+.3f} mm".replace("-", "−") in (a.text or "") for a in section.layout.annotations
     )
     assert rivet_map(found, Habits()).data
-    station = list(features.stations.itertuples())[10]
+    station = list(features["seam station"].itertuples())[10]
     seam = seam_section(cloud, station, fits.section(station.seam_id, station.s_mm))
     assert not isinstance(seam, str)
     fig = seam_figure(seam, Habits("de"))
@@ -408,7 +408,7 @@ def test_saved_queries(tmp_path: Path) -> None:
 
 def test_recipe_is_what_is_stored(archive: Archive) -> None:
     made = synthetic_result(recipe(5, "S2"))
-    stored = load_features(archive, load_scene_row(archive, LAST)).rivets
+    stored = load_features(archive, load_scene_row(archive, LAST))["rivet"]
     assert stored["height_mean_mm"].tolist() == pytest.approx(
-        [r.height_mean_mm for r in made.rivets], abs=5e-6
+        [r.height_mean_mm for r in made.features["rivet"]], abs=5e-6
     )  # tables are rounded to 10 nm

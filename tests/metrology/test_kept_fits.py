@@ -37,9 +37,8 @@ def stored(
     """A result as it comes back from a store: cloud, fits and rows."""
     store = Store(folder)
     preview = np.clip(scan.left.texture, 0, 255).astype(np.uint8)
-    result = replace(
-        small_result(), reconstruction=scan, rivets=tuple(rivets), stations=tuple(stations), preview=preview
-    )
+    features = {"rivet": tuple(rivets), "seam station": tuple(stations)}
+    result = replace(small_result(), reconstruction=scan, features=features, preview=preview)
     store.publish(result)
     bundle = store.paths(small_key().scene_id).bundle
     table = pq.read_table(bundle / ("rivets.parquet" if rivets else "seam_stations.parquet"))
@@ -102,5 +101,5 @@ def test_a_section_across_a_bent_seam_has_the_table_s_step(settings: SeamSetting
 
 
 def test_a_run_that_kept_no_fits_says_so(tmp_path: Path) -> None:
-    cloud, fits, rows = stored(tmp_path / "s", small_result().reconstruction, small_result().rivets)
+    cloud, fits, rows = stored(tmp_path / "s", small_result().reconstruction, small_result().features["rivet"])
     assert rivet_close_up(cloud, rows[0], fits.head(rows[0].rivet_id)) == NOT_KEPT

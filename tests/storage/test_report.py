@@ -60,13 +60,25 @@ def read(page: str) -> str:
 def result(**changes: object) -> InspectionResult:
     base = small_result(small_key("S3"))
     rivets = (
-        base.rivets[0],
-        replace(base.rivets[1], severity="red", decision="fail", reason="height +0.300 <b> outside; see DS-1"),
+        base.features["rivet"][0],
         replace(
-            base.rivets[2], height_mean_mm=None, height_u95_mm=None, decision="not measured", reason="missing: no head"
+            base.features["rivet"][1], severity="red", decision="fail", reason="height +0.300 <b> outside; see DS-1"
+        ),
+        replace(
+            base.features["rivet"][2],
+            height_mean_mm=None,
+            height_u95_mm=None,
+            decision="not measured",
+            reason="missing: no head",
         ),
     )
-    return replace(base, rivets=rivets, panel_spec=load_panel_spec().document, warnings=("a & b",), **changes)
+    return replace(
+        base,
+        features={**base.features, "rivet": rivets},
+        panel_spec=load_panel_spec().document,
+        warnings=("a & b",),
+        **changes,
+    )
 
 
 @pytest.fixture
@@ -124,9 +136,11 @@ def test_a_panel_page_leads_from_station_to_station(store: Store) -> None:
 def test_a_panel_with_a_nominal_pattern_has_a_map(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     base = result()
-    placed = tuple(replace(r, x_panel_mm=10.0 * k, y_panel_mm=5.0, z_panel_mm=0.0) for k, r in enumerate(base.rivets))
+    placed = tuple(
+        replace(r, x_panel_mm=10.0 * k, y_panel_mm=5.0, z_panel_mm=0.0) for k, r in enumerate(base.features["rivet"])
+    )
     document = {**load_panel_spec().document, "panel": "LH-F12", "rivets": [{"id": "R1", "position_mm": [0, 5, 0]}]}
-    store.publish(replace(base, rivets=placed, panel_spec=document))
+    store.publish(replace(base, features={**base.features, "rivet": placed}, panel_spec=document))
     assert "Map" in read(panel_page(panel_record(store, "MSN-1", "LH-F12"))).split()
 
 

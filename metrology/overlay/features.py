@@ -1,0 +1,158 @@
+"""The marks and labels of one kind of feature: rings round what has one place, bars along what has a course."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.kinds import Kind, load
+from metrology.overlay.layout import Layout
+from metrology.overlay.marks import BAR_END_MM, Stroke, circle_points, rivet_marks, seam_marks
+from metrology.results import MISSING, Feature, Severity
+from metrology.skin_normal import skin_normal
+from metrology.verdicts import DECISIONS
+
+Array = NDArray[np.float64]
+
+_RING_PX = 20.0  # a ring round what has no size of its own, in the left image
+
+
+@dataclass(frozen=True)
+class Wish:
+    """A label that wants a place beside its feature: its centre (projector pixels) and half size (upright frame)."""
+
+    feature: str
+    text: str
+    anchor: Array
+    reach: Array
+    severity: Severity | None
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What is drawn on, and what was drawn so far.
+
+    Attributes
+    ----------
+    reconstruction : Reconstruction
+    layout : Layout
+    px_per_mm : float
+        Projector pixels per millimetre of skin.
+    line_width : int
+    label_every_mm : float
+    strokes, wishes : list
+    outside : list of str
+        Names of what the projector's field does not reach, at least in part.
+    """
+
+    reconstruction: Reconstruction
+    layout: Layout
+    px_per_mm: float
+    line_width: int
+    label_every_mm: float
+    strokes: list[Stroke] = field(default_factory=list)
+    wishes: list[Wish] = field(default_factory=list)
+    outside: list[str] = field(default_factory=list)
+
+
+def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
+    """A ring round each feature, of its own size where it has one."""
+    projector, layout = canvas.reconstruction.rig.projector, canvas.layout
+    for row in rows:
+        outline, name = _ring(row, canvas.reconstruction), kind.id_of(row)
+        if outline is None:
+            continue
+        inside = projector.inside(outline)
+        if not inside.all():
+            canvas.outside.append(name)
+            if not inside.any():
+                continue
+        marks = rivet_marks(outline, row.severity, canvas.line_width)
+        canvas.strokes.extend(replace(mark, feature=name) for mark in marks)
+        extent = np.concatenate([mark.points for mark in marks])
+        for mark in marks:
+            layout.occupy(mark.points, mark.width)
+        canvas.wishes.append(Wish(name, _text(kind, row), outline.mean(0), layout.extent(extent), row.severity))
+
+
+def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
+    """Bars along each course, of the shape that the verdict has there."""
+    projector, layout = canvas.reconstruction.rig.projector, canvas.layout
+    name_column, position = kind.id_columns
+    names = [getattr(row, name_column) for row in rows]
+    for name in dict.fromkeys(names):
+        course = [row for row, own in zip(rows, names, strict=True) if own == name and row.x_mm is not None]
+        if not course:
+            continue
+        places = projector.project(np.array([(row.x_mm, row.y_mm, row.z_mm) for row in course], float))
+        if not projector.inside(places).all():
+            canvas.outside.append(name)
+        for run in _runs(course):
+            severity = course[run.start].severity
+            reach = BAR_END_MM[severity] * canvas.px_per_mm
+            marks = seam_marks(places[run], severity, canvas.px_per_mm, canvas.line_width)
+            canvas.strokes.extend(replace(mark, feature=name) for mark in marks)
+            for place in places[run][projector.inside(places[run])]:
+                layout.occupy(place[None], reach)
+            along = np.array([getattr(row, position) for row in course])
+            for k in _labelled(_sizes(kind, course), along, run, canvas.label_every_mm):
+                if projector.inside(places[k]):
+                    canvas.wishes.append(Wish(name, _text(kind, course[k]), places[k], np.full(2, reach), severity))
+
+
+def _ring(row: Feature, reconstruction: Reconstruction) -> Array | None:
+    """Outline of a feature in projector pixels; None where it has no position."""
+    if row.x_mm is None or row.y_mm is None or row.z_mm is None:
+        return None
+    size: float = getattr(row, "major_px", None) or _RING_PX
+    diameter: float = getattr(row, "diameter_mm", None) or size * row.z_mm / reconstruction.rig.left.K[0, 0]
+    normal = skin_normal(reconstruction.points, row.u_px, row.v_px, size)
+    towards_rig = np.array([0.0, 0.0, -1.0])
+    centre, project = np.array([row.x_mm, row.y_mm, row.z_mm]), reconstruction.rig.projector.project
+    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, project)
+
+
+def _text(kind: Kind, row: Feature) -> str:
+    """The values that the projector writes beside a feature, to hundredths."""
+    shown = [quantity for quantity in kind.quantities if quantity.projected]
+    values: list[Any] = [getattr(row, quantity.column) for quantity in shown]
+    if all(value is None for value in values):
+        return MISSING.upper() if row.is_missing else "?"
+    said = [_said(value, quantity.signed) for value, quantity in zip(values, shown, strict=True)]
+    note: str = load(kind.note)(row) if kind.note else ""
+    return " | ".join(said) + DECISIONS[row.decision].note + (f" {note}" if note else "")
+
+
+def _said(value: float | None, signed: bool) -> str:
+    """A value to hundredths; nothing is not minus nothing."""
+    if value is None:
+        return "?"
+    return f"{round(value, 2) + 0.0:+.2f}" if signed else f"{value:.2f}"
+
+
+def _runs(rows: Sequence[Feature]) -> list[slice]:
+    """Slices of consecutive rows with the same severity."""
+    cuts = [k for k in range(1, len(rows)) if rows[k].severity != rows[k - 1].severity]
+    edges = [0, *cuts, len(rows)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _sizes(kind: Kind, rows: Sequence[Feature]) -> list[tuple[float, ...]]:
+    """How large the values of each row are, the first quantity first."""
+    return [tuple(abs(getattr(row, quantity.column) or 0.0) for quantity in kind.quantities) for row in rows]
+
+
+def _labelled(sizes: Sequence[tuple[float, ...]], along: Array, run: slice, every_mm: float) -> list[int]:
+    """Indices of the rows of a run that get a label: its worst, and others at a distance."""
+    members = range(run.start, run.stop)
+    chosen = [max(members, key=lambda k: sizes[k])]
+    for k in members:
+        if all(abs(along[k] - along[c]) >= every_mm for c in chosen):
+            chosen.append(k)
+    return chosen
