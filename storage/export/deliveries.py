@@ -140,7 +140,10 @@ class Record:
                 "state = 'pending' AND (next_try IS NULL OR next_try <= ?) ORDER BY number",
                 [target, _text(now)],
             ).fetchall()
-        return [Delivery(*rest, datetime.fromisoformat(first) if first else None) for *rest, first in rows]
+        return [
+            Delivery(number, event_id, type_, body, tries, datetime.fromisoformat(first) if first else None)
+            for number, event_id, type_, body, tries, first in rows
+        ]
 
     def taken(self, delivery: Delivery, now: datetime) -> None:
         """The target has it."""
