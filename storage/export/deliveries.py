@@ -141,8 +141,8 @@ class Record:
                 [target, _text(now)],
             ).fetchall()
         return [
-            Delivery(number, event_id, kind, body, tries, datetime.fromisoformat(first) if first else None)
-            for number, event_id, kind, body, tries, first in rows
+            Delivery(number, event_id, type_, body, tries, datetime.fromisoformat(first) if first else None)
+            for number, event_id, type_, body, tries, first in rows
         ]
 
     def taken(self, delivery: Delivery, now: datetime) -> None:
