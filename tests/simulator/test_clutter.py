@@ -296,17 +296,17 @@ def test_flicker_scales_frames_alike_in_both_cameras_and_a_still_scan_has_none(m
 
 
 def test_a_vibrating_panel_shifts_each_frames_pattern_by_its_motion_along_the_normal(make_spec, panel, stage, spec):
-    shaken = make_spec(panel, disturbances=Disturbances(vibration_mm=0.015))
+    shaken = make_spec(panel, disturbances=Disturbances(vibration_mm=0.1))
     rng = np.random.default_rng(1)
     rng.normal(0, 1, spec.fringe.frames)  # the projector's own shifts are drawn first
-    moves = 0.015 * rng.standard_normal((spec.fringe.frames, 3))
+    moves = 0.1 * rng.standard_normal((spec.fringe.frames, 3))
     seen, still = (fringe_light(s, stage, np.random.default_rng(1))["left"] for s in (shaken, spec))
     projector = stage.rig.projector
     stripes = project_stripes(spec.fringe, projector.width, projector.height, spec.projector)
     shifts = moves @ sway_of(stage.rig, "left", stage.pose, "x").pattern
     pattern_alone = receive_stripes(stage.left, stripes, shifts)
-    skin = (slice(60, 140), slice(150, 175))  # away from edges, evenly painted
-    np.testing.assert_allclose(seen[:, *skin], pattern_alone[:, *skin], atol=0.2)
+    skin = (slice(60, 140), slice(200, 240))  # away from edges, evenly painted
+    np.testing.assert_allclose(seen[:, *skin], pattern_alone[:, *skin], atol=0.3)
     assert np.abs(seen[:, *skin] - still[:, *skin]).max() > 1.0
 
 
