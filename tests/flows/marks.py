@@ -44,7 +44,7 @@ KIND = Kind(
 def measure(sighted: Sighted, settings: None) -> list[TestMark]:
     """Three marks: one too deep, one in order, one that was not measured."""
     places = [TestMark(f"T{k}", x_mm=8.0 * k, y_mm=4.0, z_mm=700.0, u_px=30.0 + k, v_px=20.0) for k in (1, 2, 3)]
-    assert {name: len(rows) for name, rows in sighted.features.items()} == {"rivet": 3, "seam station": 2}
+    assert {name: len(sighted.features[name]) for name in ("rivet", "seam station")} == {"rivet": 3, "seam station": 2}
     return [
         TestMark(**{**row.__dict__, "depth_mm": depth, "depth_u95_mm": u95})
         for row, depth, u95 in zip(places, (0.3, 0.05, None), (0.01, 0.01, None), strict=True)

@@ -137,7 +137,10 @@ def main(data: Path, folder: Path) -> dict[str, Any]:
         "subjects": SUBJECTS["mark"],
         "figure": sorted({trace.name for trace in figure.data if (trace.name or "").startswith("mark")}),
         "worst feature": worst_feature(
-            {KIND.name: features[KIND.name], **{k.name: features[k.name].iloc[:0] for k in kinds.KINDS[:2]}}
+            {
+                KIND.name: features[KIND.name],
+                **{k.name: features[k.name].iloc[:0] for k in kinds.KINDS if k is not KIND},
+            }
         ),
         "required": [
             (r.name, r.limit.upper) for r in requirements(archive, row.bundle_path, mark, _tuple(chosen)) or ()
