@@ -17,7 +17,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from dashboard.frame import Desk, link, plain
+from dashboard.frame import PageContext, link, plain
 from metrology.errors import FlushlineError, OutdatedError
 from storage.archive.decisions import close_work, dispose, sign_off
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, said
@@ -65,7 +65,7 @@ def _checksum(shown: object) -> str:
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:16]
 
 
-def say_outcome(desk: Desk, at: object) -> None:
+def say_outcome(context: PageContext, at: object) -> None:
     """What became of the last click, while the same finding is looked at as then.
 
     Parameters
@@ -80,22 +80,22 @@ def say_outcome(desk: Desk, at: object) -> None:
     st.session_state[_OUTCOME] = replace(outcome, at=(at,))
     if outcome.kind == "done":
         st.success(outcome.text, icon=":material/check:")
-        _offer_sign_off(desk, outcome.scene_id)
+        _offer_sign_off(context, outcome.scene_id)
     elif outcome.kind == "hint":
         st.warning(outcome.text)
     else:
         st.error(outcome.text, icon=":material/block:")
 
 
-def _offer_sign_off(desk: Desk, scene_id: str | None) -> None:
+def _offer_sign_off(context: PageContext, scene_id: str | None) -> None:
     """After the last decision of a scan: the way to its sign-off."""
-    if scene_id is None or scene_id in desk.archive.review().sign_offs() or scene_id == st.query_params.get("scene"):
+    if scene_id is None or scene_id in context.archive.review().sign_offs() or scene_id == st.query_params.get("scene"):
         return
-    if not any(standing.state in UNRESOLVED for standing in desk.archive.standings(scene_id)):
+    if not any(standing.state in UNRESOLVED for standing in context.archive.standings(scene_id)):
         link("review", "All of that scan is decided: sign it off", ":material/lock:", scene=scene_id, state=DECIDED)
 
 
-def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
+def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> None:
     """The form that disposes of findings; signed-off scans are locked.
 
     Parameters
@@ -103,20 +103,20 @@ def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
     done : callable
         What follows when it is recorded.
     """
-    review = desk.archive.review()
+    review = context.archive.review()
     if review.problem:
         st.error(plain(review.problem), icon=":material/error:")
         return
-    _close(desk, review, shown, done)
+    _close(context, review, shown, done)
     signed = next((entry for s in shown if (entry := review.sign_offs().get(s.scene_id))), None)
     if signed:
         scan = "this scan" if len(shown) == 1 else plain(signed.scene_id)
         st.info(
-            f"Signed off by {plain(signed.who)}, {desk.habits.time(signed.at)}: {scan} is locked.",
+            f"Signed off by {plain(signed.who)}, {context.locale.time(signed.at)}: {scan} is locked.",
             icon=":material/lock:",
         )
         return
-    if not desk.person.may_review:
+    if not context.person.may_review:
         st.caption("You may look; disposing and signing off needs the role reviewer.")
         return
     key = _checksum(shown)
@@ -125,7 +125,7 @@ def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
     left, right = st.columns([5, 2])
     disposition = left.pills("Disposition", DISPOSITIONS, key=f"disposition-{key}")
     with right:
-        ask_who(desk)
+        ask_who(context)
     with st.form(f"decide-{key}", border=False):
         st.text_input(
             "Comment",
@@ -141,81 +141,85 @@ def decide(desk: Desk, shown: Sequence[ShownFinding], done: Done) -> None:
             icon=":material/edit_note:",
             key=f"record-{key}",
             on_click=_record,
-            args=(desk, tuple(shown), f"disposition-{key}", comment_key, done),
+            args=(context, tuple(shown), f"disposition-{key}", comment_key, done),
         )
 
 
-def ask_who(desk: Desk) -> None:
+def ask_who(context: PageContext) -> None:
     """A field for the name, where nobody logs in."""
-    if not desk.person.verified:
+    if not context.person.verified:
         st.text_input(
             "Your name", key="who", max_chars=120, help="Nobody logs in here, so the log keeps the name you give."
         )
 
 
-def _who(desk: Desk) -> str:
-    return desk.person.name if desk.person.verified else str(st.session_state.get("who") or "").strip()
+def _who(context: PageContext) -> str:
+    return context.person.name if context.person.verified else str(st.session_state.get("who") or "").strip()
 
 
-def _record(desk: Desk, shown: tuple[ShownFinding, ...], disposition_key: str, comment_key: str, done: Done) -> None:
-    disposition, who = st.session_state.get(disposition_key), _who(desk)
+def _record(
+    context: PageContext, shown: tuple[ShownFinding, ...], disposition_key: str, comment_key: str, done: Done
+) -> None:
+    disposition, who = st.session_state.get(disposition_key), _who(context)
     if not disposition or not who:
         st.session_state[_OUTCOME] = _Outcome("hint", "Choose a disposition and give your name.")
         return
     comment = str(st.session_state.get(comment_key) or "")
     text = f"Recorded *{disposition}* for {_named(shown)}."
-    _try(lambda: dispose(desk.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
+    _try(lambda: dispose(context.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
 
 
-def _close(desk: Desk, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
+def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
     """What to do about open work: wait for the next scan, or close it with a reason."""
     work = [entry for s in shown if (entry := review.work().get((s.scene_id, s.feature)))]
-    if len(work) < len(shown) or not _is_open(desk, shown):
+    if len(work) < len(shown) or not _is_open(context, shown):
         return
     asked = " or ".join(sorted({str(entry.disposition) for entry in work}))
     st.warning(
         f"Open work: {asked} of {_named(shown)}. It is done when a later scan of the station passes.",
         icon=":material/construction:",
     )
-    if not desk.person.may_review:
+    if not context.person.may_review:
         return
     key = _checksum(("close", shown))
     with st.popover(f"Close *{asked}* of {_named(shown)} …", icon=":material/task_alt:"), st.form(f"close-{key}"):
         st.text_input("Why is the work done, or not needed any more?", key=f"reason-{key}", max_chars=MAX_COMMENT)
-        who = _who(desk)
+        who = _who(context)
         st.markdown(f"Closes: **{plain(who) or 'give your name first'}**")
         st.form_submit_button(
             f"Close *{asked}* of {_named(shown)}",
             key=f"close-work-{key}",
             on_click=_record_close,
-            args=(desk, tuple(shown), asked, f"reason-{key}", done),
+            args=(context, tuple(shown), asked, f"reason-{key}", done),
         )
 
 
-def _is_open(desk: Desk, shown: Sequence[ShownFinding]) -> bool:
+def _is_open(context: PageContext, shown: Sequence[ShownFinding]) -> bool:
     states = {
         (scene_id, standing.feature): standing.state
         for scene_id in {s.scene_id for s in shown}
-        for standing in desk.archive.standings(scene_id)
+        for standing in context.archive.standings(scene_id)
     }
     return all(states.get((s.scene_id, s.feature)) == OPEN_WORK for s in shown)
 
 
-def _record_close(desk: Desk, shown: tuple[ShownFinding, ...], asked: str, reason_key: str, done: Done) -> None:
-    who, reason = _who(desk), str(st.session_state.get(reason_key) or "")
+def _record_close(
+    context: PageContext, shown: tuple[ShownFinding, ...], asked: str, reason_key: str, done: Done
+) -> None:
+    who, reason = _who(context), str(st.session_state.get(reason_key) or "")
     if not who or not reason.strip():
         st.session_state[_OUTCOME] = _Outcome("hint", "Give your name, and the reason why the work is closed.")
         return
     text = f"Closed *{asked}* of {_named(shown)}."
-    _try(lambda: close_work(desk.archive.root, who, shown, reason), text, shown[0].scene_id, done)
+    _try(lambda: close_work(context.archive.root, who, shown, reason), text, shown[0].scene_id, done)
 
 
-def offer_sign_off(desk: Desk, scene: Any) -> None:
+def offer_sign_off(context: PageContext, scene: Any) -> None:
     """The sign-off of a scan, with the decisions that it would lock."""
-    review = desk.archive.review()
-    if review.problem or not desk.person.may_review or scene.scene_id in review.sign_offs():
+    review = context.archive.review()
+    if review.problem or not context.person.may_review or scene.scene_id in review.sign_offs():
         return
-    standings = desk.archive.standings(scene.scene_id)
+    standings = context.archive.standings(scene.scene_id)
     left = any(standing.state in UNRESOLVED for standing in standings)
     place = plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}")
     shown = ShownScene(
@@ -233,16 +237,16 @@ def offer_sign_off(desk: Desk, scene: Any) -> None:
     key = _checksum(shown)
     with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
         decided = [e for (scene_id, _), e in review.current().items() if scene_id == scene.scene_id]
-        st.markdown(f"Scanned {desk.habits.time(scene.captured_at)}, {_counted(decided)}.")
+        st.markdown(f"Scanned {context.locale.time(scene.captured_at)}, {_counted(decided)}.")
         st.caption("Its dispositions can not be changed afterwards.")
-        who = _who(desk)
+        who = _who(context)
         st.markdown(f"Signs: **{plain(who) or 'give your name first'}**")
         st.button(
             f"Sign off {place}",
             type="primary",
             disabled=not who,
             key=f"sign-off-{key}",
-            on_click=partial(_record_sign_off, desk, shown, place),
+            on_click=partial(_record_sign_off, context, shown, place),
         )
     if left:
         st.caption(f"It can be signed off when nothing waits and no work is open. Findings: {said(standings)}.")
@@ -254,8 +258,8 @@ def _counted(decided: Sequence[Entry]) -> str:
     return f"dispositions: {text}" if text else "nothing needed a disposition"
 
 
-def _record_sign_off(desk: Desk, shown: ShownScene, place: str) -> None:
-    _try(lambda: sign_off(desk.archive.root, _who(desk), shown), f"Signed off {place}.", None, lambda: None)
+def _record_sign_off(context: PageContext, shown: ShownScene, place: str) -> None:
+    _try(lambda: sign_off(context.archive.root, _who(context), shown), f"Signed off {place}.", None, lambda: None)
 
 
 def _try(act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:

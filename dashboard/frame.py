@@ -15,7 +15,7 @@ import streamlit as st
 from dashboard.access import Person, current_person, log_out, login_configured
 from dashboard.address import one_of
 from dashboard.data import Archive
-from dashboard.habits import STYLE_NAMES, Habits, habits_of
+from dashboard.locale import STYLE_NAMES, Locale, locale_of
 from dashboard.settings import SettingsModel, load_settings, store_root
 from metrology.errors import FlushlineError
 
@@ -25,16 +25,16 @@ _STYLE = "flushline_style"
 
 
 @dataclass(frozen=True)
-class Desk:
-    """What a page works with."""
+class PageContext:
+    """The page context: what a page works with."""
 
     archive: Archive
-    habits: Habits
+    locale: Locale
     person: Person
     settings: SettingsModel
 
 
-def guarded(title: str, render: Callable[[Desk], None], needs_results: bool = True) -> Callable[[], None]:
+def guarded(title: str, render: Callable[[PageContext], None], needs_results: bool = True) -> Callable[[], None]:
     """A page: title and settings above, then what `render` shows; what goes wrong is said in one line.
 
     Parameters
@@ -60,13 +60,13 @@ def guarded(title: str, render: Callable[[Desk], None], needs_results: bool = Tr
     return page
 
 
-def _page(title: str, render: Callable[[Desk], None], needs_results: bool) -> None:
+def _page(title: str, render: Callable[[PageContext], None], needs_results: bool) -> None:
     root = store_root()
     settings = load_settings(root)
     person = current_person(settings.roles, root)
     with st.container(horizontal=True, vertical_alignment="center"):
         st.markdown(f"##### {plain(settings.title)} · {plain(title)}")
-        habits = _corner(settings, person, root)
+        locale = _corner(settings, person, root)
     if person.role == "nobody":
         _ask_to_log_in(person, root)
         return
@@ -74,10 +74,10 @@ def _page(title: str, render: Callable[[Desk], None], needs_results: bool) -> No
     if needs_results and archive.empty:
         say_how_to_begin(archive)
         return
-    render(Desk(archive, habits, person, settings))
+    render(PageContext(archive, locale, person, settings))
 
 
-def _corner(settings: SettingsModel, person: Person, root: Path) -> Habits:
+def _corner(settings: SettingsModel, person: Person, root: Path) -> Locale:
     """Upper right: who is here, and how numbers and times are written."""
     with st.container(horizontal=True, horizontal_alignment="right", vertical_alignment="center", gap="small"):
         if not login_configured():
@@ -87,17 +87,17 @@ def _corner(settings: SettingsModel, person: Person, root: Path) -> Habits:
         elif person.name:
             st.caption(f"{plain(person.name)} · {person.role}")
         with st.popover("Settings", icon=":material/tune:", type="tertiary"):
-            guessed = habits_of(_context("locale"), _context("timezone"), settings.numbers)
+            guessed = locale_of(_context("locale"), _context("timezone"), settings.numbers)
             named = {short: name for name, short in STYLE_NAMES.items()}
             first = st.session_state.get(_STYLE) or named[guessed.style]
             style = st.selectbox("Numbers and dates", list(STYLE_NAMES), **one_of("numbers", list(STYLE_NAMES), first))
             st.session_state[_STYLE] = style  # stays when a link leads to another page
-            habits = Habits(STYLE_NAMES.get(style, guessed.style), guessed.zone)
-            st.caption(f"{habits.number(1234.5, 1)} · {habits.time(datetime.now(UTC))}")
+            locale = Locale(STYLE_NAMES.get(style, guessed.style), guessed.zone)
+            st.caption(f"{locale.number(1234.5, 1)} · {locale.time(datetime.now(UTC))}")
             st.caption(f"Times: {guessed.zone}")
             if person.verified:
                 st.button("Log out", on_click=log_out, args=(root,))
-    return habits
+    return locale
 
 
 def _ask_to_log_in(person: Person, root: Path) -> None:

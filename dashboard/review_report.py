@@ -9,7 +9,7 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.findings import feature_of
-from dashboard.habits import Habits, with_minus
+from dashboard.locale import Locale, with_minus
 from dashboard.palette import DECISION_MARKS
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
@@ -24,9 +24,9 @@ _CROP_PX = 60
 _MOST_PICTURES = 60
 
 
-def csv_report(rows: pd.DataFrame, habits: Habits) -> bytes:
+def csv_report(rows: pd.DataFrame, locale: Locale) -> bytes:
     """Rows as CSV for a person's spreadsheet (German: semicolons and decimal commas), times in ISO 8601 (UTC)."""
-    german = habits.style == "de"
+    german = locale.style == "de"
     shown = rows.copy()
     for place in range(rows.shape[1]):
         column = rows.iloc[:, place]  # by place: a query may give two columns one name
@@ -39,9 +39,9 @@ def csv_report(rows: pd.DataFrame, habits: Habits) -> bytes:
     return text.encode(ENCODING)
 
 
-def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str) -> bytes:
+def html_report(rows: pd.DataFrame, archive: Archive, locale: Locale, title: str) -> bytes:
     """Findings as one HTML page with pictures of the first ones, dispositions and traceability."""
-    findings = [_finding(row, archive, habits, i < _MOST_PICTURES) for i, row in enumerate(rows.to_dict("records"))]
+    findings = [_finding(row, archive, locale, i < _MOST_PICTURES) for i, row in enumerate(rows.to_dict("records"))]
     page = rendered(
         "dashboard",
         "review.html",
@@ -49,7 +49,7 @@ def html_report(rows: pd.DataFrame, archive: Archive, habits: Habits, title: str
         colours={name: look.paper for name, look in SEVERITIES.items() if name},
         findings=findings,
         standings=said(_standings(rows)),
-        made=f"{habits.time(datetime.now(UTC))} ({habits.zone})",
+        made=f"{locale.time(datetime.now(UTC))} ({locale.zone})",
         root=archive.root,
         limits=_names(rows["panel_spec"]),
         versions=_names(rows["software_version"]),
@@ -66,11 +66,11 @@ def _standings(rows: pd.DataFrame) -> list[Standing]:
     return [Standing(feature_of(row), row.state) for row in rows.itertuples()]
 
 
-def _finding(row: dict[str, Any], archive: Archive, habits: Habits, picture: bool) -> dict[str, str]:
+def _finding(row: dict[str, Any], archive: Archive, locale: Locale, picture: bool) -> dict[str, str]:
     """What the template says of one finding."""
     decided = ""
     if not pd.isna(row["disposition"]):
-        decided = f"{row['disposition']}, {row['who']}, {habits.time(row['decided_at'])}"
+        decided = f"{row['disposition']}, {row['who']}, {locale.time(row['decided_at'])}"
     if not pd.isna(row["signed_by"]):
         decided += f" (signed off by {row['signed_by']})"
     if not pd.isna(row["closed_by"]):
@@ -78,8 +78,8 @@ def _finding(row: dict[str, Any], archive: Archive, habits: Habits, picture: boo
     return {
         **{name: str(row[name]) for name in ("aircraft_serial", "panel", "station", "feature_id", "state")},
         "picture": _picture(row, archive) if picture else "",
-        "value": habits.number(row["value_mm"], sign=True),
-        "u95": habits.number(row["u95_mm"]),
+        "value": locale.number(row["value_mm"], sign=True),
+        "u95": locale.number(row["u95_mm"]),
         "verdict": DECISION_MARKS.get(row["decision"], row["decision"]),
         "reason": "" if pd.isna(row["reason"]) else with_minus(row["reason"]),
         "decided": decided,

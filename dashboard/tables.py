@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from dashboard.habits import NOTHING, Habits, with_minus
+from dashboard.locale import NOTHING, Locale, with_minus
 from dashboard.palette import DECISION_MARKS
 from dashboard.picking import Picked, clicked_row, fresh_key
 from metrology.kinds import KINDS
@@ -25,7 +25,7 @@ _SIGNED = (
 def show_table(
     rows: pd.DataFrame,
     columns: Mapping[str, str],
-    habits: Habits,
+    locale: Locale,
     key: str,
     height: int = 400,
     names: Sequence[Any] = (),
@@ -45,7 +45,7 @@ def show_table(
     at : optional
         The name of what is looked at.
     """
-    styled, config = styled_table(rows, columns, habits)
+    styled, config = styled_table(rows, columns, locale)
     options: dict[str, Any] = {}
     if picked:
         key = fresh_key(key, names, at)
@@ -64,11 +64,11 @@ def show_table(
     )
 
 
-def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], habits: Habits) -> tuple[Any, dict[str, Any]]:
+def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale) -> tuple[Any, dict[str, Any]]:
     """Columns of a frame under their headings, written as the person is used to, and how to lay them out."""
     present = {name: heading for name, heading in columns.items() if name in rows.columns}
     shown = rows[list(present)].rename(columns=present).reset_index(drop=True)
-    formats = {heading: _writer(name, rows[name], habits) for name, heading in present.items()}
+    formats = {heading: _writer(name, rows[name], locale) for name, heading in present.items()}
     styled = shown.style.format({h: f for h, f in formats.items() if f is not None}, na_rep=NOTHING)
     config = {
         heading: st.column_config.Column(width="medium" if name == "reason" else "small", help=_HELP.get(name))
@@ -93,17 +93,17 @@ def fitting(height: int, rows: int) -> int:
     return min(height, 38 + 35 * max(1, rows))
 
 
-def _writer(name: str, values: pd.Series, habits: Habits) -> Callable[[object], str] | None:
+def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], str] | None:
     if name == "decision":
         return lambda value: DECISION_MARKS.get(str(value), str(value))
     if name == "reason":
         return lambda value: with_minus(str(value))
     if isinstance(values.dtype, pd.DatetimeTZDtype):
-        return habits.time
+        return locale.time
     if pd.api.types.is_integer_dtype(values.dtype):
-        return habits.whole
+        return locale.whole
     if pd.api.types.is_float_dtype(values.dtype):
-        return partial(habits.number, digits=_digits(name), sign=name in _SIGNED)
+        return partial(locale.number, digits=_digits(name), sign=name in _SIGNED)
     return None
 
 

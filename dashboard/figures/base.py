@@ -1,4 +1,4 @@
-"""What all figures share: margins, number habits, and lines that show on light and dark ground."""
+"""What all figures share: margins, number locale, and lines that show on light and dark ground."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from dashboard.habits import Habits
+from dashboard.locale import Locale
 from dashboard.palette import INK
 from metrology.tolerance import Limit
 
 
-def figure(habits: Habits, height: int, **layout: Any) -> go.Figure:
+def figure(locale: Locale, height: int, **layout: Any) -> go.Figure:
     """An empty figure."""
     fig = go.Figure()
     fig.update_layout(
         height=height,
         margin={"l": 8, "r": 8, "t": 8, "b": 8},
-        separators=habits.separators,
+        separators=locale.separators,
         legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "x": 0, "font": {"size": 11}},
         hoverlabel={"align": "left"},
         uirevision="keep",

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from dashboard.closeup import RivetCloseUp, SeamSection
 from dashboard.figures.base import figure, limit_lines
-from dashboard.habits import Habits
+from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
 from metrology.tolerance import Limit
 
@@ -15,9 +15,9 @@ _MOST_POINTS = 3000
 _LIMIT_BAR_REACH = 2.0  # a scale's half-width, in outermost limits
 
 
-def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Figure:
+def rivet_map(closeup: RivetCloseUp, locale: Locale, height: int = 300) -> go.Figure:
     """The head and the skin around it from above, coloured by deviation, with both point sets' borders."""
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     u0, v0 = closeup.u.min(), closeup.v.min()
     image = np.full((closeup.v.max() - v0 + 1, closeup.u.max() - u0 + 1), np.nan, np.float32)
     image[closeup.v - v0, closeup.u - u0] = closeup.deviation
@@ -58,9 +58,9 @@ def rivet_map(closeup: RivetCloseUp, habits: Habits, height: int = 300) -> go.Fi
     return fig
 
 
-def rivet_section(closeup: RivetCloseUp, limit: Limit | None, habits: Habits, height: int = 280) -> go.Figure:
+def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, height: int = 280) -> go.Figure:
     """A cut through the head along its steepest rise: points, fitted surfaces, limits."""
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     position, deviation, inner, outer = closeup.section(half_width=max(0.6, 0.25 * closeup.fit.radius))
     other = ~(inner | outer)
     for members, colour, name, symbol in (
@@ -92,7 +92,7 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, habits: Habits, he
         hoverinfo="skip",
     )
     limit_lines(fig, limit)
-    _arrow(fig, 0.0, 0.0, closeup.height, f"{habits.number(closeup.height, sign=True)} mm")
+    _arrow(fig, 0.0, 0.0, closeup.height, f"{locale.number(closeup.height, sign=True)} mm")
     used = deviation[inner | outer]
     marks = [value for value in (limit.bounds if limit else ()) if value is not None and abs(value) < 0.5]
     low, high = _range([*(used if used.size else [0.0]), *head, *marks])
@@ -101,9 +101,9 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, habits: Habits, he
     return fig
 
 
-def seam_figure(section: SeamSection, habits: Habits, height: int = 330) -> go.Figure:
+def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.Figure:
     """The section across a seam as the paper's Fig. 8: points, L1, L2, D, G, D′, G′, step and width."""
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     for members, colour, name, symbol in (
         (~section.used, INK, "not used", "circle-open"),
         (section.used, PURPLE, "skin points", "circle"),
@@ -145,7 +145,7 @@ def seam_figure(section: SeamSection, habits: Habits, height: int = 330) -> go.F
         )
     _letters(fig, section)
     low, high = _section_range(section)
-    _dimensions(fig, section, habits, low)
+    _dimensions(fig, section, locale, low)
     fig.update_xaxes(title="across the seam from side A to side B, mm")
     fig.update_yaxes(title="along the skin's normal, mm", range=[low, high], tickformat="+.2f")
     return fig
@@ -173,13 +173,13 @@ def _letters(fig: go.Figure, section: SeamSection) -> None:
             )
 
 
-def _dimensions(fig: go.Figure, section: SeamSection, habits: Habits, low: float) -> None:
+def _dimensions(fig: go.Figure, section: SeamSection, locale: Locale, low: float) -> None:
     """Arrows for step (eq 6) and width (eq 9)."""
     (xa, ha), (xb, hb) = section.edge_a, section.edge_b
     base = float(np.polyval(section.line_a[::-1], xb))
     _arrow(fig, xb, base, hb, "")
     fig.add_annotation(
-        x=xb, y=(base + hb) / 2, text=f"<b>H {habits.number(section.step, sign=True)} mm</b>", showarrow=False,
+        x=xb, y=(base + hb) / 2, text=f"<b>H {locale.number(section.step, sign=True)} mm</b>", showarrow=False,
         xanchor="left", xshift=8, font={"size": 12},
     )  # fmt: skip
     if section.width is not None:
@@ -209,7 +209,7 @@ def _dimensions(fig: go.Figure, section: SeamSection, habits: Habits, low: float
         fig.add_annotation(
             x=(xa + xb) / 2,
             y=level,
-            text=f"W {habits.number(section.width)} mm",
+            text=f"W {locale.number(section.width)} mm",
             showarrow=False,
             yshift=-12,
             font={"size": 12},
@@ -240,12 +240,12 @@ def _range(values: list[float]) -> tuple[float, float]:
     return low - air, high + air
 
 
-def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit: str, habits: Habits) -> go.Figure:
+def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit: str, locale: Locale) -> go.Figure:
     """A value with its uncertainty on a scale with the zones of its limits.
 
     A value far outside is an arrow at the scale's end, so that the limits stay legible.
     """
-    fig = figure(habits, 62, showlegend=False)
+    fig = figure(locale, 62, showlegend=False)
     names = ("lower", "upper", "serious_lower", "serious_upper")
     marks = {n: mark for n, mark in zip(names, limit.bounds if limit else (), strict=False) if mark is not None}
     spread = u95 if u95 is not None and np.isfinite(u95) else 0.0
@@ -275,7 +275,7 @@ def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit:
                 "color": "#FFFFFF",
                 "line": {"width": 2.5, "color": "#222222"},
             },
-            hovertemplate=f"{habits.measured(value, u95, unit)}<extra></extra>",
+            hovertemplate=f"{locale.measured(value, u95, unit)}<extra></extra>",
         )
     fig.update_xaxes(
         range=[low, high],

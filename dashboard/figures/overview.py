@@ -9,7 +9,7 @@ import pandas as pd
 import plotly.graph_objects as go
 
 from dashboard.figures.base import escape, figure
-from dashboard.habits import Habits
+from dashboard.locale import Locale
 from dashboard.palette import COUNTS, DECISION_COLOURS, MISSING
 from storage.templates import rendered
 
@@ -17,7 +17,7 @@ _MOST_AIRCRAFT = 25
 
 
 def panel_matrix(
-    panels: pd.DataFrame, aircraft: Sequence[str], habits: Habits, height: int = 420
+    panels: pd.DataFrame, aircraft: Sequence[str], locale: Locale, height: int = 420
 ) -> tuple[go.Figure, int]:
     """What waits, by aircraft (newest above) and panel; returns how many aircraft fit too.
 
@@ -30,7 +30,7 @@ def panel_matrix(
     waiting = np.full((len(rows), len(columns)), np.nan)
     for row in part.itertuples():
         waiting[place[row.aircraft_serial, row.panel]] = row.waiting
-    fig = figure(habits, height, showlegend=False, clickmode="event+select", dragmode=False)
+    fig = figure(locale, height, showlegend=False, clickmode="event+select", dragmode=False)
     fig.add_heatmap(
         z=waiting,
         x=columns,
@@ -49,10 +49,10 @@ def panel_matrix(
         hoverinfo="skip",
     )  # fmt: skip
     text = [
-        f"<b>{escape(r.aircraft_serial)} {escape(r.panel)}</b><br>{habits.whole(r.waiting)} waiting, "
-        f"{habits.whole(r.open_work)} of them open work, {habits.whole(r.fail)} fail<br>"
-        + (f"scans with an unjudged rig: {habits.whole(r.unjudged)}<br>" if r.unjudged else "")
-        + f"last scan {habits.time(r.last_scan)}"
+        f"<b>{escape(r.aircraft_serial)} {escape(r.panel)}</b><br>{locale.whole(r.waiting)} waiting, "
+        f"{locale.whole(r.open_work)} of them open work, {locale.whole(r.fail)} fail<br>"
+        + (f"scans with an unjudged rig: {locale.whole(r.unjudged)}<br>" if r.unjudged else "")
+        + f"last scan {locale.time(r.last_scan)}"
         for r in part.itertuples()
     ]
     # Heat maps send no clicks; invisible markers on top of them do.
@@ -73,14 +73,14 @@ def panel_matrix(
     return fig, len(rows)
 
 
-def decision_bar(counts: Mapping[str, int], habits: Habits) -> str:
+def decision_bar(counts: Mapping[str, int], locale: Locale) -> str:
     """All findings in one bar of HTML, from grave to harmless; a chart of its own would cost the page a redraw."""
     total = max(1, sum(counts.values()))
     parts = [
         {
             "count": count,
             "colour": DECISION_COLOURS[decision],
-            "words": f"{decision}: {habits.whole(count)} ({habits.percent(count / total)})",
+            "words": f"{decision}: {locale.whole(count)} ({locale.percent(count / total)})",
         }
         for decision, count in counts.items()
         if count

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from dashboard.figures.base import escape, figure
-from dashboard.habits import Habits
+from dashboard.locale import Locale
 from dashboard.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, YELLOW
 from metrology.steps import TIMED
 
@@ -15,9 +15,9 @@ _STEP_COLOURS = (BLUE, ORANGE, GREEN, YELLOW, PURPLE, RED, GREY, "#0072B2", "#44
 _SYMBOLS = ("circle", "diamond", "square", "x", "triangle-up", "cross")
 
 
-def seconds_figure(nights: pd.DataFrame, habits: Habits, height: int = 400) -> go.Figure:
+def seconds_figure(nights: pd.DataFrame, locale: Locale, height: int = 400) -> go.Figure:
     """Seconds of each step, stacked, per day."""
-    fig = figure(habits, height, barmode="stack")
+    fig = figure(locale, height, barmode="stack")
     few = len(nights) < 12  # days as names: a time axis would show hours
     for step, colour in zip(TIMED, _STEP_COLOURS, strict=False):
         values = nights[f"seconds_{step}"]
@@ -30,14 +30,14 @@ def seconds_figure(nights: pd.DataFrame, habits: Habits, height: int = 400) -> g
                 hovertemplate="%{y:.2f} s<extra>" + step.replace("_", " ") + "</extra>",
             )
     fig.update_yaxes(title="s per scene")
-    fig.update_xaxes(**({"type": "category", "autorange": "reversed"} if few else {"tickformat": habits.axis_dates}))
+    fig.update_xaxes(**({"type": "category", "autorange": "reversed"} if few else {"tickformat": locale.axis_dates}))
     return fig
 
 
-def rig_figure(days: pd.DataFrame, habits: Habits, height: int = 420) -> go.Figure:
+def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 420) -> go.Figure:
     """Fit of cameras and projector above, depth noise below, one colour and shape per rig calibration."""
     fig = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.07)
-    fig.update_layout(figure(habits, height).layout)
+    fig.update_layout(figure(locale, height).layout)
     for i, (rig, part) in enumerate(days.groupby("rig_id", sort=False)):
         colour, symbol = _STEP_COLOURS[i % len(_STEP_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)]
         for row, column, digits in ((1, "epipolar", 3), (2, "projector", 4), (3, "sigma", 4)):
@@ -54,7 +54,7 @@ def rig_figure(days: pd.DataFrame, habits: Habits, height: int = 420) -> go.Figu
                 row=row,
                 col=1,
             )
-    fig.update_xaxes(tickformat=habits.axis_dates)
+    fig.update_xaxes(tickformat=locale.axis_dates)
     for row, title in enumerate(("cameras, px", "projector, px", "noise, mm"), start=1):
         fig.update_yaxes(title=title, rangemode="tozero", row=row, col=1)
     return fig

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dashboard.deviation import FieldDeviation
 from dashboard.figures.base import escape, figure
 from dashboard.findings import feature_parameter
-from dashboard.habits import Habits
+from dashboard.locale import Locale
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
 from dashboard.pictures import data_uri, shrunk
 from metrology.kinds import KINDS, Kind
@@ -33,7 +33,7 @@ def scene_figure(
     picture: NDArray[np.uint8],
     features: SceneFeatures,
     chosen: Feature | None,
-    habits: Habits,
+    locale: Locale,
     height: int = 520,
     values: bool = True,
 ) -> go.Figure:
@@ -45,7 +45,7 @@ def scene_figure(
         Whether values are written beside features that do not pass.
     """
     rows, columns = picture.shape
-    fig = figure(habits, height, dragmode="pan", clickmode="event+select")
+    fig = figure(locale, height, dragmode="pan", clickmode="event+select")
     fig.add_layout_image(
         source=data_uri(shrunk(picture, _PICTURE_PX)),
         xref="x",
@@ -59,9 +59,9 @@ def scene_figure(
     )
     for severity in reversed(SEVERITIES):
         for kind in reversed(KINDS):
-            _add_features(fig, kind, features[kind.name], severity, habits)
+            _add_features(fig, kind, features[kind.name], severity, locale)
     for kind in KINDS if values else ():
-        _add_values(fig, kind, features[kind.name], habits)
+        _add_values(fig, kind, features[kind.name], locale)
     _mark_chosen(fig, features, chosen)
     fig.update_xaxes(range=[-0.5, columns - 0.5], visible=False, constrain="domain")
     fig.update_yaxes(range=[rows - 0.5, -0.5], visible=False, scaleanchor="x", constrain="domain")
@@ -72,7 +72,7 @@ def _with(rows: pd.DataFrame, severity: str | None) -> pd.DataFrame:
     return rows[rows["severity"].isna()] if severity is None else rows[rows["severity"] == severity]
 
 
-def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, habits: Habits) -> None:
+def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, locale: Locale) -> None:
     part = _with(rows, severity)
     part = part[part["u_px"].notna() & part["v_px"].notna()]
     if part.empty:
@@ -98,7 +98,7 @@ def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str 
             },
         },
         customdata=[feature_parameter(Feature(kind.name, str(name))) for name in part["feature_id"]],
-        text=[_said(kind, row, habits) for row in part.itertuples()],
+        text=[_said(kind, row, locale) for row in part.itertuples()],
         hovertemplate="%{text}<extra></extra>",
         name=f"{kind.subject} {SEVERITY_WORDS[severity]}",
         selected={"marker": {"opacity": 1}},
@@ -106,16 +106,16 @@ def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str 
     )
 
 
-def _said(kind: Kind, row: Any, habits: Habits) -> str:
+def _said(kind: Kind, row: Any, locale: Locale) -> str:
     """A feature's name, verdict and values."""
     name, *position = (getattr(row, column) for column in kind.id_columns)
-    at = f" at {habits.number(position[0], 1)} mm:" if position else ""
+    at = f" at {locale.number(position[0], 1)} mm:" if position else ""
     lines = [f"<b>{escape(name)}</b>{at} {escape(row.decision)}"]
     for quantity in kind.quantities:
         value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
-        lines.append(f"{quantity.name} {habits.measured(value, u95, quantity.unit, sign=quantity.signed)}")
+        lines.append(f"{quantity.name} {locale.measured(value, u95, quantity.unit, sign=quantity.signed)}")
     if hasattr(row, "diameter_mm"):
-        lines.append(f"Ø {habits.number(row.diameter_mm, 2)} mm")
+        lines.append(f"Ø {locale.number(row.diameter_mm, 2)} mm")
     return "<br>".join(lines)
 
 
@@ -131,7 +131,7 @@ def _rims(rivets: pd.DataFrame) -> tuple[list[float | None], list[float | None]]
     return tuple(np.round(np.hstack([part, gap]).ravel(), 1) for part in (u, v))  # type: ignore[return-value]
 
 
-def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, habits: Habits) -> None:
+def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, locale: Locale) -> None:
     """First values of what does not pass, beside it; positions along a course would cover each other."""
     if kind.is_course:
         return
@@ -139,7 +139,7 @@ def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, habits: Habits) 
     part = rows[~rows["decision"].isin(IN_ORDER) & rows["u_px"].notna()]
     for row in part.head(60).itertuples():
         value = getattr(row, first.column)
-        said = "?" if pd.isna(value) else habits.number(value, 3, sign=first.signed)
+        said = "?" if pd.isna(value) else locale.number(value, 3, sign=first.signed)
         fig.add_annotation(
             x=row.u_px,
             y=row.v_px - getattr(row, "minor_px", 0.0) / 2,
@@ -170,9 +170,9 @@ def _mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None
     )
 
 
-def deviation_map(field: FieldDeviation, habits: Habits, height: int = 520) -> go.Figure:
+def deviation_map(field: FieldDeviation, locale: Locale, height: int = 520) -> go.Figure:
     """The whole field's deviation from its smooth skin."""
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     limit = field.scale_mm
     fig.add_heatmap(
         z=np.round(field.deviation, 4),
@@ -191,13 +191,13 @@ def deviation_map(field: FieldDeviation, habits: Habits, height: int = 520) -> g
     return fig
 
 
-def cloud_figure(field: FieldDeviation, exaggeration: float, habits: Habits, height: int = 520) -> go.Figure:
+def cloud_figure(field: FieldDeviation, exaggeration: float, locale: Locale, height: int = 520) -> go.Figure:
     """The cloud in 3-D, flattened onto its skin, with the deviation as height and colour."""
     limit = field.scale_mm
     # The ground of a gap lies millimetres below and would squeeze everything else flat.
     present = np.abs(field.deviation) < _MOST_SCALES * limit
     deviation = field.deviation[present]
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     fig.add_scatter3d(
         x=field.x[present],
         y=-field.y[present],

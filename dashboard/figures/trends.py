@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from scipy import stats
 
 from dashboard.figures.base import escape, figure, limit_lines
-from dashboard.habits import Habits
+from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
 from dashboard.trends import Event, Quantity, Spread
 from metrology.statistics import ControlChart, ParetoBar
@@ -25,21 +25,21 @@ def control_figure(
     quantity: Quantity,
     limit: Limit | None,
     events: Sequence[Event],
-    habits: Habits,
+    locale: Locale,
     height: int = 420,
 ) -> go.Figure:
     """Individuals chart above, moving ranges below, in the order of time; events as vertical lines."""
     fig = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.68, 0.32], vertical_spacing=0.06)
-    fig.update_layout(figure(habits, height).layout)
-    times = habits.axis_times(rows["captured_at"])
+    fig.update_layout(figure(locale, height).layout)
+    times = locale.axis_times(rows["captured_at"])
     broken: dict[int, list[str]] = {}
     for name, points in violations.items():
         for point in points:
             broken.setdefault(int(point), []).append(name)
     text = [
-        f"{escape(r.aircraft_serial)} · {habits.time(r.captured_at)}"
-        f"<br>{habits.number(r.value, sign=True)} {quantity.unit}"
-        + (f" (mean of {habits.whole(r.n)})" if r.n > 1 else "")
+        f"{escape(r.aircraft_serial)} · {locale.time(r.captured_at)}"
+        f"<br>{locale.number(r.value, sign=True)} {quantity.unit}"
+        + (f" (mean of {locale.whole(r.n)})" if r.n > 1 else "")
         + (f"<br>breaks rule {', '.join(broken[i])}" if i in broken else "")
         for i, r in enumerate(rows.itertuples())
     ]
@@ -82,7 +82,7 @@ def control_figure(
             fig.add_hline(
                 value,
                 line={"color": GREEN if label == "mean" else ORANGE, "width": 1.5},
-                annotation_text=f"{label} {habits.number(value, sign=row == 1)}",
+                annotation_text=f"{label} {locale.number(value, sign=row == 1)}",
                 annotation_position="right",
                 annotation_font_size=10,
                 row=row,
@@ -113,7 +113,7 @@ def control_figure(
             ),
         ],
     )  # fmt: skip
-    fig.update_xaxes(tickformat=habits.axis_dates)
+    fig.update_xaxes(tickformat=locale.axis_dates)
     fig.update_yaxes(title=f"{quantity.title}, {quantity.unit}", row=1, col=1)
     fig.update_yaxes(title="moving range", rangemode="tozero", row=2, col=1)
     fig.update_layout(margin={"r": 84, "l": 8, "t": 8, "b": 8}, clickmode="event+select")
@@ -130,9 +130,9 @@ def _add_limits(fig: go.Figure, chart: ControlChart, limit: Limit | None) -> Non
     limit_lines(fig, limit, within=(middle - 3 * span, middle + 3 * span), row=1, col=1)
 
 
-def histogram(values: Spread, quantity: Quantity, limit: Limit | None, habits: Habits, height: int = 260) -> go.Figure:
+def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: Locale, height: int = 260) -> go.Figure:
     """All values with the limits and the normal distribution of their mean and standard deviation."""
-    fig = figure(habits, height, bargap=0.05)
+    fig = figure(locale, height, bargap=0.05)
     fig.add_bar(
         x=values.centres,
         y=values.counts,
@@ -157,9 +157,9 @@ def histogram(values: Spread, quantity: Quantity, limit: Limit | None, habits: H
     return fig
 
 
-def pareto_figure(bars: Sequence[ParetoBar], habits: Habits, height: int = 300) -> go.Figure:
+def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) -> go.Figure:
     """Panels from frequent to rare with the cumulated share."""
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     names = [bar.name for bar in bars]
     fig.add_bar(
         x=names,
@@ -185,14 +185,14 @@ def pareto_figure(bars: Sequence[ParetoBar], habits: Habits, height: int = 300) 
     return fig
 
 
-def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, habits: Habits, height: int = 380) -> go.Figure:
+def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: Locale, height: int = 380) -> go.Figure:
     """Features at their places on the panel, coloured by mean or by share outside."""
-    fig = figure(habits, height)
+    fig = figure(locale, height)
     outside = measure == "outside"
     limit = float(np.nanpercentile(np.abs(rows["mean"]), 98)) if rows["mean"].notna().any() else 1.0
     text = [
-        f"<b>{escape(r.station)} {escape(r.name)}</b><br>mean {habits.number(r.mean, sign=True)} {quantity.unit}, "
-        f"sd {habits.number(r.sd)}<br>{habits.percent(r.outside)} outside of {habits.whole(r.n)}"
+        f"<b>{escape(r.station)} {escape(r.name)}</b><br>mean {locale.number(r.mean, sign=True)} {quantity.unit}, "
+        f"sd {locale.number(r.sd)}<br>{locale.percent(r.outside)} outside of {locale.whole(r.n)}"
         for r in rows.itertuples()
     ]
     scale = (

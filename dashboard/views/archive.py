@@ -12,8 +12,8 @@ from dashboard.data import Archive
 from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
 from dashboard.findings import Selection
-from dashboard.frame import Desk, go, plain
-from dashboard.habits import NOTHING
+from dashboard.frame import PageContext, go, plain
+from dashboard.locale import NOTHING
 from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.scenes import load_features, load_scene_row
@@ -37,30 +37,30 @@ VERDICTS = {
 }
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
     pair = [part for part in str(st.query_params.get("compare", "")).split(",") if part][:2]
     if len(pair) == 2:
-        _compare(desk, pair[0], pair[1])
+        _compare(context, pair[0], pair[1])
         return
-    selection = scene_filters(desk.archive, more=True)
+    selection = scene_filters(context.archive, more=True)
     verdict_field, page_field, actions = st.columns([2, 1, 5], vertical_alignment="bottom")
     verdict = verdict_field.selectbox("Verdict", list(VERDICTS), **one_of("verdict", list(VERDICTS)))
-    total = _count(desk.archive, selection, verdict)
+    total = _count(context.archive, selection, verdict)
     pages = max(1, -(-total // _PAGE))
     page = page_field.number_input("Page", 1, pages, key="page")
-    scenes = _scenes(desk.archive, selection, verdict, _PAGE, (int(page) - 1) * _PAGE)
+    scenes = _scenes(context.archive, selection, verdict, _PAGE, (int(page) - 1) * _PAGE)
     if scenes.empty:
         st.info("No scan matches these filters. Clear one of them to see more.")
         return
     with actions:
         buttons = st.container(horizontal=True, vertical_alignment="center")
-    chosen = _list(desk, scenes)
+    chosen = _list(context, scenes)
     with buttons:
         _way("Open", ":material/center_focus_strong:", len(chosen) == 1, "scene", scene=",".join(chosen))
         _way("Compare two", ":material/compare:", len(chosen) == 2, "archive", compare=",".join(chosen))
         st.caption(
-            f"{desk.habits.whole(total)} scans, page {page} of {desk.habits.whole(pages)}. "
+            f"{context.locale.whole(total)} scans, page {page} of {context.locale.whole(pages)}. "
             "Tick one scan to open it, two to compare them."
         )
 
@@ -118,12 +118,12 @@ def _scenes(archive: Archive, selection: Selection, verdict: str, most: int, ski
     )
 
 
-def _list(desk: Desk, scenes: pd.DataFrame) -> list[str]:
+def _list(context: PageContext, scenes: pd.DataFrame) -> list[str]:
     """The scans; returns the names of those that are ticked."""
     names = [str(name) for name in scenes["scene_id"]]
     shown = scenes.copy()
-    shown.insert(0, "picture", [_thumbnail_of(desk.archive, path) for path in scenes["preview_path"]])
-    shown["captured_at"] = [desk.habits.time(moment) for moment in scenes["captured_at"]]
+    shown.insert(0, "picture", [_thumbnail_of(context.archive, path) for path in scenes["preview_path"]])
+    shown["captured_at"] = [context.locale.time(moment) for moment in scenes["captured_at"]]
     shown = shown.drop(columns=["scene_id", "preview_path"])
     event = st.dataframe(
         shown,
@@ -171,25 +171,25 @@ def _thumbnail(path: str) -> str:
     return data_uri(shrunk(load_picture(Path(path)), _THUMBNAIL_PX))
 
 
-def _compare(desk: Desk, first: str, second: str) -> None:
+def _compare(context: PageContext, first: str, second: str) -> None:
     """Two scans side by side, and how their rivets differ."""
     if st.button("Back to the list", icon=":material/arrow_back:"):
         go("archive")
     sides, stations = [], []
     for column, scene_id in zip(st.columns(2), (first, second), strict=True):
         with column:
-            row = load_scene_row(desk.archive, scene_id)
+            row = load_scene_row(context.archive, scene_id)
             if row is None:
                 st.warning(f"There is no scene {plain(scene_id)} in this store.")
                 return
-            features = load_features(desk.archive, row)
+            features = load_features(context.archive, row)
             st.markdown(
                 f"**{plain(row.aircraft_serial)} · {plain(row.panel)} · {plain(row.station)}** · "
-                f"{desk.habits.time(row.captured_at)}"
+                f"{context.locale.time(row.captured_at)}"
             )
-            picture = load_picture(desk.archive.file(row.preview_path))
+            picture = load_picture(context.archive.file(row.preview_path))
             st.plotly_chart(
-                scene_figure(picture, features, None, desk.habits, height=330), key=f"picture-{column}-{scene_id}"
+                scene_figure(picture, features, None, context.locale, height=330), key=f"picture-{column}-{scene_id}"
             )
             sides.append(features)
             stations.append(str(row.station))
@@ -210,7 +210,7 @@ def _compare(desk: Desk, first: str, second: str) -> None:
             "decision_right": "Verdict right",
             "difference_mm": "Change, mm",
         },
-        desk.habits,
+        context.locale,
         key="differences",
         height=260,
     )

@@ -10,8 +10,8 @@ import streamlit as st
 from dashboard.figures.overview import decision_bar, panel_matrix
 from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import Selection
-from dashboard.frame import Desk, go, link, plain
-from dashboard.habits import Habits
+from dashboard.frame import PageContext, go, link, plain
+from dashboard.locale import Locale
 from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
 from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
@@ -23,25 +23,25 @@ TITLE = "Overview"
 _MOST_ROWS = 200
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
-    selection = scene_filters(desk.archive)
-    panels = panel_states(desk, selection)
+    selection = scene_filters(context.archive)
+    panels = panel_states(context, selection)
     if panels.empty:
         st.info("No scan matches these filters. Clear one of them to see more.")
         return
-    _totals(desk, panels)
-    problem = desk.archive.review().problem
+    _totals(context, panels)
+    problem = context.archive.review().problem
     if problem:
         st.warning(f"The review log needs attention: {plain(problem)}", icon=":material/warning:")
     left, right = st.columns([3, 2])
     with left:
-        _waiting(desk, panels, selection)
+        _waiting(context, panels, selection)
     with right:
-        _matrix(desk.habits, panels)
+        _matrix(context.locale, panels)
 
 
-def panel_states(desk: Desk, selection: Selection) -> pd.DataFrame:
+def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
     """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
     condition, selected = selection.where()
     sql = f"""
@@ -73,40 +73,40 @@ SELECT aircraft_serial, panel, {
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """
-    return desk.archive.rows_with_review(sql, [*selected, *selected, *selected * (2 * len(KINDS))])
+    return context.archive.rows_with_review(sql, [*selected, *selected, *selected * (2 * len(KINDS))])
 
 
 def _counted(*columns: str) -> str:
     return ", ".join(f"coalesce({name}, 0)::BIGINT AS {name}" for name in columns)
 
 
-def _totals(desk: Desk, panels: pd.DataFrame) -> None:
-    habits = desk.habits
+def _totals(context: PageContext, panels: pd.DataFrame) -> None:
+    locale = context.locale
     boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 1.8, 3.2], vertical_alignment="center")
     boxes[0].metric(
         "Waiting for a person",
-        habits.whole(panels["waiting"].sum()),
+        locale.whole(panels["waiting"].sum()),
         help="Rivets and seam stations of the newest scans that do not simply pass and have no disposition, on scenes "
         "that are not signed off; and open work.",
     )
     boxes[1].metric(
         "Open work",
-        habits.whole(panels["open_work"].sum()),
+        locale.whole(panels["open_work"].sum()),
         help="Rework, repair or re-scan was asked for. It is done when the feature passes on a later scan of its "
         "station, or when a person closes it with a reason.",
     )
-    boxes[2].metric("Aircraft", habits.whole(panels["aircraft_serial"].nunique()))
-    boxes[3].metric("Panels", habits.whole(len(panels)), help="Panels counted on each aircraft.")
-    boxes[4].metric("Scans", habits.whole(panels["scenes"].sum()), help="The newest scan of each station.")
-    boxes[5].metric("Last scan", habits.time(newest_scan(desk.archive)))
+    boxes[2].metric("Aircraft", locale.whole(panels["aircraft_serial"].nunique()))
+    boxes[3].metric("Panels", locale.whole(len(panels)), help="Panels counted on each aircraft.")
+    boxes[4].metric("Scans", locale.whole(panels["scenes"].sum()), help="The newest scan of each station.")
+    boxes[5].metric("Last scan", locale.time(newest_scan(context.archive)))
     with boxes[6]:
         counts = _counts(panels)
-        st.html(decision_bar(counts, habits))
-        said = " · ".join(f"{DECISION_MARKS[name]} {habits.whole(count)}" for name, count in counts.items())
+        st.html(decision_bar(counts, locale))
+        said = " · ".join(f"{DECISION_MARKS[name]} {locale.whole(count)}" for name, count in counts.items())
         st.markdown(f":small[{said}]")
     if unjudged := int(panels["unjudged"].sum()):
         st.markdown(
-            f":orange[:material/help: Scans whose rig could not be judged: {habits.whole(unjudged)}. Nobody can vouch "
+            f":orange[:material/help: Scans whose rig could not be judged: {locale.whole(unjudged)}. Nobody can vouch "
             "for their values, passes included; scan them again.]"
         )
 
@@ -116,12 +116,12 @@ def _counts(panels: pd.DataFrame) -> dict[str, int]:
     return {**counts, "pass": max(0, int(panels["features"].sum()) - sum(counts.values()))}
 
 
-def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
+def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -> None:
     shown = panels.head(_MOST_ROWS)
     more = len(panels) - len(shown)
     st.markdown(
         "**Where work waits** · select a row to review that panel"
-        + (f" · {desk.habits.whole(len(shown))} of {desk.habits.whole(len(panels))} panels" if more else "")
+        + (f" · {context.locale.whole(len(shown))} of {context.locale.whole(len(panels))} panels" if more else "")
     )
     show_table(
         shown,
@@ -137,7 +137,7 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
             "worst_mm": "Worst, mm",
             "last_scan": "Last scan",
         },
-        desk.habits,
+        context.locale,
         key="panels",
         height=430,
         names=list(zip(shown["aircraft_serial"].astype(str), shown["panel"].astype(str), strict=True)),
@@ -152,9 +152,9 @@ def _waiting(desk: Desk, panels: pd.DataFrame, selection: Selection) -> None:
         link("review", "Review what waits, the worst first", icon=":material/fact_check:")
 
 
-def _matrix(habits: Habits, panels: pd.DataFrame) -> None:
+def _matrix(locale: Locale, panels: pd.DataFrame) -> None:
     aircraft = panels.groupby("aircraft_serial")["last_scan"].max().sort_values(ascending=False)
-    fig, shown = panel_matrix(panels, list(aircraft.index), habits)
+    fig, shown = panel_matrix(panels, list(aircraft.index), locale)
     note = f" · the newest {shown} of {len(aircraft)} aircraft" if shown < len(aircraft) else ""
     st.markdown(f"**Aircraft × panels** · findings waiting, click to review{note}")
     clickable_chart(fig, "matrix", _review, {"displayModeBar": False})

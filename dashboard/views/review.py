@@ -22,8 +22,8 @@ from dashboard.findings import (
     feature_parameter,
     findings,
 )
-from dashboard.frame import Desk, link, plain
-from dashboard.habits import NOTHING
+from dashboard.frame import PageContext, link, plain
+from dashboard.locale import NOTHING
 from dashboard.palette import DECISION_MARKS, OPEN_DECISIONS
 from dashboard.picking import clicked_row
 from dashboard.pictures import around, load_picture
@@ -55,28 +55,28 @@ Name = tuple[str, Feature]
 """A finding: its scene and what it is there."""
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
-    wanted = _filters(desk)
-    rows = findings(desk.archive, wanted)
+    wanted = _filters(context)
+    rows = findings(context.archive, wanted)
     names = [(str(row.scene_id), feature_of(row)) for row in rows.itertuples()]
-    at = _standing(desk, names, wanted)
+    at = _standing(context, names, wanted)
     if at is None:
-        say_outcome(desk, at)
-        _nothing(desk, wanted)
+        say_outcome(context, at)
+        _nothing(context, wanted)
         return
     left, right = st.columns([13, 9])
     with left:
-        ticked = _list(desk, rows, names, at) if names else _empty(wanted)
+        ticked = _list(context, rows, names, at) if names else _empty(wanted)
     with right:
-        say_outcome(desk, at)
+        say_outcome(context, at)
         if ticked:
-            _several(desk, ticked)
-        _one(desk, names, at, alone=not ticked)
+            _several(context, ticked)
+        _one(context, names, at, alone=not ticked)
 
 
-def _filters(desk: Desk) -> Wanted:
-    selection = scene_filters(desk.archive)
+def _filters(context: PageContext) -> Wanted:
+    selection = scene_filters(context.archive)
     first, second, third = st.columns([3, 2, 1.4])
     decisions = first.pills(
         "Verdict", OPEN_DECISIONS, selection_mode="multi", **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS)
@@ -101,7 +101,7 @@ class _Stand:
     at: Name | None
 
 
-def _standing(desk: Desk, names: Sequence[Name], wanted: Wanted) -> Name | None:
+def _standing(context: PageContext, names: Sequence[Name], wanted: Wanted) -> Name | None:
     """The finding that is looked at: the one that the address names, else the first of its scan, else the first.
 
     It stays when the list changes under it: only a person's click, or a filter that leaves it out, leads elsewhere.
@@ -111,14 +111,14 @@ def _standing(desk: Desk, names: Sequence[Name], wanted: Wanted) -> Name | None:
     filtered = last is not None and last.named == named and last.wanted != wanted
     scene_id, feature = named
     at: Name | None
-    if scene_id and feature and desk.archive.shown(scene_id, feature):
+    if scene_id and feature and context.archive.shown(scene_id, feature):
         at = (scene_id, feature)
         if filtered and at not in names:
             _look_at(None)
             named, at = (None, None), names[0] if names else None
-    elif scene_id and not feature and load_scene_row(desk.archive, scene_id) is not None:
+    elif scene_id and not feature and load_scene_row(context.archive, scene_id) is not None:
         at = next((name for name in names if name[0] == scene_id), None)
-    elif last and last.at and last.named == named and not filtered and desk.archive.shown(*last.at):
+    elif last and last.at and last.named == named and not filtered and context.archive.shown(*last.at):
         at = last.at
     else:
         at = names[0] if names else None
@@ -131,9 +131,9 @@ def _look_at(name: Name | None) -> None:
     put(scene=name[0] if name else None, feature=feature_parameter(name[1]) if name else None)
 
 
-def _nothing(desk: Desk, wanted: Wanted) -> None:
+def _nothing(context: PageContext, wanted: Wanted) -> None:
     _empty(wanted)
-    _sign_off_of_scene(desk)
+    _sign_off_of_scene(context)
 
 
 def _empty(wanted: Wanted) -> list[Name]:
@@ -144,37 +144,37 @@ def _empty(wanted: Wanted) -> list[Name]:
     return []
 
 
-def _sign_off_of_scene(desk: Desk) -> None:
+def _sign_off_of_scene(context: PageContext) -> None:
     """Where nothing of the address's scan is listed: how it stands, and its sign-off."""
-    scene = load_scene_row(desk.archive, str(st.query_params.get("scene") or ""))
+    scene = load_scene_row(context.archive, str(st.query_params.get("scene") or ""))
     if scene is None:
         return
     st.markdown(
         f"**{plain(scene.aircraft_serial)} · {plain(scene.panel)} · {plain(scene.station)}** · "
-        f"{desk.habits.time(scene.captured_at)}"
+        f"{context.locale.time(scene.captured_at)}"
     )
-    _signed(desk, scene)
-    if desk.person.may_review and scene.scene_id not in desk.archive.review().sign_offs():
-        ask_who(desk)
-    offer_sign_off(desk, scene)
+    _signed(context, scene)
+    if context.person.may_review and scene.scene_id not in context.archive.review().sign_offs():
+        ask_who(context)
+    offer_sign_off(context, scene)
 
 
-def _signed(desk: Desk, scene: Any) -> None:
-    if signed := desk.archive.review().sign_offs().get(scene.scene_id):
+def _signed(context: PageContext, scene: Any) -> None:
+    if signed := context.archive.review().sign_offs().get(scene.scene_id):
         st.info(
-            f"Signed off by {plain(signed.who)}, {desk.habits.time(signed.at)}: this scan is locked.",
+            f"Signed off by {plain(signed.who)}, {context.locale.time(signed.at)}: this scan is locked.",
             icon=":material/lock:",
         )
 
 
-def _list(desk: Desk, rows: pd.DataFrame, names: Sequence[Name], at: Name) -> list[Name]:
+def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: Name) -> list[Name]:
     """The findings; a click looks at one. Returns those that are ticked."""
-    _exports(desk, rows, int(rows["total"].iloc[0]))
+    _exports(context, rows, int(rows["total"].iloc[0]))
     columns = {name: title for name, title in _COLUMNS.items() if name != "disposition" or rows[name].notna().any()}
     shown = rows.copy()
     # Which row is looked at is said in words: a mark of Streamlit's own would go with the row's number.
     shown["feature_id"] = [f"▸ {name[1].id}" if name == at else name[1].id for name in names]
-    styled, config = styled_table(shown, columns, desk.habits)
+    styled, config = styled_table(shown, columns, context.locale)
     # The key names the rows: another list begins without ticks, which would else go with the rows' numbers.
     key = f"findings-{st.session_state.get(_TURN, 0)}-{hash((tuple(names), tuple(rows['run_id'])))}"
     event = st.dataframe(
@@ -190,21 +190,21 @@ def _list(desk: Desk, rows: pd.DataFrame, names: Sequence[Name], at: Name) -> li
     return [names[row] for row in event["selection"]["rows"] if row < len(names)]
 
 
-def _exports(desk: Desk, rows: pd.DataFrame, total: int) -> None:
-    shown = f"the gravest {desk.habits.whole(len(rows))} of " if total > len(rows) else ""
+def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
+    shown = f"the gravest {context.locale.whole(len(rows))} of " if total > len(rows) else ""
     with st.container(horizontal=True, vertical_alignment="center"):
         st.caption(
-            f"{shown}{desk.habits.whole(total)} findings · click a row to look at it; tick several to decide on them "
-            "at once"
+            f"{shown}{context.locale.whole(total)} findings · click a row to look at it; tick several to decide on "
+            "them at once"
         )
         with st.popover("Export", icon=":material/download:"):
             st.caption("The findings of this list, with their dispositions.")
             st.download_button(
-                "CSV", lambda: csv_report(rows, desk.habits), "review.csv", "text/csv", on_click="ignore", key="csv"
+                "CSV", lambda: csv_report(rows, context.locale), "review.csv", "text/csv", on_click="ignore", key="csv"
             )
             st.download_button(
                 "HTML report",
-                lambda: html_report(rows, desk.archive, desk.habits, desk.settings.title),
+                lambda: html_report(rows, context.archive, context.locale, context.settings.title),
                 "review.html",
                 "text/html",
                 on_click="ignore",
@@ -212,50 +212,50 @@ def _exports(desk: Desk, rows: pd.DataFrame, total: int) -> None:
             )
 
 
-def _several(desk: Desk, ticked: Sequence[Name]) -> None:
+def _several(context: PageContext, ticked: Sequence[Name]) -> None:
     """What is ticked, and the form that decides about all of it at once."""
-    shown = [found for name in ticked if (found := desk.archive.shown(*name))]
+    shown = [found for name in ticked if (found := context.archive.shown(*name))]
     with st.container(border=True):
-        st.markdown(f"**Ticked, {desk.habits.whole(len(shown))}:** {plain(names_of(shown))}")
+        st.markdown(f"**Ticked, {context.locale.whole(len(shown))}:** {plain(names_of(shown))}")
         table = pd.DataFrame(
             {
                 "Feature": finding.feature.id,
                 "Place": place_of(finding),
-                "Value, mm": desk.habits.number(finding.values["value_mm"], sign=True),
+                "Value, mm": context.locale.number(finding.values["value_mm"], sign=True),
                 "Verdict": DECISION_MARKS.get(str(finding.values["decision"]), str(finding.values["decision"])),
             }
             for finding in shown
         )
         st.dataframe(table, hide_index=True, height=fitting(180, len(table)))
         st.caption("Whatever is recorded here is recorded for all of them. Untick them to decide about one alone.")
-        decide(desk, shown, partial(_recorded, None))
+        decide(context, shown, partial(_recorded, None))
 
 
-def _one(desk: Desk, names: Sequence[Name], at: Name, alone: bool) -> None:
+def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> None:
     """The finding that is looked at, and the form that decides about it where nothing is ticked."""
     scene_id, feature = at
-    scene, shown = load_scene_row(desk.archive, scene_id), desk.archive.shown(scene_id, feature)
+    scene, shown = load_scene_row(context.archive, scene_id), context.archive.shown(scene_id, feature)
     if scene is None or shown is None:
         st.info("This finding is not in the store any more; choose another one.")
         return
-    features = load_features(desk.archive, scene)
+    features = load_features(context.archive, scene)
     with st.container(border=True):
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
             _steps(names, at)
             st.caption(
                 f"**{plain(scene.aircraft_serial)} · {plain(scene.panel)} · {plain(scene.station)}** · "
-                f"{desk.habits.time(scene.captured_at)}"
+                f"{context.locale.time(scene.captured_at)}"
             )
         _newer(shown)
         words, picture = st.columns([4, 1])
         with words:
-            close_up(desk, scene, features, feature, compact=True)
+            close_up(context, scene, features, feature, compact=True)
         with picture:
-            _crop(desk, scene, find_feature(features, feature))
-        _history(desk, shown)
+            _crop(context, scene, find_feature(features, feature))
+        _history(context, shown)
     if alone:
-        decide(desk, [shown], partial(_recorded, _next(names, at)))
-        offer_sign_off(desk, scene)
+        decide(context, [shown], partial(_recorded, _next(names, at)))
+        offer_sign_off(context, scene)
 
 
 def _newer(shown: ShownFinding) -> None:
@@ -285,9 +285,9 @@ def _next(names: Sequence[Name], at: Name) -> Name | None:
     return names[place + 1] if place + 1 < len(names) else names[place - 1] if place else None
 
 
-def _crop(desk: Desk, scene: Any, measured: Any) -> None:
+def _crop(context: PageContext, scene: Any, measured: Any) -> None:
     try:
-        picture = load_picture(desk.archive.file(scene.preview_path))
+        picture = load_picture(context.archive.file(scene.preview_path))
     except FlushlineError:
         return
     if measured is None or measured.u_px != measured.u_px:
@@ -308,14 +308,14 @@ def _steps(names: Sequence[Name], at: Name) -> None:
         st.button(sign, shortcut=shortcut, disabled=name is None, help=words, key=key, on_click=_look_at, args=(name,))
 
 
-def _history(desk: Desk, shown: ShownFinding) -> None:
+def _history(context: PageContext, shown: ShownFinding) -> None:
     """How this finding stands, and what was decided about it so far."""
     entries = [
         entry
-        for entry in desk.archive.review().entries
+        for entry in context.archive.review().entries
         if entry.scene_id == shown.scene_id and (entry.action == "sign-off" or entry.feature == shown.feature)
     ]
     for entry in entries[-4:]:
         comment = f" · {plain(entry.comment)}" if entry.comment else ""
         earlier = "" if entry.run_id == shown.run_id else " · on another run of this scan"
-        st.markdown(f":small[{desk.habits.time(entry.at)} **{entry.what}** by {plain(entry.who)}{comment}{earlier}]")
+        st.markdown(f":small[{context.locale.time(entry.at)} **{entry.what}** by {plain(entry.who)}{comment}{earlier}]")

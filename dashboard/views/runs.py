@@ -14,7 +14,7 @@ from dashboard.figures.runs import rig_figure, seconds_figure
 from dashboard.filters import newest_scan
 from dashboard.findings import LAST_WEEK, PERIODS, Selection, start_of
 from dashboard.flow_runs import configured_api, flow_runs
-from dashboard.frame import Desk, go, plain
+from dashboard.frame import PageContext, go, plain
 from dashboard.quarantine import put_aside
 from dashboard.tables import show_table
 from metrology.steps import TIMED
@@ -23,19 +23,19 @@ from storage.archive.views import TAKEN_AT
 TITLE = "Runs and rigs"
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
     left, right = st.columns([1, 4], vertical_alignment="bottom")
     period = left.selectbox("Scanned", list(PERIODS), **one_of("period", list(PERIODS), LAST_WEEK))
-    selection = Selection(since=start_of(period, newest_scan(desk.archive)))
+    selection = Selection(since=start_of(period, newest_scan(context.archive)))
     view = right.segmented_control("View", list(_VIEWS), **one_of("view", list(_VIEWS)))
-    _VIEWS.get(str(view), _runs)(desk, selection)
+    _VIEWS.get(str(view), _runs)(context, selection)
 
 
-def _runs(desk: Desk, selection: Selection) -> None:
+def _runs(context: PageContext, selection: Selection) -> None:
     condition, parameters = selection.where()
     medians = ", ".join(f"median(seconds_{step}) AS seconds_{step}" for step in TIMED)
-    nights = desk.archive.rows(
+    nights = context.archive.rows(
         "SELECT date_trunc('day', processed_at) AS day, count(*) AS scenes, "
         "count(*) FILTER (status <> 'ok') AS warned, count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, "
         "min(processed_at) AS first, max(processed_at) AS last, median(seconds_total) AS seconds_total, "
@@ -48,7 +48,7 @@ def _runs(desk: Desk, selection: Selection) -> None:
     left, right = st.columns([3, 2])
     with left:
         st.markdown("**Scenes inspected per day** (UTC)")
-        nights["date"] = [replace(desk.habits, zone=UTC).day(day) for day in nights["day"]]
+        nights["date"] = [replace(context.locale, zone=UTC).day(day) for day in nights["day"]]
         show_table(
             nights,
             {
@@ -60,18 +60,18 @@ def _runs(desk: Desk, selection: Selection) -> None:
                 "last": "Last stored",
                 "seconds_total": "Median, s",
             },
-            desk.habits,
+            context.locale,
             key="nights",
             height=400,
         )
     with right:
         st.markdown("**Seconds per step**, median of each day")
-        st.plotly_chart(seconds_figure(nights, desk.habits), key="seconds", config={"displaylogo": False})
+        st.plotly_chart(seconds_figure(nights, context.locale), key="seconds", config={"displaylogo": False})
 
 
-def _rigs(desk: Desk, selection: Selection) -> None:
+def _rigs(context: PageContext, selection: Selection) -> None:
     condition, parameters = selection.where()
-    days = desk.archive.rows(
+    days = context.archive.rows(
         f"SELECT rig_id, date_trunc('day', {TAKEN_AT}) AS day, max({TAKEN_AT}) AS last_used, count(*) AS scenes, "
         "median(epipolar_rms_px) AS epipolar, median(projector_rms_px) AS projector, "
         "median(sigma_z_median_mm) AS sigma, median(valid_fraction) AS valid, "
@@ -82,7 +82,7 @@ def _rigs(desk: Desk, selection: Selection) -> None:
     if days.empty:
         st.info("No scene was scanned in that time.")
         return
-    st.plotly_chart(rig_figure(days, desk.habits), key="rigs", config={"displaylogo": False})
+    st.plotly_chart(rig_figure(days, context.locale), key="rigs", config={"displaylogo": False})
     st.caption(
         "Cameras: how far features seen by both lie from their epipolar lines. Projector: how far what it showed lies "
         "from where the rig says (medians of a day). A slow rise is drift, a jump is a knock: calibrate again. Noise: "
@@ -110,14 +110,14 @@ def _rigs(desk: Desk, selection: Selection) -> None:
             "sigma_mm": "Noise, mm (last day)",
             "valid_fraction": "Share of pixels with a point (last day)",
         },
-        desk.habits,
+        context.locale,
         key="rig-table",
         height=180,
     )
 
 
-def _flows(desk: Desk, _selection: Selection) -> None:
-    api = configured_api(desk.settings.prefect_api)
+def _flows(context: PageContext, _selection: Selection) -> None:
+    api = configured_api(context.settings.prefect_api)
     if api is None:
         st.info(
             "No Prefect server is configured. Start the dashboard with PREFECT_API_URL set, or name the server in its "
@@ -142,7 +142,7 @@ def _flows(desk: Desk, _selection: Selection) -> None:
             "seconds": "Seconds",
             "message": "Message",
         },
-        desk.habits,
+        context.locale,
         key="flow-runs",
         names=list(runs["page"]),
         picked=_pick_run,
@@ -159,9 +159,9 @@ def _link_to_picked(runs: pd.DataFrame) -> None:
         st.link_button(f"Open {plain(run['run'])} in Prefect", run["page"], icon=":material/open_in_new:")
 
 
-def _failures(desk: Desk, selection: Selection) -> None:
+def _failures(context: PageContext, selection: Selection) -> None:
     condition, parameters = selection.where()
-    warned = desk.archive.rows(
+    warned = context.archive.rows(
         "SELECT aircraft_serial, panel, station, captured_at, scene_id, rig_id, rig_verdict, "
         f"array_to_string(warnings, '; ') AS reason, status FROM scenes "
         f"WHERE status <> 'ok' AND {condition} ORDER BY {TAKEN_AT} DESC, scene_id LIMIT 500",
@@ -182,14 +182,14 @@ def _failures(desk: Desk, selection: Selection) -> None:
                 "rig_verdict": "Rig check",
                 "reason": "Warning",
             },
-            desk.habits,
+            context.locale,
             key="warned",
             height=240,
             names=[str(scene) for scene in warned["scene_id"]],
             picked=lambda scene: go("scene", scene=scene),
         )
     st.markdown("**Could not be inspected**")
-    inboxes = desk.settings.inboxes
+    inboxes = context.settings.inboxes
     if not inboxes:
         st.caption("Name the inboxes in the settings (`inboxes = [...]`) to see what their quarantine holds.")
         return
@@ -200,12 +200,12 @@ def _failures(desk: Desk, selection: Selection) -> None:
     show_table(
         failed,
         {"at": "Put aside", "scene": "Scene folder", "inbox": "Inbox", "why": "Why"},
-        desk.habits,
+        context.locale,
         key="failed",
     )
 
 
-_VIEWS: dict[str, Callable[[Desk, Selection], None]] = {
+_VIEWS: dict[str, Callable[[PageContext, Selection], None]] = {
     "Runs and seconds per step": _runs,
     "Rig health": _rigs,
     "Warnings and failures": _failures,

@@ -15,8 +15,8 @@ from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
 from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
 from dashboard.findings import feature_from_parameter, feature_parameter
-from dashboard.frame import Desk, link, plain
-from dashboard.habits import with_minus
+from dashboard.frame import PageContext, link, plain
+from dashboard.locale import with_minus
 from dashboard.palette import DECISION_BADGES, DECISION_MARKS
 from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
@@ -44,46 +44,46 @@ _EXAGGERATIONS = (1, 10, 50, 100)
 _HEIGHT = 500
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
-    scene_id = str(st.query_params.get("scene") or "") or _newest(desk)
-    row = load_scene_row(desk.archive, scene_id)
+    scene_id = str(st.query_params.get("scene") or "") or _newest(context)
+    row = load_scene_row(context.archive, scene_id)
     if row is None:
         st.warning(f"There is no scene {plain(scene_id)} in this store.")
         link("archive", "Find a scan in the archive", icon=":material/inventory_2:")
         return
-    features = load_features(desk.archive, row)
+    features = load_features(context.archive, row)
     chosen = feature_from_parameter(st.query_params.get("feature"))
     unknown = chosen is not None and find_feature(features, chosen) is None
     if chosen is None or unknown:
         chosen = worst_feature(features)
-    _headline(desk, row)
+    _headline(context, row)
     if unknown:
         st.caption(f"This scan has no {plain(st.query_params.get('feature'))}; the gravest finding is shown instead.")
     left, right = st.columns([11, 9])
     with left:
-        _views(desk, row, features, chosen)
+        _views(context, row, features, chosen)
     with right:
         if chosen is None:
             st.info("Nothing was found on this scan.")
         else:
-            close_up(desk, row, features, chosen)
+            close_up(context, row, features, chosen)
 
 
-def _newest(desk: Desk) -> str:
-    rows = desk.archive.rows(f"SELECT scene_id FROM scenes ORDER BY {NEWEST_FIRST}, scene_id LIMIT 1")
+def _newest(context: PageContext) -> str:
+    rows = context.archive.rows(f"SELECT scene_id FROM scenes ORDER BY {NEWEST_FIRST}, scene_id LIMIT 1")
     return str(rows["scene_id"].iloc[0]) if len(rows) else ""
 
 
-def _headline(desk: Desk, row: Any) -> None:
-    signed = desk.archive.review().sign_offs().get(row.scene_id)
+def _headline(context: PageContext, row: Any) -> None:
+    signed = context.archive.review().sign_offs().get(row.scene_id)
     with st.container(horizontal=True, vertical_alignment="center"):
         st.markdown(f"**{plain(row.aircraft_serial)} · panel {plain(row.panel)} · station {plain(row.station)}**")
         st.caption(
-            f"scanned {desk.habits.time(row.captured_at)} · rivets: {desk.habits.whole(row.n_rivets)}, "
-            f"seams: {desk.habits.whole(row.n_seams)} · rig {plain(row.rig_id)}"
+            f"scanned {context.locale.time(row.captured_at)} · rivets: {context.locale.whole(row.n_rivets)}, "
+            f"seams: {context.locale.whole(row.n_seams)} · rig {plain(row.rig_id)}"
         )
-        if standings := desk.archive.standings(str(row.scene_id)):
+        if standings := context.archive.standings(str(row.scene_id)):
             st.caption(f"findings: {said(standings)}")
         if row.rig_verdict in ("unjudged", "warning"):
             st.badge(f"rig {row.rig_verdict}", icon=":material/help:", color="orange")
@@ -102,7 +102,7 @@ def _headline(desk: Desk, row: Any) -> None:
         st.markdown(f":small[:orange[:material/warning:] {' · '.join(plain(warning) for warning in warnings)}]")
 
 
-def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
+def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     names = ["Picture", "Deviation map", "3-D", "Overlay", "Table", "Files"]
     view = st.segmented_control("View", names, label_visibility="collapsed", **one_of("view", names))
     show = {
@@ -112,16 +112,16 @@ def _views(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
         "Files": _files,
     }
     if view == "Table":
-        _table(desk, row, features, chosen)
+        _table(context, row, features, chosen)
     elif view in show:
-        show[view](desk, row)
+        show[view](context, row)
     else:
-        _picture(desk, row, features, chosen)
+        _picture(context, row, features, chosen)
 
 
-def _picture(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
-    picture = load_picture(desk.archive.file(row.preview_path))
-    fig = scene_figure(picture, features, chosen, desk.habits, _HEIGHT)
+def _picture(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
+    picture = load_picture(context.archive.file(row.preview_path))
+    fig = scene_figure(picture, features, chosen, context.locale, _HEIGHT)
     clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False})
     st.caption("Click a feature for its close-up; scroll to zoom, drag to move.")
 
@@ -131,24 +131,24 @@ def _choose(scene_id: str, feature: str) -> None:
     put(scene=scene_id, feature=feature)
 
 
-def _deviation(desk: Desk, row: Any) -> None:
-    field = _field(desk, row, _MAP_POINTS)
+def _deviation(context: PageContext, row: Any) -> None:
+    field = _field(context, row, _MAP_POINTS)
     if field is None:
         st.info("This scan has too few points for a map.")
         return
-    st.plotly_chart(deviation_map(field, desk.habits, _HEIGHT), key="map", config={"displaylogo": False})
+    st.plotly_chart(deviation_map(field, context.locale, _HEIGHT), key="map", config={"displaylogo": False})
     st.caption("Height above a smooth quadric through the whole field, mm; grey where there is no point.")
 
 
-def _cloud_view(desk: Desk, row: Any) -> None:
+def _cloud_view(context: PageContext, row: Any) -> None:
     first, second = st.columns(2)
-    most = first.selectbox("Points", _CLOUD_POINTS, format_func=desk.habits.whole, key="points")
+    most = first.selectbox("Points", _CLOUD_POINTS, format_func=context.locale.whole, key="points")
     relief = second.selectbox("Relief", _EXAGGERATIONS, index=2, format_func=lambda factor: f"× {factor}", key="relief")
-    field = _field(desk, row, int(most))
+    field = _field(context, row, int(most))
     if field is None:
         st.info("This scan has too few points to show.")
         return
-    st.plotly_chart(cloud_figure(field, float(relief), desk.habits, _HEIGHT - 60), key="cloud")
+    st.plotly_chart(cloud_figure(field, float(relief), context.locale, _HEIGHT - 60), key="cloud")
     st.caption("Thinned out so that it turns smoothly; the whole cloud is under Files.")
 
 
@@ -157,12 +157,12 @@ def _field_of(_cloud: StoredCloud, path: str, most: int) -> FieldDeviation | Non
     return field_deviation(_cloud, most)
 
 
-def _field(desk: Desk, row: Any, most: int) -> FieldDeviation | None:
-    return _field_of(desk.archive.cloud(row.cloud_path), str(row.cloud_path), most)
+def _field(context: PageContext, row: Any, most: int) -> FieldDeviation | None:
+    return _field_of(context.archive.cloud(row.cloud_path), str(row.cloud_path), most)
 
 
-def _overlay(desk: Desk, row: Any) -> None:
-    path = desk.archive.file(row.overlay_path)
+def _overlay(context: PageContext, row: Any) -> None:
+    path = context.archive.file(row.overlay_path)
     try:
         st.image(str(path), width="stretch")
     except OSError:  # what Pillow raises for a damaged picture
@@ -175,7 +175,7 @@ def _overlay(desk: Desk, row: Any) -> None:
             st.download_button("SVG", svg.read_bytes(), f"{row.scene_id}_overlay.svg", "image/svg+xml")
 
 
-def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
+def _table(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     from dashboard.tables import show_table
 
     at = feature_parameter(chosen) if chosen else None
@@ -186,7 +186,7 @@ def _table(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature | None
         show_table(
             rows,
             {"feature_id": f"{kind.subject.capitalize()}{'@mm' if kind.is_course else ''}", **_columns(kind)},
-            desk.habits,
+            context.locale,
             key=kind.table,
             height=220 if kind.is_course else 270,
             names=[feature_parameter(Feature(kind.name, str(name))) for name in rows["feature_id"]],
@@ -209,21 +209,21 @@ def _columns(kind: Kind) -> dict[str, str]:
     return {**columns, "decision": "Verdict", "reason": "Why"}
 
 
-def _files(desk: Desk, row: Any) -> None:
-    habits = desk.habits
+def _files(context: PageContext, row: Any) -> None:
+    locale = context.locale
     facts = {
         "Scene": row.scene_id,
         "Run": row.run_id,
-        "Inspected": habits.time(row.processed_at),
+        "Inspected": locale.time(row.processed_at),
         "Operator": row.operator,
         "Rig": f"{row.rig_id} (content {row.rig_hash})",
         "Software": f"Flushline {row.software_version}",
         "Settings": row.config_hash,
         "Limits": row.panel_spec,
-        "Points": f"{habits.whole(row.n_points)} ({habits.percent(row.valid_fraction)} of the picture)",
-        "Noise of a point": f"{habits.number(row.sigma_z_median_mm, 4)} mm",
-        "Rig fit": f"{row.rig_verdict or 'not judged'}: cameras {habits.number(row.epipolar_rms_px)} px, "
-        f"projector {habits.number(row.projector_rms_px, 4)} px",
+        "Points": f"{locale.whole(row.n_points)} ({locale.percent(row.valid_fraction)} of the picture)",
+        "Noise of a point": f"{locale.number(row.sigma_z_median_mm, 4)} mm",
+        "Rig fit": f"{row.rig_verdict or 'not judged'}: cameras {locale.number(row.epipolar_rms_px)} px, "
+        f"projector {locale.number(row.projector_rms_px, 4)} px",
         "Folder": row.bundle_path,
     }
     rows = [(name, "–" if _absent(value) else str(value)) for name, value in facts.items()]
@@ -235,12 +235,12 @@ def _files(desk: Desk, row: Any) -> None:
             ("Rig", f"{row.bundle_path}/rig.json", "application/json"),
             ("Manifest", f"{row.bundle_path}/manifest.json", "application/json"),
         ):
-            _download(desk, label, path, kind, row.scene_id)
+            _download(context, label, path, kind, row.scene_id)
 
 
-def _download(desk: Desk, label: str, path: object, kind: str, scene_id: str) -> None:
+def _download(context: PageContext, label: str, path: object, kind: str, scene_id: str) -> None:
     try:
-        file = desk.archive.file(path)
+        file = context.archive.file(path)
     except FlushlineError:
         st.button(label, disabled=True, help="The file is not in the store any more.", key=f"no {label}")
         return
@@ -248,7 +248,7 @@ def _download(desk: Desk, label: str, path: object, kind: str, scene_id: str) ->
     st.download_button(label, file.read_bytes, f"{scene_id}_{file.name}", kind, on_click="ignore", key=f"get {label}")
 
 
-def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, compact: bool = False) -> None:
+def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature, compact: bool = False) -> None:
     """What was measured at one feature, how it stands against its limits, and why.
 
     Parameters
@@ -282,31 +282,31 @@ def close_up(desk: Desk, row: Any, features: SceneFeatures, chosen: Feature, com
             station=row.station,
             name=str(getattr(measured, kind.id_columns[0])),
         )
-    _values(desk, row, measured, chosen)
+    _values(context, row, measured, chosen)
     if kind is RIVET:
-        _diameter(desk, measured)
+        _diameter(context, measured)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
         st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
     if compact:
         return
     try:
-        cloud, fits = desk.archive.cloud(row.cloud_path), desk.archive.fits(row.bundle_path)
+        cloud, fits = context.archive.cloud(row.cloud_path), context.archive.fits(row.bundle_path)
     except FlushlineError as problem:
         st.info(f"No close-up: {plain(problem)}")
         return
     if kind is RIVET:
-        _rivet(desk, row, measured, rivet_close_up(cloud, measured, fits.head(chosen.id)))
+        _rivet(context, row, measured, rivet_close_up(cloud, measured, fits.head(chosen.id)))
     elif kind is SEAM_STATION:
         fit = fits.section(str(measured.seam_id), float(measured.s_mm))
-        _seam(desk, seam_section(cloud, measured, fit))
+        _seam(context, seam_section(cloud, measured, fit))
 
 
-def _values(desk: Desk, row: Any, measured: Any, chosen: Feature) -> None:
+def _values(context: PageContext, row: Any, measured: Any, chosen: Feature) -> None:
     """Every value that was judged, with the limit it was judged by."""
-    habits = desk.habits
+    locale = context.locale
     try:
-        required = requirements(desk.archive, row.bundle_path, chosen, measured)
+        required = requirements(context.archive, row.bundle_path, chosen, measured)
     except FlushlineError:
         required = None
     if required is None:
@@ -315,44 +315,44 @@ def _values(desk: Desk, row: Any, measured: Any, chosen: Feature) -> None:
     for start in range(0, len(required), 2):
         for column, wanted in zip(st.columns(2), required[start : start + 2], strict=False):
             with column:
-                value = habits.measured(wanted.value, wanted.u95, wanted.unit, wanted.signed)
+                value = locale.measured(wanted.value, wanted.u95, wanted.unit, wanted.signed)
                 st.markdown(f":small[{wanted.name.capitalize()}] **{plain(value)}**")
                 if wanted.limit is None:
                     st.caption("no limit")
                     continue
                 st.plotly_chart(
-                    limit_bar(wanted.value, wanted.u95, wanted.limit, wanted.unit, habits),
+                    limit_bar(wanted.value, wanted.u95, wanted.limit, wanted.unit, locale),
                     key=f"bar-{wanted.name}-{wanted.limit}",
                     config={"displayModeBar": False, "staticPlot": True},
                 )
 
 
-def _diameter(desk: Desk, measured: Any) -> None:
+def _diameter(context: PageContext, measured: Any) -> None:
     """The head's diameter beside the one that its place asks for, where that is known."""
     if _absent(measured.diameter_nominal_mm) or _absent(measured.diameter_mm):
         return
-    found = desk.habits.measured(measured.diameter_mm, measured.diameter_u95_mm, "mm", False)
-    expected = desk.habits.number(measured.diameter_nominal_mm, 1)
+    found = context.locale.measured(measured.diameter_mm, measured.diameter_u95_mm, "mm", False)
+    expected = context.locale.number(measured.diameter_nominal_mm, 1)
     st.markdown(f":small[Diameter] **{plain(found)}** :small[of {expected} mm expected]")
 
 
-def _rivet(desk: Desk, row: Any, measured: Any, found: RivetCloseUp | str) -> None:
+def _rivet(context: PageContext, row: Any, measured: Any, found: RivetCloseUp | str) -> None:
     if isinstance(found, str):
         st.info(f"No close-up: {plain(found)}.")
         return
-    spec = desk.archive.specification(row.bundle_path)
+    spec = context.archive.specification(row.bundle_path)
     zone = None if _absent(measured.zone) else str(measured.zone)
     limit = limit_of(spec.zone(zone), RIVET.quantities[0]) if spec else None
     options = {"displaylogo": False}
-    st.plotly_chart(rivet_section(found, limit, desk.habits, 240), key="section", config=options)
-    st.plotly_chart(rivet_map(found, desk.habits, 250), key="rivet-map", config=options)
+    st.plotly_chart(rivet_section(found, limit, context.locale, 240), key="section", config=options)
+    st.plotly_chart(rivet_map(found, context.locale, 250), key="rivet-map", config=options)
 
 
-def _seam(desk: Desk, found: SeamSection | str) -> None:
+def _seam(context: PageContext, found: SeamSection | str) -> None:
     if isinstance(found, str):
         st.info(f"No section: {plain(found)}.")
         return
-    st.plotly_chart(seam_figure(found, desk.habits, 360), key="section", config={"displaylogo": False})
+    st.plotly_chart(seam_figure(found, context.locale, 360), key="section", config={"displaylogo": False})
     st.caption(
         "L1, L2: skin lines of sides A and B. D, G: inflection points in the gap. D′, G′: ideal edges on the lines. "
         "H: step, B above A. W: width. As the inspection fitted them."

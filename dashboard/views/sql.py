@@ -6,7 +6,7 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from dashboard.address import one_of
-from dashboard.frame import Desk, plain
+from dashboard.frame import PageContext, plain
 from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
 from metrology.errors import FlushlineError, UsageError
@@ -32,9 +32,9 @@ _EXAMPLES = {
 }
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
-    saved = SavedQueries(desk.archive.root)
+    saved = SavedQueries(context.archive.root)
     kept = _saved(saved)
     # An older version let a saved query take an example's name: both are there, and that one can be forgotten.
     names = {(f"{name} (saved)" if name in _EXAMPLES else name): name for name in kept}
@@ -43,7 +43,7 @@ def render(desk: Desk) -> None:
     with right:
         _describe_tables()
     with left:
-        _ask(desk, known, names, saved)
+        _ask(context, known, names, saved)
 
 
 def _saved(saved: SavedQueries) -> dict[str, str]:
@@ -54,7 +54,7 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
         return {}
 
 
-def _ask(desk: Desk, known: dict[str, str], names: dict[str, str], saved: SavedQueries) -> None:
+def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], saved: SavedQueries) -> None:
     name = st.selectbox("Examples and saved queries", list(known), **one_of("query", list(known)))
     if st.session_state.get("sql_of") != name:
         st.session_state["sql_of"], st.session_state["sql"] = name, known.get(str(name), "")
@@ -63,25 +63,25 @@ def _ask(desk: Desk, known: dict[str, str], names: dict[str, str], saved: SavedQ
     )
     with st.container(horizontal=True, vertical_alignment="bottom"):
         run = st.button("Run", type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
-        _keep(desk, names, saved, str(name), sql)
-        st.caption(f"at most {desk.habits.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s")
+        _keep(context, names, saved, str(name), sql)
+        st.caption(f"at most {context.locale.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s")
     if run:
         st.session_state["answer"] = None
         try:
             queue = st.empty()
             with st.spinner("Asking the archive …"):
-                st.session_state["answer"] = run_query(desk.archive.root, sql, on_wait=lambda: _say_waiting(queue))
+                st.session_state["answer"] = run_query(context.archive.root, sql, on_wait=lambda: _say_waiting(queue))
             queue.empty()
         except FlushlineError as problem:
             st.error(plain(problem), icon=":material/error:")
     answer = st.session_state.get("answer")
     if answer is not None:
-        note = f", the first {desk.habits.whole(len(answer.rows))} shown" if answer.truncated else ""
-        st.caption(f"{'more than ' if answer.truncated else ''}{desk.habits.whole(len(answer.rows))} rows{note}")
+        note = f", the first {context.locale.whole(len(answer.rows))} shown" if answer.truncated else ""
+        st.caption(f"{'more than ' if answer.truncated else ''}{context.locale.whole(len(answer.rows))} rows{note}")
         st.dataframe(answer.rows, hide_index=True, height=330)
         st.download_button(
             "Download CSV",
-            lambda: csv_report(answer.rows, desk.habits),
+            lambda: csv_report(answer.rows, context.locale),
             "query.csv",
             "text/csv",
             on_click="ignore",
@@ -93,9 +93,9 @@ def _say_waiting(place: DeltaGenerator) -> None:
     place.caption(f"{AT_ONCE} queries of others are running; this one starts when one of them ends.")
 
 
-def _keep(desk: Desk, names: dict[str, str], saved: SavedQueries, chosen: str, sql: str) -> None:
+def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chosen: str, sql: str) -> None:
     """Save this query for everyone, or forget a saved one (`names`: what is shown, and the name it is kept by)."""
-    if not desk.person.may_review:
+    if not context.person.may_review:
         return
     with st.popover("Save", icon=":material/bookmark:"):
         name = st.text_input("Name", key="query_name", max_chars=80)

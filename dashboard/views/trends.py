@@ -10,8 +10,8 @@ from dashboard.address import one_of
 from dashboard.figures.trends import control_figure, histogram, layout_figure, pareto_figure
 from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
-from dashboard.frame import Desk, go, plain
-from dashboard.habits import Habits, with_minus
+from dashboard.frame import PageContext, go, plain
+from dashboard.locale import Locale, with_minus
 from dashboard.picking import clickable_chart
 from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
@@ -50,23 +50,23 @@ _SETTLED = 20
 _MEASURES = {"mean value": "mean", "share outside": "outside"}
 
 
-def render(desk: Desk) -> None:
+def render(context: PageContext) -> None:
     """Show the page."""
-    subject, quantity, selection, rules = _choose(desk)
+    subject, quantity, selection, rules = _choose(context)
     if subject is None:
         st.info("There is nothing of this kind on that panel and station.")
         return
     view = st.segmented_control("View", _VIEWS, label_visibility="collapsed", **one_of("view", _VIEWS))
     if view == _VIEWS[1]:
-        _pareto(desk, selection)
+        _pareto(context, selection)
     elif view == _VIEWS[2]:
-        _map(desk, subject, quantity, selection)
+        _map(context, subject, quantity, selection)
     else:
-        _control(desk, subject, quantity, selection, rules)
+        _control(context, subject, quantity, selection, rules)
 
 
-def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
-    archive = desk.archive
+def _choose(context: PageContext) -> tuple[Subject | None, Quantity, Selection, str]:
+    archive = context.archive
     boxes = st.columns([1.2, 1.2, 1, 1.2, 1.2, 1.2, 1.2])
     kind = boxes[0].selectbox("Trend of", list(SUBJECTS), **one_of("what", list(SUBJECTS)))
     panel = station = name = ""
@@ -89,16 +89,16 @@ def _choose(desk: Desk) -> tuple[Subject | None, Quantity, Selection, str]:
 
 
 def _control(
-    desk: Desk,
+    context: PageContext,
     subject: Subject,
     quantity: Quantity,
     selection: Selection,
     rules: str,
 ) -> None:
-    groups = limit_groups(desk.archive, subject, quantity, selection)
+    groups = limit_groups(context.archive, subject, quantity, selection)
     standard = standard_of(groups)
     limit = standard.limit
-    rows = series(desk.archive, subject, quantity, selection, standard)
+    rows = series(context.archive, subject, quantity, selection, standard)
     rows = rows[rows["n"] > 0].reset_index(drop=True)
     if rows.empty:
         st.info("Nothing was measured here in that time. Choose a longer one, or another feature.")
@@ -106,7 +106,7 @@ def _control(
     chart = individuals_chart(rows["value"].to_numpy(float))
     tests = _RULES[rules]
     violations = rule_violations(chart, tests)
-    values = spread(desk.archive, subject, quantity, selection, standard)
+    values = spread(context.archive, subject, quantity, selection, standard)
     shown = quantity.against(standard)
     if standard.note:
         st.caption(with_minus(standard.note))
@@ -118,16 +118,16 @@ def _control(
             st.info("A distribution needs at least two values.")
         else:
             judged = limit if has_capability(groups) else None
-            _capability(capability_of(subject, rows, values, judged), subject, judged, desk.habits)
+            _capability(capability_of(subject, rows, values, judged), subject, judged, context.locale)
     with left:
-        fig = control_figure(rows, chart, violations, shown, limit, events(rows), desk.habits)
+        fig = control_figure(rows, chart, violations, shown, limit, events(rows), context.locale)
         clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False})
         each = "the mean over each aircraft" if subject.kind in ("panel", FASTENER_TYPE) else "one scan"
         st.caption(f"Each point is {each}; click one to open the scan. Dashed: tolerance limits.")
         _rules(rules, tests, violations, len(rows))
     if values is not None:
         distribution.plotly_chart(
-            histogram(values, shown, limit, desk.habits), key="histogram", config={"displaylogo": False}
+            histogram(values, shown, limit, context.locale), key="histogram", config={"displaylogo": False}
         )
 
 
@@ -147,7 +147,7 @@ def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n
     st.markdown(f":red[▲] Not steady by {title} rules: {said}.")
 
 
-def _capability(found: Capability | None, subject: Subject, limit: Limit | None, habits: Habits) -> None:
+def _capability(found: Capability | None, subject: Subject, limit: Limit | None, locale: Locale) -> None:
     if found is None:
         st.caption("Without a limit that holds for all of these values there is no capability.")
         return
@@ -155,55 +155,55 @@ def _capability(found: Capability | None, subject: Subject, limit: Limit | None,
     for box, (name, index) in zip(
         boxes, (("Cp", found.cp), ("Cpk", found.cpk), ("Pp", found.pp), ("Ppk", found.ppk)), strict=True
     ):
-        box.metric(name, habits.number(index.value, 2) if index else "–")
-        box.caption(_interval(index, habits))
+        box.metric(name, locale.number(index.value, 2) if index else "–")
+        box.caption(_interval(index, locale))
     if subject.averaged:
         st.caption("Cp and Cpk use the spread within a point of the chart, Pp and Ppk that of all values.")
     elif found.cp is None and limit is not None and (limit.lower is None or limit.upper is None):
         st.caption("Cp and Pp need both limits.")
     st.caption(
-        f"n {habits.whole(found.n)}, mean {habits.number(found.mean, sign=True)}, "
-        f"σ {habits.number(found.sigma_overall, 4)}; "
-        f"expected outside {habits.percent(found.outside_fraction, 2)}. 95 % intervals; limits {_limits(limit, habits)}"
+        f"n {locale.whole(found.n)}, mean {locale.number(found.mean, sign=True)}, "
+        f"σ {locale.number(found.sigma_overall, 4)}; "
+        f"expected outside {locale.percent(found.outside_fraction, 2)}. 95 % intervals; limits {_limits(limit, locale)}"
     )
 
 
-def _limits(limit: Limit | None, habits: Habits) -> str:
+def _limits(limit: Limit | None, locale: Locale) -> str:
     if limit is None:
         return "–"
-    low = "−∞" if limit.lower is None else habits.number(limit.lower, sign=True)
-    high = "+∞" if limit.upper is None else habits.number(limit.upper, sign=True)
+    low = "−∞" if limit.lower is None else locale.number(limit.lower, sign=True)
+    high = "+∞" if limit.upper is None else locale.number(limit.upper, sign=True)
     origin = " ".join(part for part in (limit.source, limit.revision) if part)
     return f"{low} … {high}" + (f" ({plain(origin)})" if origin else "")
 
 
-def _interval(index: Index | None, habits: Habits) -> str:
-    return f"{habits.number(index.low, 2)} … {habits.number(index.high, 2)}" if index else "–"
+def _interval(index: Index | None, locale: Locale) -> str:
+    return f"{locale.number(index.low, 2)} … {locale.number(index.high, 2)}" if index else "–"
 
 
-def _pareto(desk: Desk, selection: Selection) -> None:
-    bars = pareto(failing_panels(desk.archive, selection))
+def _pareto(context: PageContext, selection: Selection) -> None:
+    bars = pareto(failing_panels(context.archive, selection))
     if not bars:
         st.success("No finding of the newest scans is outside its limits.")
         return
-    st.plotly_chart(pareto_figure(bars, desk.habits, 380), key="pareto", config={"displaylogo": False})
+    st.plotly_chart(pareto_figure(bars, context.locale, 380), key="pareto", config={"displaylogo": False})
     st.caption(
         "Rivets and seam stations outside their limits on the newest scan of every station, all aircraft together."
     )
 
 
-def _map(desk: Desk, subject: Subject, quantity: Quantity, selection: Selection) -> None:
+def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: Selection) -> None:
     if not subject.panel:
         st.info("Choose a rivet, a seam or a panel to see its map.")
         return
     measure = st.segmented_control("Colour", list(_MEASURES), **one_of("measure", list(_MEASURES)))
-    standard = standard_of(limit_groups(desk.archive, Subject("panel", subject.panel), quantity, selection))
-    rows = layout(desk.archive, subject.panel, quantity, selection, standard)
+    standard = standard_of(limit_groups(context.archive, Subject("panel", subject.panel), quantity, selection))
+    rows = layout(context.archive, subject.panel, quantity, selection, standard)
     if rows.empty:
         st.info("Nothing was measured on this panel in that time.")
         return
     st.plotly_chart(
-        layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), desk.habits),
+        layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), context.locale),
         key="layout",
         config={"displaylogo": False},
     )

@@ -20,7 +20,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument("--port", type=int, default=8501)
     parser.add_argument("--address", default="localhost", help="where to listen; other than localhost needs a log-in")
     parser.add_argument(
-        "--settings", type=Path, metavar="FILE", help="roles and habits; default: dashboard.toml in the store"
+        "--settings", type=Path, metavar="FILE", help="roles, numbers and dates; default: dashboard.toml in the store"
     )
     parser.set_defaults(run=run)
 

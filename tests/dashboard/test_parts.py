@@ -1,4 +1,4 @@
-"""The parts behind the pages: habits, roles, close-ups against known geometry, figures, exports, trends."""
+"""The parts behind the pages: locale, roles, close-ups against known geometry, figures, exports, trends."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from dashboard.figures.scene import cloud_figure, scene_figure
 from dashboard.filters import newest_scan
 from dashboard.findings import Selection, Wanted, feature_from_parameter, feature_parameter, findings
 from dashboard.frame import plain
-from dashboard.habits import Habits, habits_of, with_minus
 from dashboard.launch import check_address, command, login_is_configured
+from dashboard.locale import Locale, locale_of, with_minus
 from dashboard.palette import BLUE, GREEN, RED
 from dashboard.pictures import load_picture
 from dashboard.review_report import csv_report, html_report
@@ -48,32 +48,32 @@ def archive(filled: Path) -> Archive:
     return Archive(filled)
 
 
-# -- habits
+# -- locale
 
 
 def test_numbers_and_times_as_people_write_them() -> None:
-    german, american = habits_of("de-DE", "Europe/Berlin"), habits_of("en-US", "America/New_York")
+    german, american = locale_of("de-DE", "Europe/Berlin"), locale_of("en-US", "America/New_York")
     assert german.number(-1234.5678) == "−1.234,568"
     assert american.number(-1234.5678) == "−1,234.568"
     assert german.time(MOMENT) == "20.11.2026 21:05"
     assert american.time(MOMENT) == "11/20/2026 3:05 PM"
-    assert Habits().time(MOMENT) == "2026-11-20 20:05"
+    assert Locale().time(MOMENT) == "2026-11-20 20:05"
     assert german.measured(0.0612, 0.003, "mm").replace("\u00a0", " ") == "+0,061 ± 0,003 mm"
-    assert Habits().number(-0.0001) == "0.000"
+    assert Locale().number(-0.0001) == "0.000"
     reason = "step -0.275 ± 0.003 mm outside -0.200 … +0.200 (D-12 3-4); ISO 14253-1, rig-2026-11-02"
     assert with_minus(reason) == reason.replace("-0.", "−0.")
 
 
 @pytest.mark.parametrize("nothing", [None, float("nan"), float("inf"), "x", pd.NaT])
 def test_nothing_is_a_dash(nothing: object) -> None:
-    assert Habits().number(nothing) == Habits().time(nothing) == Habits().day(nothing) == "–"
+    assert Locale().number(nothing) == Locale().time(nothing) == Locale().day(nothing) == "–"
 
 
 @pytest.mark.parametrize(
     ("locale", "zone"), [(None, None), ("", "Mars/Base"), ("xx-YY", "../../etc/passwd"), ("💥", "💥")]
 )
 def test_a_browser_may_claim_anything(locale: str | None, zone: str | None) -> None:
-    assert habits_of(locale, zone).time(MOMENT)
+    assert locale_of(locale, zone).time(MOMENT)
 
 
 def test_text_of_others_is_never_markup() -> None:
@@ -196,7 +196,7 @@ def test_field_deviation_takes_the_skin_off(archive: Archive) -> None:
     assert np.isfinite(field.deviation).sum() < 31_000
     left = field.deviation[:, : field.deviation.shape[1] // 2]
     assert abs(np.nanmedian(left)) < 0.02
-    assert len(cloud_figure(field, 50, Habits()).to_json()) < 3_000_000
+    assert len(cloud_figure(field, 50, Locale()).to_json()) < 3_000_000
 
 
 # -- figures
@@ -207,7 +207,7 @@ def test_scene_figure_carries_what_a_click_needs(archive: Archive) -> None:
     picture = load_picture(archive.file(row.preview_path))
     worst = worst_feature(features)
     assert worst == Feature("rivet", "R04")
-    fig = scene_figure(picture, features, worst, Habits())
+    fig = scene_figure(picture, features, worst, Locale())
     carried = [name for trace in fig.data if trace.customdata is not None for name in trace.customdata]
     assert sorted(n for n in carried if n.startswith("rivet")) == sorted(
         f"rivet:{n}" for n in features["rivet"]["rivet_id"]
@@ -228,16 +228,16 @@ def test_close_up_figures_draw(archive: Archive) -> None:
     judged = requirements(archive, row.bundle_path, Feature("rivet", rivet.rivet_id), rivet)
     assert judged is not None
     assert [(r.name, r.limit.upper) for r in judged if r.limit] == [("height", 0.1), ("tilt", 1.0)]
-    section = rivet_section(found, judged[0].limit, Habits())
+    section = rivet_section(found, judged[0].limit, Locale())
     assert {"head as fitted", "skin as fitted"} <= {trace.name for trace in section.data}
     assert any(
         f"{rivet.height_mean_mm:+.3f} mm".replace("-", "−") in (a.text or "") for a in section.layout.annotations
     )
-    assert rivet_map(found, Habits()).data
+    assert rivet_map(found, Locale()).data
     station = list(features["seam station"].itertuples())[10]
     seam = seam_section(cloud, station, fits.section(station.seam_id, station.s_mm))
     assert not isinstance(seam, str)
-    fig = seam_figure(seam, Habits("de"))
+    fig = seam_figure(seam, Locale("de"))
     letters = {trace.text[0] for trace in fig.data if trace.text}
     assert letters == {f"<b>{letter}</b>" for letter in ("D", "G", "D′", "G′")}
     said = " ".join(annotation.text or "" for annotation in fig.layout.annotations)
@@ -247,7 +247,7 @@ def test_close_up_figures_draw(archive: Archive) -> None:
 @pytest.mark.parametrize("limit", [None, Limit(upper=1.0), Limit(-0.1, 0.1, -0.2, 0.2)])
 @pytest.mark.parametrize("value", [None, 0.05, float("nan"), 1e6])
 def test_limit_bar_takes_any_limit_and_value(limit: Limit | None, value: float | None) -> None:
-    bar = limit_bar(value, None, limit, "mm", Habits())
+    bar = limit_bar(value, None, limit, "mm", Locale())
     low, high = bar.layout.xaxis.range
     assert np.isfinite([low, high]).all()
     assert low < high
@@ -259,16 +259,16 @@ def test_limit_bar_takes_any_limit_and_value(limit: Limit | None, value: float |
 
 
 def test_limits_stay_legible_beside_a_value_far_outside() -> None:
-    bar = limit_bar(5.0, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Habits())
+    bar = limit_bar(5.0, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Locale())
     low, high = bar.layout.xaxis.range
     assert high - low < 1.0
     assert bar.data[0].marker.symbol == "triangle-right"
     assert low < bar.data[0].x[0] < high
     assert {shape.fillcolor for shape in bar.layout.shapes} == {RED, BLUE, GREEN}
     # Without a serious limit nothing is seriously outside.
-    plain_limit = limit_bar(5.0, 0.003, Limit(-0.1, 0.1), "mm", Habits())
+    plain_limit = limit_bar(5.0, 0.003, Limit(-0.1, 0.1), "mm", Locale())
     assert {shape.fillcolor for shape in plain_limit.layout.shapes} == {BLUE, GREEN}
-    inside = limit_bar(-0.25, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Habits())
+    inside = limit_bar(-0.25, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Locale())
     assert inside.data[0].marker.symbol == "diamond"
     assert inside.data[0].x[0] == -0.25
 
@@ -315,30 +315,30 @@ def test_features_survive_the_url(feature: Feature) -> None:
     assert feature_from_parameter(feature_parameter(feature)) == feature
 
 
-def test_csv_in_both_habits_and_without_formulas(archive: Archive) -> None:
+def test_csv_in_both_locales_and_without_formulas(archive: Archive) -> None:
     rows = findings(archive, Wanted()).head(3)
     rows.loc[0, "reason"] = "=HYPERLINK(1)"
-    german = csv_report(rows, Habits("de")).decode("utf-8-sig").splitlines()
+    german = csv_report(rows, Locale("de")).decode("utf-8-sig").splitlines()
     assert ";" in german[0]
     assert f"{rows['value_mm'][0]}".replace(".", ",") in german[1]
     assert "'=HYPERLINK(1)" in german[1]
-    assert pd.read_csv(pd.io.common.BytesIO(csv_report(rows, Habits("us"))))["value_mm"][0] == rows["value_mm"][0]
+    assert pd.read_csv(pd.io.common.BytesIO(csv_report(rows, Locale("us"))))["value_mm"][0] == rows["value_mm"][0]
 
 
 def test_a_querys_csv_has_harmless_names_and_its_numbers() -> None:
     rows = pd.DataFrame([["-cmd", -0.5, -1.5], ["+x", None, 2.0]], columns=["=name", "n", "n"])
-    assert csv_report(rows, Habits("us")).decode("utf-8-sig").splitlines() == [
+    assert csv_report(rows, Locale("us")).decode("utf-8-sig").splitlines() == [
         "'=name,n,n",
         "'-cmd,-0.5,-1.5",
         "'+x,,2.0",
     ]
-    assert csv_report(rows, Habits("de")).startswith(b"\xef\xbb\xbf'=name;n;n\r\n'-cmd;-0,5;-1,5")
+    assert csv_report(rows, Locale("de")).startswith(b"\xef\xbb\xbf'=name;n;n\r\n'-cmd;-0,5;-1,5")
 
 
 def test_html_report_is_one_safe_page(archive: Archive) -> None:
     rows = findings(archive, Wanted()).head(5)
     rows.loc[0, "reason"] = "<script>alert(1)</script>"
-    page = html_report(rows, archive, Habits(), "Hall <7>").decode()
+    page = html_report(rows, archive, Locale(), "Hall <7>").decode()
     assert "<script>" not in page
     assert "Hall &lt;7&gt;" in page
     assert page.count("data:image/jpeg") == 5

@@ -25,7 +25,7 @@ from dashboard.findings import (  # noqa: E402
     feature_parameter,
     findings,
 )
-from dashboard.habits import Habits  # noqa: E402
+from dashboard.locale import Locale  # noqa: E402
 from dashboard.pictures import load_picture  # noqa: E402
 from dashboard.scenes import load_features, load_scene_row, requirements, worst_feature  # noqa: E402
 from dashboard.trends import QUANTITIES, SUBJECTS, Subject, series  # noqa: E402
@@ -126,7 +126,7 @@ def main(data: Path, folder: Path) -> dict[str, Any]:
     archive = Archive(store.root)
     row = load_scene_row(archive, scene)
     features = load_features(archive, row)
-    figure = scene_figure(load_picture(archive.file(row.preview_path)), features, mark, Habits())
+    figure = scene_figure(load_picture(archive.file(row.preview_path)), features, mark, Locale())
     chosen = features[KIND.name].iloc[0]
     trend = series(archive, Subject("mark", "LH-F12", "S7", "T1"), QUANTITIES["depth"], Selection())
     return found | {

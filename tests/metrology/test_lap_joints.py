@@ -10,14 +10,15 @@ from seam_scan import Relief, seam_scan
 from seam_textures import Band
 
 from metrology.fits import SkinLine
-from metrology.limits import Limit, PanelSpec, Zone
-from metrology.results import SeamStation
+from metrology.kinds import SEAM_STATION
+from metrology.limits import Limit, PanelSpec
 from metrology.seams import detect_seams, measure_seams
 from metrology.seams.lap_shadow import shadow_alone
 from metrology.seams.leaning import shared_share
 from metrology.seams.sections import Section
 from metrology.surfaces import Frame
-from metrology.tolerance import judge_stations
+from metrology.tolerance import judge
+from tests.metrology.rows import station_at
 
 
 @pytest.mark.parametrize(("angle", "step"), [(80.0, -1.0), (10.0, 0.5)])
@@ -64,9 +65,10 @@ def test_wall_and_shadow_of_a_step_are_no_gap(gap, lap, rng):
 
 
 def test_limit_of_the_width_does_not_ask_a_lap_joint():
-    spec = PanelSpec("P", "A", {"default": Zone(step_mm=Limit(-1.5, 1.5), width_mm=Limit(1.0, 3.0))})
-    station = SeamStation("S01", 0.0, 0.0, 0.0, 700.0, 1.0, 1.0, 1.0, 0.01, reason="lap joint: no gap", joint="lap")
-    judged = judge_stations([station, replace(station, joint="butt")], spec)
+    spec = PanelSpec("P", "A", {"default": {"step_mm": Limit(-1.5, 1.5), "width_mm": Limit(1.0, 3.0)}})
+    values = {"step_mm": 1.0, "step_u95_mm": 0.01, "reason": "lap joint: no gap", "joint": "lap"}
+    station = station_at("S01", 0.0, (0.0, 0.0, 700.0), (1.0, 1.0), **values)
+    judged = judge(SEAM_STATION, [station, replace(station, joint="butt")], spec)
     assert [s.decision for s in judged] == ["pass", "not measured"]
 
 

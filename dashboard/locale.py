@@ -19,8 +19,8 @@ _MINUS, _THIN_SPACE, _NARROW_SPACE = "−", "\u202f", "\u00a0"
 
 
 @dataclass(frozen=True)
-class Habits:
-    """A person's way to write.
+class Locale:
+    """How a person writes numbers and times.
 
     Attributes
     ----------
@@ -106,16 +106,16 @@ def with_minus(text: str) -> str:
     return re.sub(r"(?<!\w)-(?=\d)", _MINUS, text)
 
 
-def habits_of(locale: str | None, timezone: str | None, style: str | None = None) -> Habits:
-    """Habits for a browser's locale and time zone; `style` wins where it is given."""
-    language, _, region = (locale or "").replace("_", "-").partition("-")
+def locale_of(tag: str | None, timezone: str | None, style: str | None = None) -> Locale:
+    """Locale for a browser's locale and time zone; `style` wins where it is given."""
+    language, _, region = (tag or "").replace("_", "-").partition("-")
     guessed: Style = "us" if region.upper() == "US" else "de" if language.lower() in ("de", "fr", "es", "it") else "iso"
     chosen = next((known for known in STYLES if known == style), guessed)
     try:
         zone: tzinfo = ZoneInfo(timezone) if timezone else UTC
     except (OSError, ValueError, LookupError):  # a browser can claim anything
         zone = UTC
-    return Habits(chosen, zone)
+    return Locale(chosen, zone)
 
 
 def _finite(value: object) -> float | None:
