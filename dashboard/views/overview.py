@@ -15,12 +15,14 @@ from dashboard.locale import Locale
 from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
 from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
-from metrology.kinds import KINDS
+from metrology.kinds import KINDS, Kind
 from storage.archive.views import NEWEST_TIME
 from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
 
 TITLE = "Overview"
 _MOST_ROWS = 200
+# The column of each open decision's count.
+_COLUMNS = {decision: decision.replace(" ", "_") for decision in OPEN_DECISIONS}
 
 
 def render(context: PageContext) -> None:
@@ -44,36 +46,40 @@ def render(context: PageContext) -> None:
 def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
     """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
     condition, selected = selection.where()
+    features = " + ".join(f"coalesce({_rows(kind)}, 0)" for kind in KINDS)
+    by_decision = ", ".join(
+        f"count(*) FILTER (newest AND decision = '{decision}') AS {column}" for decision, column in _COLUMNS.items()
+    )
     sql = f"""
 WITH s AS (
-    SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, n_rivets, n_stations,
-        rig_verdict
+    SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, rig_verdict,
+        {features} AS features
     FROM latest_scenes WHERE {condition}
 ), f AS (
     SELECT *, scene_id IN (SELECT scene_id FROM s) AS newest FROM ({findings_sql(near=condition, scenes=condition)})
 ), per_panel AS (
     SELECT aircraft_serial, panel,
-        count(*) FILTER (newest AND decision = 'fail') AS fail,
-        count(*) FILTER (newest AND decision = 'conditional fail') AS conditional_fail,
-        count(*) FILTER (newest AND decision = 'not measured') AS not_measured,
-        count(*) FILTER (newest AND decision = 'conditional pass') AS conditional_pass,
+        {by_decision},
         max(abs(value_mm)) FILTER (newest) AS worst_mm,
         count(*) FILTER (state <> '{DECIDED}') AS waiting,
         count(*) FILTER (state = '{OPEN_WORK}') AS open_work
     FROM f GROUP BY ALL
 ), panels AS (
-    SELECT aircraft_serial, panel, sum(n_rivets) AS n_rivets, sum(n_stations) AS n_stations, count(*) AS scenes,
+    SELECT aircraft_serial, panel, sum(features) AS features, count(*) AS scenes,
         count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, {NEWEST_TIME} AS last_scan
     FROM s GROUP BY ALL
 )
-SELECT aircraft_serial, panel, {
-        _counted("waiting", "open_work", "fail", "conditional_fail", "not_measured", "conditional_pass")
-    },
-    (coalesce(n_rivets, 0) + coalesce(n_stations, 0))::BIGINT AS features, worst_mm, scenes, unjudged, last_scan
+SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.values(), "features")},
+    worst_mm, scenes, unjudged, last_scan
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """
     return context.archive.rows_with_review(sql, [*selected, *selected, *selected * (2 * len(KINDS))])
+
+
+def _rows(kind: Kind) -> str:
+    """The column of `scenes` that counts a kind's features."""
+    return next(count.column for count in kind.counts if count.of != "names")
 
 
 def _counted(*columns: str) -> str:
@@ -112,8 +118,10 @@ def _totals(context: PageContext, panels: pd.DataFrame) -> None:
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    counts: dict[str, int] = {decision: int(panels[decision.replace(" ", "_")].sum()) for decision in OPEN_DECISIONS}
-    return {**counts, "pass": max(0, int(panels["features"].sum()) - sum(counts.values()))}
+    counts: dict[str, int] = {decision: int(panels[column].sum()) for decision, column in _COLUMNS.items()}
+    # What is unconfirmed is not counted among the features.
+    judged = sum(count for decision, count in counts.items() if decision != "unconfirmed")
+    return {**counts, "pass": max(0, int(panels["features"].sum()) - judged)}
 
 
 def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -> None:
