@@ -74,7 +74,7 @@ class FringeCode:
     """Phase-shifted fringes in several counts, Gray code, or both.
 
     The projector shows, for each count N, ``I_i(x) = a + b cos(2π N (x + ½)/W + ψ + 2π (i−1)/steps)``, i = 1 … steps
-    (paper eqs 1 and 3), with x the projector column (axis x) or row (axis y) and W the projector's size along that axis.
+    (paper eqs 1 and 3), with x the projector column (axis x) or row (axis y) and W the projector's size along the axis.
 
     Attributes
     ----------
