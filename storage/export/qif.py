@@ -10,6 +10,7 @@ from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 from metrology.results import COVERAGE_95, Decision
+from metrology.verdicts import DECISIONS
 from storage.documents import utc_text
 from storage.export.formats import Place
 from storage.export.qif_statistics import statistics
@@ -21,14 +22,8 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 FAMILY = {"mm": "UserDefinedLinear", "°": "UserDefinedAngular"}
 """QIF's kind of characteristic, by the unit of a quantity."""
-STATUS: dict[Decision, str] = {
-    "pass": "PASS",
-    "conditional pass": "PASS",
-    "conditional fail": "FAIL",
-    "fail": "FAIL",
-    "not measured": "NOT_ANALYZED",
-    "no limit": "NOT_ANALYZED",
-}
+_BY_TONE = {"good": "PASS", "fair": "PASS", "doubtful": "FAIL", "bad": "FAIL", "none": "NOT_ANALYZED"}
+STATUS: dict[Decision, str] = {decision: _BY_TONE[look.tone] for decision, look in DECISIONS.items()}
 """CharacteristicStatusEnum, by the decision; the decision itself is the attribute `decision` of the measurement."""
 INSPECTION = {"PASS": "PASS", "FAIL": "FAIL", "NOT_ANALYZED": "NOT_MEASURED"}
 _UNITS = (
