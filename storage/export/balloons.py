@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from html import escape
 from itertools import groupby
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from metrology.errors import StoreError
 from metrology.verdicts import SEVERITIES
@@ -30,13 +30,13 @@ def ballooned_map(subject: Subject, store: Store) -> str:
         drawn, tall = _station(scene, own, store, height)
         pictures.append(drawn)
         height += tall
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" width="{_WIDTH}" '
-        f'font-family="sans-serif"><title>{escape(subject.name)}</title>{"".join(pictures)}</svg>\n'
-    )
+    return Markup(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w} {height}" width="{w}" '
+        'font-family="sans-serif"><title>{name}</title>{pictures}</svg>\n'
+    ).format(w=_WIDTH, height=height, name=subject.name, pictures=Markup().join(pictures))
 
 
-def _station(scene: ExportedScene, own: Sequence[Characteristic], store: Store, top: int) -> tuple[str, int]:
+def _station(scene: ExportedScene, own: Sequence[Characteristic], store: Store, top: int) -> tuple[Markup, int]:
     path = store.file(scene.row["preview_path"])
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
@@ -46,12 +46,17 @@ def _station(scene: ExportedScene, own: Sequence[Characteristic], store: Store, 
     small = cv2.resize(picture, (_WIDTH, tall), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
     _, jpeg = cv2.imencode(".jpg", np.asarray(small), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     row = scene.row
-    title = escape(f"{row['aircraft_serial']} {row['panel']} {row['station']}, {utc_text(row['captured_at'])}")
-    marks = "".join(_balloon(group, scale) for group in _groups(own))
-    drawn = (
-        f'<g transform="translate(0 {top})"><text x="8" y="29" font-size="22">{title}</text>'
-        f'<g transform="translate(0 {_HEAD})"><image href="{data_uri(jpeg.tobytes(), "jpeg")}" width="{_WIDTH}" '
-        f'height="{tall}"/>{marks}</g></g>'
+    drawn = Markup(
+        '<g transform="translate(0 {top})"><text x="8" y="29" font-size="22">{title}</text>'
+        '<g transform="translate(0 {head})"><image href="{picture}" width="{w}" height="{tall}"/>{marks}</g></g>'
+    ).format(
+        top=top,
+        title=f"{row['aircraft_serial']} {row['panel']} {row['station']}, {utc_text(row['captured_at'])}",
+        head=_HEAD,
+        picture=data_uri(jpeg.tobytes(), "jpeg"),
+        w=_WIDTH,
+        tall=tall,
+        marks=Markup().join(_balloon(group, scale) for group in _groups(own)),
     )
     return drawn, tall + _HEAD
 
@@ -62,17 +67,30 @@ def _groups(own: Sequence[Characteristic]) -> Iterator[list[Characteristic]]:
         yield list(group)
 
 
-def _balloon(group: Sequence[Characteristic], scale: float) -> str:
+def _balloon(group: Sequence[Characteristic], scale: float) -> Markup:
     first, last = group[0], group[-1]
     u, v = (first.row["u_px"] + 0.5) * scale, (first.row["v_px"] + 0.5) * scale
     label = f"{first.number}–{last.number}" if last.number > first.number else f"{first.number}"
     half = max(_RADIUS, 4 + 3.6 * len(label))
     x, y = min(max(u + 26, half), _WIDTH - half), max(v - 26, _RADIUS)
     colour = SEVERITIES[first.row["severity"]].paper
-    said = escape(f"{first.feature}: {first.row['decision']}")
-    return (
-        f'<g><title>{said}</title><line x1="{u:.1f}" y1="{v:.1f}" x2="{x:.1f}" y2="{y:.1f}" stroke="{colour}" '
-        f'stroke-width="2"/><rect x="{x - half:.1f}" y="{y - _RADIUS:.1f}" width="{2 * half:.1f}" '
-        f'height="{2 * _RADIUS}" rx="{_RADIUS}" fill="#fff" stroke="{colour}" stroke-width="2"/>'
-        f'<text x="{x:.1f}" y="{y + 4.5:.1f}" font-size="13" text-anchor="middle">{label}</text></g>'
+    return Markup(
+        '<g><title>{said}</title><line x1="{u:.1f}" y1="{v:.1f}" x2="{x:.1f}" y2="{y:.1f}" stroke="{colour}" '
+        'stroke-width="2"/><rect x="{left:.1f}" y="{top:.1f}" width="{wide:.1f}" '
+        'height="{tall}" rx="{r}" fill="#fff" stroke="{colour}" stroke-width="2"/>'
+        '<text x="{x:.1f}" y="{line:.1f}" font-size="13" text-anchor="middle">{label}</text></g>'
+    ).format(
+        said=f"{first.feature}: {first.row['decision']}",
+        u=u,
+        v=v,
+        x=x,
+        y=y,
+        colour=colour,
+        left=x - half,
+        top=y - _RADIUS,
+        wide=2 * half,
+        tall=2 * _RADIUS,
+        r=_RADIUS,
+        line=y + 4.5,
+        label=label,
     )

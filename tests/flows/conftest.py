@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from metrology.fastening import Fasteners
 from metrology.fringe import FringeCode
 from metrology.results import SceneKey
 from metrology.rig_health import RigHealth
@@ -55,7 +56,7 @@ def fake_metrology_in(put: Callable[[Any, str, Any], None]) -> list[str]:
     for room, name, value in (
         (steps.reconstruct, "decode", result.reconstruction.left),
         (steps.reconstruct, "triangulate", result.reconstruction),
-        (steps.rivets, "detect_rivets", []),
+        (steps, "detect_fasteners", Fasteners([], [])),
         (steps.rig_health, "epipolar_health", RigHealth(0.06, 0.004, 200, 0.001, 400, "ok", None)),
         (steps.seams, "detect_seams", []),
         (steps.rivets, "measure_rivets", list(result.features["rivet"])),

@@ -38,14 +38,14 @@ def test_scenes_go_in_and_rows_come_out(
         "decode",
         "decode",
         "triangulate",
-        "detect_rivets",
+        "detect_fasteners",
         "detect_seams",
         "measure_rivets",
         "measure_seams",
         "draw_overlay",
     ]
     # The rig is checked beside what follows, and before anything is measured.
-    assert first.index("detect_rivets") < first.index("epipolar_health") < first.index("measure_rivets")
+    assert first.index("detect_fasteners") < first.index("epipolar_health") < first.index("measure_rivets")
     sql = "SELECT station, rivet_id, captured_at, u_right_px FROM rivets ORDER BY ALL"
     assert main(["query", sql, "--store", str(store), "--format", "json"]) == 0
     rows = json.loads(capsys.readouterr().out)

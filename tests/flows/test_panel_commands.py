@@ -28,7 +28,7 @@ def test_a_scene_and_a_panel_are_reported(store: str, tmp_path: Path, capsys: py
     page = tmp_path / "out" / "scene.html"
     assert main(["report", small_key().scene_id, "--store", store, "--out", str(page), "--csv"]) == EXIT_DONE
     assert capsys.readouterr().out.splitlines() == [
-        str(page), str(page.with_name("scene-rivets.csv")), str(page.with_name("scene-seam_stations.csv"))
+        str(page), *(str(page.with_name(f"scene-{table}.csv")) for table in ("rivets", "seam_stations", "holes"))
     ]  # fmt: skip
     assert page.with_name("scene-rivets.csv").read_bytes().startswith(b"\xef\xbb\xbfaircraft_serial,")
     panel = tmp_path / "panel.html"

@@ -122,7 +122,7 @@ LIES = {
     ),
     "another run": lambda run, _, scenes: rewrite(run, "scenes", with_column(scenes, "run_id", "zzz")),
     "two scenes": lambda run, _, scenes: rewrite(run, "scenes", pa.concat_tables([scenes, scenes])),
-    "a table": lambda run, _rivets, _scenes: rewrite(run, "x", None, rows={"holes": 1}),
+    "a table": lambda run, _rivets, _scenes: rewrite(run, "x", None, rows={"coupons": 1}),
     "a file's name": lambda run, _rivets, _scenes: rewrite(
         run, "x", None, files={"../../../x": {"bytes": 0, "sha256": ""}}
     ),

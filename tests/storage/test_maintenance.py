@@ -103,6 +103,9 @@ def test_compacted_parquet_holds_the_same_rows(store: Store) -> None:
     with duckdb.connect() as other:
         for table in TABLES:
             files = str(parquet / table.name / "*" / "*.parquet")
+            if table.name == "holes":  # there are none
+                assert not list((parquet / table.name).rglob("*.parquet"))
+                continue
             columns = ", ".join(column.name for column in table.columns)
             found = other.execute(f"SELECT {columns} FROM read_parquet(?) ORDER BY ALL", [files]).fetchall()
             with store.connect() as own:

@@ -17,14 +17,14 @@ from storage.archive.schema import KEY, SCENES, TABLES, Column, Table
 from storage.archive.views import View
 from tests.storage.results import copied, small_key, small_result
 
-HOLES = Table("holes", "One row per hole", (*KEY, Column("hole_id", "VARCHAR", "name of the hole")))
+COUPONS = Table("coupons", "One row per coupon", (*KEY, Column("coupon_id", "VARCHAR", "name of the coupon")))
 WIDER = replace(TABLES[1], columns=(*TABLES[1].columns, Column("torque_nm", "DOUBLE", "torque, N m")))
 ONE_WORD = tuple(replace(view, comment=view.comment.replace("newest", "latest")) for view in views.VIEWS)
 NEW_VIEW = (*views.VIEWS, View("torques", "Rivets with a torque", "SELECT * FROM rivets WHERE torque_nm IS NOT NULL"))
 OTHER_TABLES = {
     "one word of a view": (TABLES, ONE_WORD),
     "a column": ((SCENES, WIDER, *TABLES[2:]), NEW_VIEW),
-    "a table": ((*TABLES, HOLES), views.VIEWS),
+    "a table": ((*TABLES, COUPONS), views.VIEWS),
 }
 Other = Callable[[], Any]
 
@@ -53,8 +53,8 @@ def become(
     def result_tables(*arguments: Any) -> dict[str, pa.Table]:
         rows = written(*arguments)
         key = rows["scenes"].select([column.name for column in KEY])
-        if HOLES in tables:
-            rows["holes"] = key.append_column(pa.field("hole_id", pa.string()), pa.array(["H1"]))
+        if COUPONS in tables:
+            rows["coupons"] = key.append_column(pa.field("coupon_id", pa.string()), pa.array(["C1"]))
         if WIDER in tables:
             count = rows["rivets"].num_rows
             rows["rivets"] = rows["rivets"].append_column("torque_nm", pa.array([4.5] * count, pa.float64()))
@@ -73,7 +73,7 @@ def scenes(store: Store) -> int:
 def newer_rows(store: Store, kind: str) -> list[object]:
     sql = {
         "a column": "SELECT DISTINCT station FROM torques WHERE torque_nm = 4.5 ORDER BY 1",
-        "a table": "SELECT station FROM holes ORDER BY 1",
+        "a table": "SELECT station FROM coupons ORDER BY 1",
         "one word of a view": "SELECT station FROM scenes WHERE station IN ('S4', 'S6') ORDER BY 1",
     }[kind]
     return store.query(sql).column(0).to_pylist()
@@ -143,7 +143,7 @@ def test_a_run_that_no_index_has_tables_for_is_left_out_and_named(
     assert scenes(store) == 4
     [problem] = maintenance.rebuild(store.layout)
     assert "S4" in problem
-    assert ("torque_nm" if kind == "a column" else "holes") in problem
+    assert ("torque_nm" if kind == "a column" else "coupons") in problem
     assert maintenance.check(store.layout).problems == (problem,)
     assert scenes(store) == 4
     become(monkeypatch, *OTHER_TABLES[kind])

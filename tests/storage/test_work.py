@@ -33,9 +33,11 @@ def scan(
     """One scan with R1 and R2, R1 with this verdict and height, and a seam that passes."""
     key = small_key(station)
     base = small_result(replace(key, captured_at=key.captured_at + timedelta(days=days)), rivets=2)
-    first = replace(base.rivets[0], height_mean_mm=height_mm, decision=decision)
-    stations = tuple(replace(station, decision="pass", reason=None) for station in base.stations)
-    return replace(base, rivets=(first, base.rivets[1]), stations=stations, registration=registration or {})
+    first, second = base.features["rivet"]
+    first = replace(first, height_mean_mm=height_mm, decision=decision)
+    stations = tuple(replace(row, decision="pass", reason=None) for row in base.features["seam station"])
+    features = {**base.features, "rivet": (first, second), "seam station": stations}
+    return replace(base, features=features, registration=registration or {})
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +125,9 @@ def test_rivets_in_no_pattern_are_other_rivets_on_each_scan(tmp_path: Path) -> N
     extra = Feature("rivet", "X01")
     for days, decision in ((0, "fail"), (1, "pass")):
         base = scan(days, decision, registration={"status": "recognised", "unlisted": ["X01"]})  # type: ignore[arg-type]
-        store.publish(replace(base, rivets=(replace(base.rivets[0], rivet_id="X01"), base.rivets[1])))
+        first, second = base.features["rivet"]
+        features = {**base.features, "rivet": (replace(first, rivet_id="X01"), second)}
+        store.publish(replace(base, features=features))
         if not days:
             dispose(store.root, "m.weber", [seen(store, feature=extra)], "rework")
     assert stand(store) == "1 open work"
