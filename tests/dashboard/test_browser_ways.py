@@ -164,5 +164,5 @@ def test_from_the_runs_and_through_the_menu(server: tuple[str, Path], page: Any)
         ("Overview", "", "Where work waits"),
     ):
         page.get_by_role("link", name=name).first.click()
-        page.get_by_text(said).first.wait_for()
+        page.get_by_text(said).filter(visible=True).first.wait_for()
         at(page, path)
