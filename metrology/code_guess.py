@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from metrology.gray import runs_along_rows
+from metrology.gray import runs_along_rows, stripe_numbers
 from metrology.unwrap import order_lattice
 
 Array = NDArray[np.float64]
@@ -170,11 +170,7 @@ def _numbers(levels: NDArray, code: FringeCode, lsb: bool) -> NDArray[np.int64]:
         swing = stripes - levels[: code.fringe_frames].mean(0)
     else:
         swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
-    number, bit = np.zeros(levels.shape[1:], np.int64), np.zeros(levels.shape[1:], bool)
-    for one in swing[::-1] if lsb else swing:
-        bit = bit ^ (one > 0)
-        number = 2 * number + bit
-    return number
+    return stripe_numbers((swing[::-1] if lsb else swing) > 0)
 
 
 def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:

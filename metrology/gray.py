@@ -8,7 +8,7 @@ is right everywhere; with fewer, pixels close to a phase wrap take the order tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,15 @@ def stripe_positions(
     times = np.array(exposures, float)
     _read_stripes(frames, gray.bits, gray.inverse, gray.stripes, gray.shift, level, times, float(saturation), position)
     return position
+
+
+def stripe_numbers(bits: Iterable[NDArray[np.bool_]]) -> NDArray[np.int64]:
+    """(h, w) numbers of stripes, from the (h, w) bits of their Gray code, the most significant one first."""
+    number, bit = np.zeros((), np.int64), np.zeros((), np.bool_)
+    for one in bits:
+        bit = bit ^ one
+        number = 2 * number + bit
+    return number
 
 
 def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode, size: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, PixelFlag
 from metrology.fringe import FringeCode, GrayCode
-from metrology.gray import runs_along_rows
+from metrology.gray import runs_along_rows, stripe_numbers
 from metrology.jit import kernel
 from metrology.noise import NoiseModel
 from metrology.reconstruction_settings import ReconstructionSettings
@@ -102,11 +102,7 @@ def _noise(levels: Float32, gray: GrayCode, saturation: float) -> NoiseModel:
 
 def _numbers(swing: Float32, stripes: int) -> NDArray[np.int64]:
     """(h, w) stripe numbers; −1 for those that the code does not have."""
-    number = np.zeros(swing.shape[1:], np.int64)
-    bit = np.zeros(swing.shape[1:], bool)
-    for one in swing:
-        bit ^= one > 0
-        number = 2 * number + bit
+    number = stripe_numbers(swing > 0)
     return np.where(number < stripes, number, -1)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from metrology.calibration.board import Board
 from metrology.calibration.frames import CameraName
 from metrology.calibration.observations import Sighting
 from metrology.errors import CalibrationError
+from storage.frames import Frame, read_as_grey
 from storage.other_rigs import flat, numbers, read_document
 from storage.scene_names import cameras_of, matching, natural
 
@@ -66,13 +66,12 @@ def picture_pairs(folder: Path, pattern: str, left: str | None = None) -> list[d
     return [poses[pose] for pose in sorted(poses, key=natural)]
 
 
-def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def read_picture(path: Path) -> Frame:
     """A picture of a board in grey, whatever its format."""
-    picture = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    if picture is None or picture.dtype not in (np.uint8, np.uint16):
+    picture = read_as_grey(path)
+    if picture is None:
         raise CalibrationError(f"{path}: found no picture that can be read, expected PNG, TIFF, BMP or JPEG")
-    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    return grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
+    return picture
 
 
 def read_points(path: Path) -> list[Sighting]:

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.errors import StoreError
 from storage import png, tiff
 from storage.documents import ErrorType, brief, check_regular_file, read_bytes
 from storage.frame_source import BadFrame, FrameSource, open_source, source_of
@@ -90,6 +91,23 @@ def _read_into(frame: Frame, path: Path, expected: FrameHeader, error: ErrorType
         raise error(f"{path}: {problem}") from None
     except cv2.error:
         raise error(f"{path}: found a damaged image, expected {expected}") from None
+
+
+def read_preview(path: Path) -> NDArray[np.uint8]:
+    """A scene's texture, (h, w), as the store keeps it."""
+    texture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if texture is None:
+        raise StoreError(f"{path}: found no readable picture, expected the scene's preview")
+    return np.asarray(texture, np.uint8)
+
+
+def read_as_grey(path: Path) -> Frame | None:
+    """A picture of any format in grey, with its own depth; None where it is none that can be read."""
+    picture = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    if picture is None or picture.dtype not in (np.uint8, np.uint16):
+        return None
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)  # of three equal channels: these, exactly
+    return grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
 
 
 def checksum(data: bytes) -> int:
@@ -232,10 +250,8 @@ def _decode_into(frame: Frame, data: bytes, expected: FrameHeader) -> None:
         shape, dtype, order, start = _npy_layout(source_of(data))
         frame[:] = np.frombuffer(data, dtype, shape[0] * shape[1], start).reshape(shape, order=order)
         return
-    if data[:8] == png.SIGNATURE:
-        png.check_sums(data)
-        if png.decode_into(frame, data):
-            return
+    if data[:8] == png.SIGNATURE and png.decode_into(frame, data, png.checked_image_data(data)):
+        return
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is not None and decoded.ndim == 3 and (decoded == decoded[..., :1]).all():
         decoded = decoded[..., 0]  # a palette of greys

@@ -49,16 +49,20 @@ def stated_sums(data: bytes) -> bytes:
     return b"".join(data[start + length : start + length + 4] for _, start, length in _chunks(source_of(data)))
 
 
-def check_sums(data: bytes) -> None:
-    """Refuse a PNG with a chunk that is not what its checksum says."""
+def checked_image_data(data: bytes) -> bytes:
+    """The compressed samples of a PNG; one with a chunk that is not what its checksum says is refused."""
     view = memoryview(data)
-    for _, start, length in _chunks(source_of(data)):
+    parts = []
+    for kind, start, length in _chunks(source_of(data)):
         (stated,) = struct.unpack(">I", view[start + length : start + length + 4])
         if isal_zlib.crc32(view[start - 4 : start + length]) != stated:
             raise BadFrame(f"found a damaged PNG (checksum differs at byte {start}), expected a whole one")
+        if kind == b"IDAT":
+            parts.append(view[start : start + length])
+    return b"".join(parts)
 
 
-def decode_into(frame: NDArray[np.uint8] | NDArray[np.uint16], data: bytes) -> bool:
+def decode_into(frame: NDArray[np.uint8] | NDArray[np.uint16], data: bytes, image_data: bytes) -> bool:
     """Decode a PNG with samples of the frame's type, in one pass; False where it has another form or is damaged.
 
     Other threads go on meanwhile, and it takes half of OpenCV's time: ISA-L inflates, compiled code undoes the filters.
@@ -69,11 +73,9 @@ def decode_into(frame: NDArray[np.uint8] | NDArray[np.uint16], data: bytes) -> b
     row_bytes = width * frame.itemsize
     if struct.unpack_from(">IIBBBBB", data, 16) != (width, height, 8 * frame.itemsize, _GREY, 0, 0, 0):
         return False
-    view = memoryview(data)
-    parts = [view[start : start + length] for kind, start, length in _chunks(source_of(data)) if kind == b"IDAT"]
     stream = isal_zlib.decompressobj()
     try:
-        inflated = stream.decompress(b"".join(parts), height * (row_bytes + 1) + 1)
+        inflated = stream.decompress(image_data, height * (row_bytes + 1) + 1)
     except isal_zlib.error:  # type: ignore[misc]  # its stub does not say that it is an exception
         return False
     if not stream.eof or len(inflated) != height * (row_bytes + 1):

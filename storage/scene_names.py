@@ -6,13 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from storage.frames import Frame, read_header, write_frame
-from storage.scene import CAMERAS, Camera
+from storage.frames import read_as_grey, read_header, write_frame
+from storage.scene import Camera
 
 FIELDS = ("camera", "count", "step", "frame", "bit", "inverse")
 GREY = "grey"
@@ -138,18 +135,12 @@ def as_grey(path: Path, folder: Path) -> tuple[Path, str | None]:
         read_header(path, SceneError)
         return path, None
     except SceneError as problem:
-        picture = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-        if picture is None or picture.dtype not in (np.uint8, np.uint16):
+        frame = read_as_grey(path)
+        if frame is None:
             raise problem from None
-    alike = np.array_equal(picture[..., 0], picture[..., 1]) and np.array_equal(picture[..., 0], picture[..., 2])
-    grey = picture[..., 0] if alike else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     target = (folder / GREY / path.relative_to(folder)).with_suffix(".png")
     target.parent.mkdir(parents=True, exist_ok=True)
-    frame: Frame = grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
     write_frame(target, frame)
     lossy = path.suffix.lower() in (".jpg", ".jpeg")
     note = "JPEG has lost what the eye does not see, and phases do" if lossy else "colour was turned to grey"
     return target, note
-
-
-__all__ = ["CAMERAS", "as_grey", "by_count_and_step", "by_number", "cameras_of", "in_sequence", "matching", "natural"]

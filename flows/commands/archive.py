@@ -157,19 +157,14 @@ def export(options: argparse.Namespace) -> int:
 
 def ply(options: argparse.Namespace) -> int:
     """Write a scene's cloud as PLY."""
-    import cv2
-    import numpy as np
 
-    from metrology.errors import StoreError
     from storage.archive import Store
     from storage.cloud import read_cloud
+    from storage.frames import read_preview
     from storage.point_cloud import write_point_cloud
 
     paths = Store(options.store).paths(options.scene_id)
-    texture = cv2.imread(str(paths.preview), cv2.IMREAD_GRAYSCALE)
-    if texture is None:
-        raise StoreError(f"{paths.preview}: found no readable picture, expected the scene's preview")
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    points = write_point_cloud(options.out, read_cloud(paths.cloud), texture.astype(np.uint8))
+    points = write_point_cloud(options.out, read_cloud(paths.cloud), read_preview(paths.preview))
     print(f"{points} points in {options.out}")
     return 0

@@ -13,7 +13,7 @@ from storage.documents import utc_text
 from storage.export.balloons import ballooned_map
 from storage.export.delimited import write_delimited
 from storage.export.formats import Place
-from storage.export.subject import Characteristic, Subject
+from storage.export.subject import Characteristic, ExportedScene, Subject
 from storage.export.workbook import Sheet, SheetColumn, write_workbook
 
 
@@ -105,8 +105,8 @@ def _head(subject: Subject) -> list[tuple[object, ...]]:
     ]
 
 
-def _scan(scene: object) -> str:
-    row = scene.row  # type: ignore[attr-defined]
+def _scan(scene: ExportedScene) -> str:
+    row = scene.row
     return f"{row['station']} {utc_text(row['captured_at'])}"
 
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from markupsafe import Markup
 
-from metrology.errors import StoreError
 from metrology.verdicts import SEVERITIES
 from storage.archive.store import Store
 from storage.documents import utc_text
 from storage.export.subject import Characteristic, ExportedScene, Subject
+from storage.frames import read_preview
 from storage.report.markup import data_uri
 
 _WIDTH = 1600
@@ -37,10 +37,7 @@ def ballooned_map(subject: Subject, store: Store) -> str:
 
 
 def _station(scene: ExportedScene, own: Sequence[Characteristic], store: Store, top: int) -> tuple[Markup, int]:
-    path = store.file(scene.row["preview_path"])
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise StoreError(f"{path}: found no readable picture, expected the scene's preview")
+    picture = read_preview(store.file(scene.row["preview_path"]))
     scale = _WIDTH / picture.shape[1]
     tall = round(picture.shape[0] * scale)
     small = cv2.resize(picture, (_WIDTH, tall), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from metrology.errors import StoreError
 from storage.cloud import StoredCloud, read_cloud
 from storage.export.formats import Place
 from storage.export.subject import ExportedScene, Subject, stable_uuid
+from storage.frames import read_preview
 
 if TYPE_CHECKING:
     from storage.archive.store import Store
@@ -60,12 +60,9 @@ class SceneCloud:
 def scene_clouds(subject: Subject, store: Store) -> Iterator[SceneCloud]:
     """The clouds of a subject's scenes, each read when it is asked for."""
     for scene in subject.scenes:
-        preview = store.file(scene.row["preview_path"])
-        texture = cv2.imread(str(preview), cv2.IMREAD_GRAYSCALE)
-        if texture is None:
-            raise StoreError(f"{preview}: found no readable picture, expected the scene's preview")
+        texture = read_preview(store.file(scene.row["preview_path"]))
         cloud = read_cloud(store.file(scene.row["cloud_path"]))
-        found = SceneCloud(scene, cloud, np.asarray(texture, np.uint8))
+        found = SceneCloud(scene, cloud, texture)
         if not found.valid.any():
             raise StoreError(f"{scene.scene_id}: found a cloud without points, expected some to export")
         yield found
