@@ -39,7 +39,8 @@ def test_an_old_store_takes_it_and_loses_nothing(found: dict[str, Any]) -> None:
 
 
 def test_it_is_measured_judged_and_stored(found: dict[str, Any]) -> None:
-    assert found["steps"].index("measure_test_marks") > found["steps"].index("measure_seams")
+    seams = found["steps"].index("measure_seams")
+    assert found["steps"][seams : seams + 3] == ["measure_seams", "measure_holes", "measure_test_marks"]
     assert found["decisions"] == [["T1", "fail", "red"], ["T2", "pass", "green"], ["T3", "not measured", None]]
     assert found["in panel"] == [True, True, True]
     assert found["counted"] == {"n_test_marks": 3, "timed": True, "n_rivets": 3, "n_stations": 2}
