@@ -2,8 +2,8 @@
 
 Kernels release the interpreter lock and run over bands of rows, so plain threads share the work: no threading layer of
 numba's is involved (its default one must not be entered by two threads at once), and compiling takes a fraction of the
-time that ``parallel=True`` takes. A cached kernel does not notice when a kernel that it calls changes: kernels that
-call each other stay in one file.
+time that ``parallel=True`` takes. Numba compiles a kernel anew when its own file changes; here also when the file of a
+kernel that it calls does, or the value of a global that it reads.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numba
+import numpy as np
 
 # NaN marks missing values throughout, so "nnan" and "ninf" stay off.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -63,6 +64,8 @@ def _saved_in_turn(dispatcher: Any) -> Any:
     file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     if file is None:
         return dispatcher
+    if drawn := _drawn_upon(dispatcher):
+        file._source_stamp = (file._source_stamp, drawn)
     save = file.save
 
     def save_in_turn(key: Any, data: Any) -> None:
@@ -73,6 +76,25 @@ def _saved_in_turn(dispatcher: Any) -> Any:
 
     file.save = save_in_turn
     return dispatcher
+
+
+def _drawn_upon(dispatcher: Any) -> str:
+    """What a kernel takes from other files and from globals, as text that changes with it."""
+    function = getattr(dispatcher, "py_func", None)
+    if function is None:
+        return ""
+    values = {name: function.__globals__.get(name) for name in sorted(function.__code__.co_names)}
+    constants = {name: value for name, value in values.items() if isinstance(value, int | float | np.ndarray)}
+    taken = [f"{name}={np.asarray(value).tolist()}" for name, value in constants.items()]
+    for value in values.values():
+        callee = getattr(value, "py_func", None)
+        if callee is not None:
+            file = os.stat(callee.__code__.co_filename)
+            taken += [f"{file.st_mtime} {file.st_size}"] * (
+                callee.__code__.co_filename != function.__code__.co_filename
+            )
+            taken.append(_drawn_upon(value))
+    return ";".join(taken)
 
 
 def _temporary_cache() -> str:

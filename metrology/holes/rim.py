@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
+from metrology.robust import fit_circle
 from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ _FALL_MM = 0.25  # below the skin: over the rim
 _EDGE_SD_PX = 0.08  # systematic: what the blur of a curved edge and a wall's shine move it by
 _CLOUD_SD_PX = 0.5
 _SHARED = 4.0  # neighbouring edges that are worth one
-_TUKEY = 4.685
+_NEAREST_PX = 0.02  # of an edge off its place: sampled profiles tell it no better
 
 
 @dataclass(frozen=True)
@@ -146,24 +147,13 @@ def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
     """The circle through edges, those that lie off it left out."""
     if len(edges.x) < 8:
         return None
-    design = np.column_stack([edges.x, edges.y, np.ones_like(edges.x)])
-    target = edges.x**2 + edges.y**2
-    weights = np.ones(len(target))
-    for iteration in range(15):
-        weighted = design * weights[:, None]
-        solution = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ target)
-        x, y = 0.5 * solution[0], 0.5 * solution[1]
-        squared = float(solution[2] + x**2 + y**2)
-        if squared <= 0:
-            return None
-        off = np.abs(np.hypot(edges.x - x, edges.y - y) - np.sqrt(squared))
-        scale = 1.4826 * float(np.median(off)) + 0.02 * pixel_mm
-        t = off / (_TUKEY * scale)
-        weights = 1 / np.maximum(off, 0.1 * scale) if iteration < 8 else np.where(t < 1, (1 - t**2) ** 2, 0.0)
-    kept = weights > 0
-    spread = float(np.sqrt(np.mean(off[kept] ** 2)))
-    away = np.stack([edges.x - x, edges.y - y], axis=1)[kept]
+    found = fit_circle(edges.x, edges.y, _NEAREST_PX * pixel_mm)
+    if found is None:
+        return None
+    kept = found.weights > 0
+    spread = float(np.sqrt(np.mean(found.off(edges.x, edges.y)[kept] ** 2)))
+    away = np.stack([edges.x - found.x, edges.y - found.y], axis=1)[kept]
     rows = np.column_stack([away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
     # Neighbouring edges share their pixels: a quarter of them is independent.
     by_noise = spread * np.sqrt(_SHARED * np.linalg.inv(rows.T @ rows + 1e-9 * np.eye(3))[2, 2])
-    return RimCircle(float(x), float(y), float(np.sqrt(squared)), float(np.hypot(by_noise, edges.sd_px * pixel_mm)))
+    return RimCircle(found.x, found.y, found.radius, float(np.hypot(by_noise, edges.sd_px * pixel_mm)))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
 import stat
+import sys
 import tempfile
 import threading
 from collections.abc import Callable
@@ -94,3 +96,25 @@ def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.Mon
     assert cached(numba.njit(cache=True), twice)(1.5) == 3.0
     names = [path.suffix for path in tmp_path.rglob("*") if path.is_file()]
     assert sorted(names) == [".lock", ".nbc", ".nbi"]
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_in_another_file_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "outer_kernel.py").write_text(
+        "from metrology.jit import kernel\nfrom inner_kernel import FACTOR, inner\n\n\n"
+        "@kernel\ndef outer(x):\n    return FACTOR * inner(x)\n"
+    )
+
+    def outcome(inner: str) -> float:
+        (tmp_path / "inner_kernel.py").write_text(inner)
+        for name in ("inner_kernel", "outer_kernel"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        return float(importlib.import_module("outer_kernel").outer(2.0))
+
+    inner = "from metrology.jit import kernel\n\nFACTOR = {}\n\n\n@kernel\ndef inner(x):\n    return x + {}\n"
+    assert outcome(inner.format("1.0", "10.0")) == 12.0
+    assert outcome(inner.format("1.0", "20.00")) == 22.0
+    assert outcome(inner.format("3.0", "20.00")) == 66.0
