@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 import streamlit as st
-from browser import browser, served
 from streamlit.testing.v1 import AppTest
-from week import fill
+
+from tests.support.browser import browser, served
+from tests.support.week import fill
 
 
 @pytest.fixture(scope="session")
