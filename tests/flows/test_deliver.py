@@ -21,8 +21,8 @@ from flows.deliver import deliver
 from flows.inbox_job import Outcome
 from storage.archive import Store
 from storage.export.deliveries import CONFIGURATION
-from tests.storage.exported import deliver_panels
-from tests.storage.results import small_key, small_result
+from tests.support.exported import deliver_panels
+from tests.support.results import small_key, small_result
 
 SECRET = "whsec_" + base64.b64encode(b"a secret of thirty-two bytes ...").decode()
 

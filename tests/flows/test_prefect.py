@@ -9,9 +9,9 @@ import pytest
 from flows.cli import main
 from flows.prefect_server import answers, configured_api
 from storage.archive import Store
-from tests.flows.conftest import write_small_scene
-from tests.storage.exported import deliver_panels
-from tests.storage.results import small_key
+from tests.support.exported import deliver_panels
+from tests.support.results import small_key
+from tests.support.small_scene import write_small_scene
 
 
 @pytest.mark.services

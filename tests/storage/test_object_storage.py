@@ -16,9 +16,9 @@ from metrology.panel import NominalRivet, PanelLayout
 from storage.archive import Store, maintenance
 from storage.archive.compaction import compact
 from storage.archive.remote import Remote
-from tests.storage.exported import deliver_panels
-from tests.storage.results import small_key, small_result
-from tests.storage.s3 import bundles_uri, emulated_s3
+from tests.support.exported import deliver_panels
+from tests.support.results import small_key, small_result
+from tests.support.s3 import bundles_uri, emulated_s3
 
 pytest.importorskip("moto.server", reason="moto[server] emulates S3")
 pytestmark = pytest.mark.services

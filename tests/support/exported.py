@@ -12,7 +12,7 @@ from storage.export.deliveries import CONFIGURATION
 from storage.export.formats import Place, format_named, writer_of
 from storage.export.subject import Subject, panel_subject
 from storage.panel_spec import load_panel_spec
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 AIRCRAFT, PANEL = "MSN-1", "LH-F12"
 HOSTILE = ("=SUM(A1:A9)", "+1-1", "@x", "<b>&\"'</b>", "Nietkopf Ä ö ß €", "N" * 64, "a;b,c\td", "-0.5 mm")
