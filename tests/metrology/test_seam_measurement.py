@@ -110,6 +110,45 @@ GAPS = [
 ]
 
 
+def basis_of(samples, outline, sealed, tilt, eye, lamp, px_mm, table):
+    """(n, LEVELS) of one outline, as the fit goes about it."""
+    n, x, h = len(samples), np.empty(model.VERTICES), np.empty(model.VERTICES)
+    pieces = np.empty((model.PIECES, model.COLUMNS))
+    count = model.cut(outline, sealed, tilt, lamp, x, h, pieces)
+    ends, shown = np.empty(model.PIECES + 1), np.empty(model.PIECES + 1, np.int64)
+    found = model.visible(pieces, count, eye, 0.5 * (x[1] + x[6]), ends, shown)
+    borders = np.array([model.project(x[k], h[k], *eye) for k in (1, 6)])
+    spans, blurred = np.empty((model.PIECES, 2), np.int64), np.empty((1, model.PIECES, n))
+    model.steps_at(samples, n, ends, found - 1, px_mm, table, spans, blurred)
+    basis = np.empty((model.LEVELS, n))
+    model.basis_at(samples, n, pieces, shown, found, borders, spans, blurred[0], basis)
+    return basis.T
+
+
+def test_steps_and_their_changes_between_nodes():
+    normal, blur = (0.9, np.sqrt(0.19)), PixelBlur(0.4, 0.06)
+    samples, end, px_mm = np.linspace(-1.5, 1.5, 301), 0.13, 6.0
+
+    def at(lens, spill, end=end):
+        table = blurred_step(normal, PixelBlur(lens, spill), model.NODES_PER_PX, 6.0)
+        spans, blurred = np.empty((1, 2), np.int64), np.empty((4, 1, len(samples)))
+        model.steps_at(samples, len(samples), np.array([end]), 1, px_mm, table, spans, blurred)
+        blurred[:, 0, : spans[0, 0]] = blurred[:, 0, spans[0, 1] :] = 0
+        blurred[0, 0, spans[0, 1] :] = 1
+        return blurred[:, 0]
+
+    step, slope, by_spill, by_lens = at(blur.lens_px, blur.spill)
+    assert np.interp(end, samples, step) == pytest.approx(0.5, abs=1e-3)
+    fine = blurred_step(normal, blur, 40 * model.NODES_PER_PX, 6.0)
+    places = (np.arange(fine.shape[1]) - fine.shape[1] // 2) / (40 * model.NODES_PER_PX)
+    assert step == pytest.approx(np.interp((samples - end) * px_mm, places, fine[0]), abs=1e-5)
+    assert slope == pytest.approx(
+        (at(0.4, 0.06, end - 1e-5)[0] - at(0.4, 0.06, end + 1e-5)[0]) / 2e-5 / px_mm, abs=2e-4
+    )
+    assert by_spill == pytest.approx((at(0.4, 0.0601)[0] - at(0.4, 0.0599)[0]) / 2e-4, abs=2e-3)
+    assert by_lens == pytest.approx((at(0.401, 0.06)[0] - at(0.399, 0.06)[0]) / 2e-3, abs=2e-4)
+
+
 @pytest.mark.parametrize("gap", GAPS)
 def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     eye, lamp, px_mm = np.array([-160.0, 680.0]), np.array([60.0, 690.0]), 5.0
@@ -120,11 +159,8 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     ])  # fmt: skip
     # A blur of a hundredth of a pixel.
     table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), model.NODES_PER_PX, 3.0)
-    assert model._step(table, 0.0) == pytest.approx(0.5)
-    work = model.workspace()
-    basis = np.empty((len(samples), model.LEVELS))
     tilt = np.array([-gap.step_mm / 2, 0.0])
-    model._basis(samples, len(samples), outline, gap.sealed, tilt, eye, lamp, px_mm, table, work, basis)
+    basis = basis_of(samples, outline, gap.sealed, tilt, eye, lamp, px_mm, table)
     regions = {
         gap_render.SKIN_A: (model.SKIN_A, model.SKIN_A), gap_render.SKIN_B: (model.SKIN_B, model.SKIN_B),
         gap_render.CHAMFER_A: (model.CHAMFER_A, model.DARK_FLOOR),

@@ -27,27 +27,23 @@ from metrology.jit import kernel
 # Parameters of one station's outline: x of both borders C, the chamfers' widths, the floor's depth (mm), the walls'
 # lean and the chamfers' slope (tangents).
 A, B, CHAMFER_WIDTH_A, CHAMFER_WIDTH_B, DEPTH, LEAN, CHAMFER_SLOPE, OUTLINE = range(8)
-# Tables of the blurred step: as it is, and with a little more lens and a little more spill.
-NOMINAL, MORE_LENS, MORE_SPILL, TABLES = range(4)
 
-_VERTICES = 8
+VERTICES = 8
 # Of the polyline's pieces, this one.
 _FLOOR = 3
 # A floor's lit and its dark part are cut into so many pieces if its edges see less sky than its middle by this share.
 _FLOOR_PARTS = 8
 _EVEN = 0.02
 # Most pieces of a polyline, and columns of each: x0, h0, x1, h1, region, change of the sky.
-_PIECES, _COLUMNS = 32, 6
+PIECES, COLUMNS = 32, 6
 # The skins' pieces reach beyond every sample, mm.
 _FAR_MM = 50.0
-# Change by which the image's derivatives are taken: mm, tangent, px of lens or share of spill.
-DIFFERENCE = 1e-4
-# Nodes of the tables per pixel.
+# Nodes of the blurred step's table per pixel.
 NODES_PER_PX = 24
 
 
 @kernel
-def _project(x, h, eye_x, eye_h):  # type: ignore[no-untyped-def]
+def project(x, h, eye_x, eye_h):  # type: ignore[no-untyped-def]
     """ξ of a point."""
     return x + (x - eye_x) * h / (eye_h - h)
 
@@ -69,8 +65,8 @@ def _outline(outline, sealed, tilt, x, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyped-def]
-    """The polyline cut at the shadows' borders, from A to B: rows of `_COLUMNS`. Returns their number."""
+def cut(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyped-def]
+    """The polyline cut at the shadows' borders, from A to B: rows of `COLUMNS`. Returns their number."""
     _outline(outline, sealed, tilt, x, h)
     regions = (SKIN_A, CHAMFER_A, LIT_WALL, LIT_FLOOR, LIT_WALL, CHAMFER_B, SKIN_B)
     # A step throws its shadow past the gap onto the lower skin.
@@ -79,11 +75,11 @@ def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyp
     sign = -1.0 if from_b else 1.0
     extreme = -np.inf
     count = 0
-    for k in range(_VERTICES - 1):
-        i = _VERTICES - 2 - k if from_b else k
+    for k in range(VERTICES - 1):
+        i = VERTICES - 2 - k if from_b else k
         near, far = (i + 1, i) if from_b else (i, i + 1)
-        start = sign * _project(x[near], h[near], lamp[0], lamp[1])
-        end = sign * _project(x[far], h[far], lamp[0], lamp[1])
+        start = sign * project(x[near], h[near], lamp[0], lamp[1])
+        end = sign * project(x[far], h[far], lamp[0], lamp[1])
         share = 1.0
         if end > extreme and end > start:
             share = min(max((extreme - start) / (end - start), 0.0), 1.0)
@@ -100,7 +96,7 @@ def _pieces(outline, sealed, tilt, lamp, x, h, pieces):  # type: ignore[no-untyp
             count = _add(pieces, count, middle_x, middle_h, x[far], h[far], regions[i], from_b, sky, x, h)
     if from_b:
         for i in range(count // 2):
-            for column in range(_COLUMNS):
+            for column in range(COLUMNS):
                 swap = pieces[i, column]
                 pieces[i, column] = pieces[count - 1 - i, column]
                 pieces[count - 1 - i, column] = swap
@@ -116,7 +112,7 @@ def _sky(x, h, at):  # type: ignore[no-untyped-def]
         for vertex in (first, second):
             aside, rise = sign * (x[vertex] - at), h[vertex] - h[3]
             if rise > 0.0:
-                least = min(least, max(aside, 0.0) / math.hypot(aside, rise))
+                least = min(least, max(aside, 0.0) / math.sqrt(aside * aside + rise * rise))
         seen += 0.5 * least
     return seen
 
@@ -138,7 +134,7 @@ def _add(pieces, count, x0, h0, x1, h1, region, backwards, sky, x, h):  # type: 
 
 
 @kernel
-def _visible(pieces, count, eye, middle, ends, shown):  # type: ignore[no-untyped-def]
+def visible(pieces, count, eye, middle, ends, shown):  # type: ignore[no-untyped-def]
     """Visible intervals in rising ξ: `ends` holds where each ends, `shown` which piece it is. Returns their number."""
     from_b = eye[0] > middle
     sign = -1.0 if from_b else 1.0
@@ -147,7 +143,7 @@ def _visible(pieces, count, eye, middle, ends, shown):  # type: ignore[no-untype
     for k in range(count):
         i = count - 1 - k if from_b else k
         x, h = (pieces[i, 0], pieces[i, 1]) if from_b else (pieces[i, 2], pieces[i, 3])
-        end = sign * _project(x, h, eye[0], eye[1])
+        end = sign * project(x, h, eye[0], eye[1])
         if end > extreme:
             ends[found], shown[found] = sign * end, i
             extreme = end
@@ -164,214 +160,67 @@ def _visible(pieces, count, eye, middle, ends, shown):  # type: ignore[no-untype
 
 
 @kernel
-def _step(table, px):  # type: ignore[no-untyped-def]
-    """The blurred step, px beyond it, from its table of values and slopes."""
-    values, slopes = table
-    place = px * NODES_PER_PX + values.size // 2
-    if place <= 0.0:
-        return 0.0
-    if place >= values.size - 1:
-        return 1.0
-    i = int(place)
-    t, rise = place - i, values[i + 1] - values[i]
-    # Cubic with the nodes' slopes (Hermite).
-    bend, twist = slopes[i] / NODES_PER_PX - rise, slopes[i + 1] / NODES_PER_PX - rise
-    return values[i] + t * (rise + (1.0 - t) * ((1.0 - t) * bend - t * twist))
+def steps_at(samples, n, ends, edges, px_mm, table, spans, blurred):  # type: ignore[no-untyped-def]
+    """The blurred step that begins at each of the `edges` first `ends`, at n rising positions.
+
+    Row [kind, i] of `blurred` gets the step, its slope per px, and its change with the spill and with the lens, as many
+    of these as it has room for, at the positions spans[i, 0] to spans[i, 1]: before them nothing of the step has come,
+    beyond them all of it has.
+    """
+    last, rate = table.shape[1] - 1, px_mm * NODES_PER_PX
+    begin = end = 0
+    for i in range(edges):
+        offset = last // 2 - ends[i] * rate
+        while begin < n and samples[begin] * rate + offset <= 0.0:
+            begin += 1
+        end = max(begin, end)
+        while end < n and samples[end] * rate + offset < last:
+            end += 1
+        spans[i, 0], spans[i, 1] = begin, end
+        for s in range(begin, end):
+            place = samples[s] * rate + offset
+            k = min(int(place), last - 1)
+            t = place - k
+            blurred[0, i, s] = _between(table, 0, k, t)
+            if blurred.shape[0] > 1:
+                rise = table[0, k + 1] - table[0, k]
+                bend, twist = table[1, k] / NODES_PER_PX - rise, table[1, k + 1] / NODES_PER_PX - rise
+                more = (1.0 - t) * (1.0 - 3.0 * t) * bend - t * (2.0 - 3.0 * t) * twist
+                blurred[1, i, s] = NODES_PER_PX * (rise + more)
+            for kind in range(2, blurred.shape[0]):
+                blurred[kind, i, s] = _between(table, 2 * kind - 2, k, t)
 
 
 @kernel
-def _basis(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, basis):  # type: ignore[no-untyped-def]
-    """Basis functions at n positions on the reference curve."""
-    x, h, pieces, ends, shown = work
-    count = _pieces(outline, sealed, tilt, lamp, x, h, pieces)
-    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, shown)
-    a, b = _project(x[1], h[1], eye[0], eye[1]), _project(x[6], h[6], eye[0], eye[1])
+def _between(table, row, k, t):  # type: ignore[no-untyped-def]
+    """A table's row between nodes k and k + 1: cubic with the nodes' slopes, which are its next row (Hermite)."""
+    value, rise = table[row, k], table[row, k + 1] - table[row, k]
+    bend, twist = table[row + 1, k] / NODES_PER_PX - rise, table[row + 1, k + 1] / NODES_PER_PX - rise
+    return value + t * (rise + (1.0 - t) * ((1.0 - t) * bend - t * twist))
+
+
+@kernel
+def basis_at(samples, n, pieces, shown, found, borders, spans, steps, basis):  # type: ignore[no-untyped-def]
+    """Basis functions, (LEVELS, n), at n positions on the reference curve, from the steps between visible intervals.
+
+    `borders` are ξ of C on both skins, from where the skins' slopes count.
+    """
+    first = pieces[shown[0]]
     for s in range(n):
         for level in range(LEVELS):
-            basis[s, level] = 0.0
-        # From A to B: what has not ended before this sample.
-        begun = 1.0
-        for i in range(found):
-            ended = _step(table, (samples[s] - ends[i]) * px_mm) if i < found - 1 else 0.0
-            piece = pieces[shown[i]]
-            basis[s, int(piece[4])] += begun - ended
-            basis[s, SKY] += (begun - ended) * piece[5]
-            begun = ended
-        basis[s, SLOPE_A] = (samples[s] - a) * basis[s, SKIN_A]
-        basis[s, SLOPE_B] = (samples[s] - b) * basis[s, SKIN_B]
-
-
-@kernel
-def _picture(samples, n, outline, sealed, tilt, eye, lamp, px_mm, table, work, level, picture):  # type: ignore[no-untyped-def]
-    """The basis functions times their levels, which needs no basis."""
-    x, h, pieces, ends, shown = work
-    count = _pieces(outline, sealed, tilt, lamp, x, h, pieces)
-    found = _visible(pieces, count, eye, 0.5 * (outline[A] + outline[B]), ends, shown)
-    a, b = _project(x[1], h[1], eye[0], eye[1]), _project(x[6], h[6], eye[0], eye[1])
+            basis[level, s] = 0.0
+        basis[int(first[4]), s], basis[SKY, s] = 1.0, first[5]
+    for i in range(found - 1):
+        before, after = pieces[shown[i]], pieces[shown[i + 1]]
+        gone, come, sky = int(before[4]), int(after[4]), after[5] - before[5]
+        for s in range(spans[i, 0], spans[i, 1]):
+            basis[gone, s] -= steps[i, s]
+            basis[come, s] += steps[i, s]
+            basis[SKY, s] += sky * steps[i, s]
+        for s in range(spans[i, 1], n):
+            basis[gone, s] -= 1.0
+            basis[come, s] += 1.0
+            basis[SKY, s] += sky
     for s in range(n):
-        picture[s], begun = 0.0, 1.0
-        for i in range(found):
-            ended = _step(table, (samples[s] - ends[i]) * px_mm) if i < found - 1 else 0.0
-            if begun != ended:
-                piece = pieces[shown[i]]
-                region = int(piece[4])
-                brightness = level[region] + level[SKY] * piece[5]
-                if region == SKIN_A:
-                    brightness += level[SLOPE_A] * (samples[s] - a)
-                elif region == SKIN_B:
-                    brightness += level[SLOPE_B] * (samples[s] - b)
-                picture[s] += (begun - ended) * brightness
-                begun = ended
-
-
-@kernel
-def workspace():  # type: ignore[no-untyped-def]
-    """What `_basis` and `_picture` write on."""
-    pieces = np.empty((_PIECES, _COLUMNS))
-    return np.empty(_VERTICES), np.empty(_VERTICES), pieces, np.empty(_PIECES + 1), np.empty(_PIECES + 1, np.int64)
-
-
-@kernel
-def normal_equations(  # type: ignore[no-untyped-def]
-    samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
-    courses, with_shape, normals, gradients, levels, costs,
-):  # fmt: skip
-    """Least squares of many stations with each one's own levels eliminated.
-
-    Of each station's parameters θ (its two borders; then, `with_shape`, what is shared: both chamfers, depth, lean, the
-    chamfers' slope, the lean's change along the seam, spill, each camera's lens, and each camera's usual levels) JᵀWJ
-    goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones, plus their `courses`,
-    with the `precisions`.
-    """
-    stations, cameras, most = samples.shape
-    work = workspace()
-    basis, changed = np.empty((most, LEVELS)), np.empty(most)
-    columns = 10 if with_shape else 2
-    jacobian, residual, picture = np.empty((most, columns)), np.empty(most), np.empty(most)
-    inner, factor = np.empty((LEVELS, LEVELS)), np.empty((LEVELS, LEVELS))
-    outline, rows = np.empty(OUTLINE), np.arange(columns)
-    for s in range(stations):
-        normals[s], gradients[s], costs[s] = 0.0, 0.0, 0.0
-        outline[A], outline[B] = borders[s, 0], borders[s, 1]
-        outline[CHAMFER_WIDTH_A:] = shared[:5]
-        outline[LEAN] += places[s] * shared[5]
-        for c in range(cameras):
-            n = sizes[s, c]
-            if n == 0:
-                continue
-            first = 7 + cameras + c * LEVELS
-            usual = shared[first : first + LEVELS] + courses[s, c]
-            level, variance = levels[s, c], variances[s, c]
-            view = (sealed, tilts[s], eyes[s, c], lamps[s], px_mm[s, c])
-            _basis(samples[s, c], n, outline, *view, tables[c, NOMINAL], work, basis)
-            _fit_levels(basis, n, greys[s, c], variance, usual, precisions, inner, factor, level)
-            for i in range(LEVELS):
-                costs[s] += precisions[i] * (level[i] - usual[i]) ** 2
-            for k in range(n):
-                picture[k] = 0.0
-                for i in range(LEVELS):
-                    picture[k] += level[i] * basis[k, i]
-                residual[k] = greys[s, c, k] - picture[k]
-                costs[s] += residual[k] ** 2 / variance[k]
-            for p in range(min(columns, OUTLINE)):
-                kept = outline[p]
-                outline[p] = kept + DIFFERENCE
-                _picture(samples[s, c], n, outline, *view, tables[c, NOMINAL], work, level, changed)
-                outline[p] = kept
-                for k in range(n):
-                    jacobian[k, p] = (changed[k] - picture[k]) / DIFFERENCE
-            if with_shape:
-                jacobian[:n, 7] = places[s] * jacobian[:n, LEAN]
-                for p, table in ((8, MORE_SPILL), (9, MORE_LENS)):
-                    _picture(samples[s, c], n, outline, *view, tables[c, table], work, level, changed)
-                    for k in range(n):
-                        jacobian[k, p] = (changed[k] - picture[k]) / DIFFERENCE
-                rows[9] = 9 + c
-            explained = _add_view(basis, jacobian, residual, variance, n, factor, rows, normals[s], gradients[s])
-            if with_shape:
-                at = 2 + first
-                _add_usual_levels(precisions, level, usual, factor, explained, rows, at, normals[s], gradients[s])
-
-
-@kernel
-def _fit_levels(basis, n, grey, variance, usual, precision, inner, factor, level):  # type: ignore[no-untyped-def]
-    """A station's levels by least squares; the Cholesky factor of the normal matrix stays in `factor`."""
-    for i in range(LEVELS):
-        level[i] = precision[i] * usual[i]
-        for j in range(LEVELS):
-            inner[i, j] = precision[i] if i == j else 0.0
-    for k in range(n):
-        weight = 1.0 / variance[k]
-        for i in range(LEVELS):
-            if basis[k, i] != 0.0:
-                level[i] += weight * basis[k, i] * grey[k]
-                for j in range(i + 1):
-                    inner[i, j] += weight * basis[k, i] * basis[k, j]
-    for i in range(LEVELS):
-        for j in range(i + 1):
-            total = inner[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            factor[i, j] = math.sqrt(max(total, 1e-300)) if i == j else total / factor[j, j]
-    _solve(factor, level)
-
-
-@kernel
-def _add_view(basis, jacobian, residual, variance, n, factor, rows, normal, gradient):  # type: ignore[no-untyped-def]
-    """JᵀWJ less what the levels explain, and JᵀWr, of one station in one camera; column p belongs in rows[p].
-
-    At the levels' optimum their own gradient vanishes. Returns JᵀWΦ (ΦᵀWΦ + P)⁻¹, with the basis Φ.
-    """
-    columns = rows.size
-    cross, explained = np.zeros((columns, LEVELS)), np.empty((columns, LEVELS))
-    for k in range(n):
-        weight = 1.0 / variance[k]
-        for p in range(columns):
-            weighted = weight * jacobian[k, p]
-            gradient[rows[p]] += weighted * residual[k]
-            for q in range(columns):
-                normal[rows[p], rows[q]] += weighted * jacobian[k, q]
-            for i in range(LEVELS):
-                cross[p, i] += weighted * basis[k, i]
-    for p in range(columns):
-        explained[p] = cross[p]
-        _solve(factor, explained[p])
-        for q in range(columns):
-            total = 0.0
-            for i in range(LEVELS):
-                total += explained[p, i] * cross[q, i]
-            normal[rows[p], rows[q]] -= total
-    return explained
-
-
-@kernel
-def _add_usual_levels(  # type: ignore[no-untyped-def]
-    precision, level, usual, factor, explained, rows, first, normal, gradient
-):
-    """How the usual levels m enter through the prior P of a station's own: P − P (ΦᵀWΦ + P)⁻¹ P, and P (l − m)."""
-    column = np.empty(LEVELS)
-    for i in range(LEVELS):
-        gradient[first + i] += precision[i] * (level[i] - usual[i])
-        for p in range(rows.size):
-            normal[rows[p], first + i] += explained[p, i] * precision[i]
-            normal[first + i, rows[p]] += explained[p, i] * precision[i]
-        column[:] = 0.0
-        column[i] = precision[i]
-        _solve(factor, column)
-        normal[first + i, first + i] += precision[i]
-        for j in range(LEVELS):
-            normal[first + j, first + i] -= precision[j] * column[j]
-
-
-@kernel
-def _solve(factor, right):  # type: ignore[no-untyped-def]
-    """Solve with a Cholesky factor, in place."""
-    size = right.size
-    for i in range(size):
-        for k in range(i):
-            right[i] -= factor[i, k] * right[k]
-        right[i] /= factor[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= factor[k, i] * right[k]
-        right[i] /= factor[i, i]
+        basis[SLOPE_A, s] = (samples[s] - borders[0]) * basis[SKIN_A, s]
+        basis[SLOPE_B, s] = (samples[s] - borders[1]) * basis[SKIN_B, s]

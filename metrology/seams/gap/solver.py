@@ -12,16 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.seams.blur import PixelBlur, blurred_step
-from metrology.seams.gap.model import (
-    DIFFERENCE,
-    LEVELS,
-    MORE_LENS,
-    MORE_SPILL,
-    NODES_PER_PX,
-    NOMINAL,
-    TABLES,
-    normal_equations,
-)
+from metrology.seams.gap.equations import normal_equations
+from metrology.seams.gap.model import LEVELS, NODES_PER_PX
 from metrology.seams.gap.prior import LENSES, SPILL, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 
@@ -229,22 +221,18 @@ def _state_at(profiles: Profiles, borders: Array, shared: Array, known: Prior, w
     )
     normal_equations(
         profiles.x, profiles.grey, profiles.variance, profiles.sizes, profiles.places, borders, shared,
-        _tables(profiles.normals, shared, with_shape), known.floor.sealed, profiles.tilts, profiles.eyes,
+        _tables(profiles.normals, shared), known.floor.sealed, profiles.tilts, profiles.eyes,
         profiles.lamps, profiles.px_mm, profiles.level_scatter**-2.0, profiles.courses, with_shape,
         state.normals, state.gradients, state.levels, state.costs,
     )  # fmt: skip
     return state
 
 
-def _tables(normals: Array, shared: Array, with_shape: bool) -> Array:
-    """(k, TABLES, 2, nodes) blurred steps of the cameras, and how they change."""
+def _tables(normals: Array, shared: Array) -> Array:
+    """(k, 6, nodes) blurred steps of the cameras, and how they change."""
     spill, lenses = float(shared[SPILL]), [float(lens) for lens in shared[LENSES : LENSES + len(normals)]]
     reach = _BLUR_REACH_PX + _LENS_TAIL * max(lenses)
-    changes = {NOMINAL: (0.0, 0.0)}
-    if with_shape:
-        changes |= {MORE_LENS: (DIFFERENCE, 0.0), MORE_SPILL: (0.0, DIFFERENCE)}
     return np.array([
-        [blurred_step((float(u), float(v)), PixelBlur(lens + changes[i][0], spill + changes[i][1]), NODES_PER_PX, reach)
-         for i in range(TABLES if with_shape else 1)]
+        blurred_step((float(u), float(v)), PixelBlur(lens, spill), NODES_PER_PX, reach)
         for (u, v), lens in zip(normals, lenses, strict=True)
     ])  # fmt: skip
