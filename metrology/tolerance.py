@@ -26,10 +26,10 @@ from metrology.kinds import Kind, load
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
 from metrology.plausibility import unjudged, without
 from metrology.requirements import Requirement, downstream_of, limit_of, requirements
-from metrology.results import Feature, Severity
+from metrology.results import Decision, Feature, Severity
 from metrology.verdicts import DECISIONS, SEVERITIES, Verdict
 
-__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "judge"]
+__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "as_measured", "judge"]
 
 Row = TypeVar("Row", bound=Feature)
 RULE = "ISO 14253-1, guard band U95"
@@ -84,6 +84,16 @@ def _too_vague(name: str, unit: str, u95: float | None, limit: Limit | None) -> 
 def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
     """Features of one kind with severity, decision and the reason for anything short of a pass."""
     return [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
+
+
+def as_measured(kind: Kind, row: Row, spec: PanelSpec) -> Row:
+    """A row as it was before it was judged by a specification, so that another one can judge it."""
+    decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "no limit"
+    bare = replace(row, severity=None, decision=decision, reason=None)
+    added, reason = judge(kind, [bare], spec)[0].reason, row.reason
+    if added and reason and reason.endswith(added):
+        reason = reason.removesuffix(added).removesuffix("; ") or None
+    return replace(bare, reason=reason)
 
 
 def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
