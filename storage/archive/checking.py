@@ -126,7 +126,7 @@ def _index_problems(layout: Layout, expected: Mapping[str, str], digests: Mappin
             yield from _own_problems(generation, {})
     if last:
         with contextlib.closing(snapshot.connect(layout)) as connection:
-            shown = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+            shown = bookkeeping.shown_runs(connection)
         for scene_id in sorted(shown.keys() - expected.keys()):
             yield f"{layout.archive}: found scene {scene_id} without an undamaged run, expected its bundle"
         differing = {scene_id for scene_id, run in expected.items() if shown.get(scene_id) != run}
