@@ -34,6 +34,9 @@ def describe(result: PanelResult) -> str:
         found.append(counted(len(kind.names(rows)), kind.subject) + (f" ({decisions})" if decisions else ""))
     joined = f"in one frame ({parts[0]})" if len(parts) == 1 else f"in {len(parts)} parts ({', '.join(parts)})"
     lines = [f"panel {result.key} {joined}: {'; '.join(found)}"]
+    lines += [f"  {result.judgement.verdict}: {result.judgement.reason}"] if result.judgement.rules else []
+    if result.coverage.next_station:
+        lines.append(f"  scan next: {result.coverage.next_station}")
     differences = result.difference_rows()
     if differences:
         beyond = sum(row.beyond for row in differences)

@@ -18,6 +18,7 @@ air's direction across the seam is not known, the step must meet both.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -86,14 +87,17 @@ def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
     return [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
 
 
-def as_measured(kind: Kind, row: Row, spec: PanelSpec) -> Row:
-    """A row as it was before it was judged by a specification, so that another one can judge it."""
+def as_measured(kind: Kind, row: Row) -> Row:
+    """A judged row as it was before, so that another specification can judge it: without what `judge` said of it."""
+    names = "|".join(re.escape(quantity.name) for quantity in kind.quantities)
+    reason = re.sub(rf"(?:^|; )(?:{names})(?: [^;±]*)? ± .*?; {re.escape(RULE)}", "", row.reason or "")
+    parts = [rf"(?:{names})(?: [^;]*)? not measured"]
+    otherwise: Verdict | None = load(kind.verdict)(row) if kind.verdict else None
+    parts += [re.escape(otherwise.reason)] if otherwise and otherwise.reason else []
+    for part in parts:
+        reason = re.sub(rf"(?:^|; ){part}(?=$|; )", "", reason)
     decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "no limit"
-    bare = replace(row, severity=None, decision=decision, reason=None)
-    added, reason = judge(kind, [bare], spec)[0].reason, row.reason
-    if added and reason and reason.endswith(added):
-        reason = reason.removesuffix(added).removesuffix("; ") or None
-    return replace(bare, reason=reason)
+    return replace(row, severity=None, decision=decision, reason=reason.removeprefix("; ") or None)
 
 
 def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from metrology.assembly.assemble import assembled
+from metrology.assembly.coverage import coverage
 from metrology.assembly.panel import panel_features
 from metrology.assembly.result import PanelResult
+from metrology.assembly.verdict import judgement
 from metrology.results import PanelKey
 from storage.archive import Store
 from storage.archive.panel_scans import ScanOfPanel, newest_scans
@@ -29,11 +31,19 @@ def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None
     warnings = list(assembly.warnings)
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; put a specification in force")
+    features = panel_features(assembly, spec.limits, spec.layout)
+    covered = coverage(assembly, features, spec.layout)
+    gaps = [*covered.gaps]
+    gaps += [f"in {len(assembly.parts)} parts"] if len(assembly.parts) > 1 else []
+    gaps += [f"{assembly.scans[k].key.station} left out" for k in assembly.left_out]
+    rows = {name: [feature.row for feature in of_kind] for name, of_kind in features.items()}
     return PanelResult(
         key=key,
         assembly=assembly,
         runs={each.scan.key: each.run_id for each in found},
-        features=panel_features(assembly, spec.limits, spec.layout),
+        features=features,
+        judgement=judgement(rows, spec.limits, spec.rules, spec.layout, covered.area_mm2, gaps),
+        coverage=covered,
         panel_spec=spec.document,
         spec_name=str(spec),
         warnings=tuple(warnings),

@@ -8,8 +8,10 @@ from datetime import datetime
 from typing import Any
 
 from metrology.assembly.assemble import Assembly, place_u95
+from metrology.assembly.coverage import Coverage
 from metrology.assembly.panel import PanelFeatures
 from metrology.assembly.rows import DifferenceRow, StationRow
+from metrology.assembly.verdict import Judgement
 from metrology.results import PanelKey, SceneKey
 
 
@@ -29,6 +31,8 @@ class PanelResult:
         The specification that it was judged by, as plain values.
     spec_name : str
         Its panel and revision.
+    judgement : Judgement
+    coverage : Coverage
     warnings : tuple of str
     versions : mapping
     """
@@ -39,6 +43,8 @@ class PanelResult:
     features: PanelFeatures
     panel_spec: Mapping[str, Any]
     spec_name: str
+    judgement: Judgement
+    coverage: Coverage
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
 

@@ -107,7 +107,7 @@ def _named(piece: _Piece, seam: NominalSeam, placement: Placement) -> list[SeamS
         if s is None:
             s = _carried(station.s_mm, own, piece.foot.s)
         wind = None if station.step_mm is None or sign is None or sign == 0 else float(sign * station.step_mm)
-        row = replace(station, seam_id=seam.seam_id, s_mm=s, zone=seam.zone, step_into_wind_mm=wind)
+        row = replace(station, seam_id=seam.seam_id, s_mm=s, zone=seam.zone_at(s), step_into_wind_mm=wind)
         named.append(placed(row, placement))
     return named
 

@@ -13,7 +13,16 @@ import pyarrow.parquet as pq
 from metrology.assembly.result import PanelResult
 from metrology.kinds import KINDS, Count, Kind
 from storage.archive.bundle import PANEL_FORMAT, as_tables, document_hash, seal
-from storage.archive.schema import PANEL_DIFFERENCES, PANEL_OF_KIND, PANEL_STATIONS, PANEL_TABLES, PANELS
+from storage.archive.schema import (
+    PANEL_COVERAGE,
+    PANEL_DIFFERENCES,
+    PANEL_FINDINGS,
+    PANEL_OF_KIND,
+    PANEL_RULES,
+    PANEL_STATIONS,
+    PANEL_TABLES,
+    PANELS,
+)
 from storage.documents import utc_text
 
 Row = dict[str, Any]
@@ -60,6 +69,9 @@ def panel_rows(result: PanelResult, run_id: str, bundle_path: str) -> dict[str, 
         rows[PANEL_OF_KIND[kind.name].name] = [key | _of_feature(feature.row, names) | more for feature, more in found]
     rows[PANEL_STATIONS.name] = [key | _plain_row(row) for row in result.station_rows()]
     rows[PANEL_DIFFERENCES.name] = [key | _plain_row(row) for row in result.difference_rows()]
+    rows[PANEL_COVERAGE.name] = [key | _plain_row(row) for row in result.coverage.rows]
+    rows[PANEL_RULES.name] = [key | _plain_row(row) for row in result.judgement.rules]
+    rows[PANEL_FINDINGS.name] = [key | _plain_row(row) for row in result.judgement.findings]
     return rows
 
 
@@ -73,6 +85,7 @@ def _plain_row(row: Any) -> Row:
 
 def _panel_row(result: PanelResult, run_id: str, bundle_path: str) -> Row:
     stations, differences = result.station_rows(), result.difference_rows()
+    states = [row.state for row in result.coverage.rows]
     return {
         "run_id": run_id,
         "processed_at": datetime.now(UTC),
@@ -87,6 +100,13 @@ def _panel_row(result: PanelResult, run_id: str, bundle_path: str) -> Row:
         "place_u95_mm": max((row.place_u95_mm for row in stations if row.place_u95_mm is not None), default=None),
         "n_repeated": len(differences),
         "n_beyond": sum(row.beyond for row in differences),
+        "verdict": result.judgement.verdict,
+        "verdict_reason": result.judgement.reason,
+        "area_cm2": result.coverage.area_mm2 / 100,
+        "n_expected": len(states) or None,
+        "n_not_measured": states.count("not measured") if states else None,
+        "n_not_seen": states.count("not seen") if states else None,
+        "next_station": result.coverage.next_station,
         **{count.column: _counted(kind, count, result) for kind in KINDS for count in kind.counts},
         "bundle_path": bundle_path,
     }

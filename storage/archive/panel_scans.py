@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from metrology.assembly.scan import PanelScan, Skin
 from metrology.errors import StoreError
 from metrology.kinds import KINDS
-from metrology.limits import PanelSpec
 from metrology.panel import PanelLayout, Placement
 from metrology.results import PanelKey, SceneKey
 from metrology.tolerance import as_measured
@@ -25,7 +24,7 @@ from storage.archive.store import Store
 from storage.cloud import read_cloud
 from storage.documents import read_json
 from storage.fits import read_fits
-from storage.panel_spec import judged_by, panel_spec_from
+from storage.panel_spec import panel_spec_from
 from storage.rig import load_rig
 
 
@@ -68,26 +67,24 @@ def newest_scans(store: Store, key: PanelKey, layout: PanelLayout | None = None)
 def _loaded(store: Store, key: SceneKey, run_id: str, layout: PanelLayout | None) -> ScanOfPanel:
     paths = store.paths(key.scene_id)
     manifest = read_json(paths.bundle / MANIFEST, StoreError)
-    spec = judged_by(manifest, paths.bundle / MANIFEST)
     cloud = read_cloud(paths.cloud)
     scan = PanelScan(
         key,
         load_rig(paths.bundle / RIG),
         Skin.thinned(cloud.points, cloud.sigma_z),
-        _features(store, key.scene_id, spec),
+        _features(store, key.scene_id),
         _across(paths.bundle / FITS),
         _nominal(manifest, paths.bundle / MANIFEST, layout),
     )
     return ScanOfPanel(scan, run_id, manifest.get("panel_spec") or {})
 
 
-def _features(store: Store, scene_id: str, spec: PanelSpec | None) -> dict[str, list[Any]]:
+def _features(store: Store, scene_id: str) -> dict[str, list[Any]]:
     """A scan's rows as they were measured, before they were judged."""
     found = {}
     for kind in KINDS:
         rows = store.query(f"FROM {kind.table} WHERE scene_id = ? ORDER BY ALL", [scene_id]).to_pylist()
-        results = [result_of(kind.row_type, row) for row in rows]
-        found[kind.name] = [as_measured(kind, row, spec) for row in results] if spec else results
+        found[kind.name] = [as_measured(kind, result_of(kind.row_type, row)) for row in rows]
     return found
 
 

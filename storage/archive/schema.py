@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-from metrology.assembly.rows import DifferenceRow, StationRow
+from metrology.assembly.rows import CoverageRow, DifferenceRow, FindingRow, RuleRow, StationRow
 from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
 from metrology.steps import TIMED
@@ -151,7 +151,13 @@ def _column(name: str, hint: Any, kind: Kind | None = None) -> Column:
     return Column(name, sql_type, meaning.format(point=kind.point, pixel=kind.pixel) if kind else meaning)
 
 
-_SQL_TYPES = {float: "DOUBLE", int: "INTEGER", bool: "BOOLEAN", tuple[float, ...]: "DOUBLE[]"}
+_SQL_TYPES = {
+    float: "DOUBLE",
+    int: "INTEGER",
+    bool: "BOOLEAN",
+    tuple[float, ...]: "DOUBLE[]",
+    tuple[str, ...]: "VARCHAR[]",
+}
 
 
 def _plain_table(name: str, comment: str, row: type) -> Table:
@@ -206,6 +212,13 @@ scenes VARCHAR[] scans in it
 place_u95_mm DOUBLE expanded uncertainty (95 %) of the worst placement, mm
 n_repeated INTEGER values that several scans measured
 n_beyond INTEGER of these, those that differ by more than their uncertainties
+verdict VARCHAR accepted, accepted with conditions, rejected, incomplete, or no rules
+verdict_reason VARCHAR the rule that decided, or what is missing
+area_cm2 DOUBLE skin that was measured, what several scans saw once, cm²
+n_expected INTEGER nominal fasteners and stretches of seams; NULL where no pattern says what there should be
+n_not_measured INTEGER of these, seen but not measured
+n_not_seen INTEGER of these, in no scan's field
+next_station VARCHAR where to stand next; NULL where nothing is missing or no pattern says so
 """)
     + tuple(
         Column(count.column, "INTEGER", f"of the whole panel: {count.meaning}")
@@ -226,7 +239,24 @@ PANEL_STATIONS = _plain_table("panel_stations", "One row per scan of each assemb
 PANEL_DIFFERENCES = _plain_table(
     "panel_differences", "One row per value that two scans of an assembled panel measured", DifferenceRow
 )
-PANEL_TABLES = (PANELS, *PANEL_OF_KIND.values(), PANEL_STATIONS, PANEL_DIFFERENCES)
+PANEL_COVERAGE = _plain_table(
+    "panel_coverage", "One row per nominal fastener and stretch of a nominal seam of each assembled panel", CoverageRow
+)
+PANEL_RULES = _plain_table("panel_rules", "One row per acceptance rule and group of each assembled panel", RuleRow)
+PANEL_FINDINGS = _plain_table(
+    "panel_findings",
+    "One row per feature of an assembled panel that does not simply pass; a stretch of a course is one",
+    FindingRow,
+)
+PANEL_TABLES = (
+    PANELS,
+    *PANEL_OF_KIND.values(),
+    PANEL_STATIONS,
+    PANEL_DIFFERENCES,
+    PANEL_COVERAGE,
+    PANEL_RULES,
+    PANEL_FINDINGS,
+)
 TABLES = (*SCENE_TABLES, *PANEL_TABLES)
 
 
