@@ -101,7 +101,8 @@ def _pairs(scans: Sequence[PanelScan]) -> dict[tuple[int, int], Neighbours]:
     found = {}
     for i, j in combinations(range(len(scans)), 2):
         near = _expected(scans[i], scans[j])
-        if near is not None and not _may_overlap(scans[i], scans[j], near):
+        there = near or _expected(scans[i], scans[j], roughly=True)
+        if there is not None and not _may_overlap(scans[i], scans[j], there):
             continue
         pair = neighbours(scans[i], scans[j], near)
         if pair is not None:
@@ -109,11 +110,10 @@ def _pairs(scans: Sequence[PanelScan]) -> dict[tuple[int, int], Neighbours]:
     return found
 
 
-def _expected(first: PanelScan, second: PanelScan) -> Placement | None:
+def _expected(first: PanelScan, second: PanelScan, roughly: bool = False) -> Placement | None:
     """Where the second scan should lie in the first one's rig frame, by their nominal placements."""
-    if first.nominal is None or second.nominal is None:
-        return None
-    return between(first.nominal, second.nominal)
+    one, two = ((scan.expected if roughly else scan.nominal) for scan in (first, second))
+    return None if one is None or two is None else between(one, two)
 
 
 def between(first: Placement, second: Placement) -> Placement:
@@ -206,13 +206,15 @@ def _start(
     group: Sequence[int], pairs: dict[tuple[int, int], Neighbours], scans: Sequence[PanelScan]
 ) -> list[Placement]:
     """Placements from the nominal ones, and from the most convincing pairs, one after the other."""
-    known = {k: nominal for k in group if (nominal := scans[k].nominal) is not None}
-    if not known:
-        inside = [pair for pair in pairs if set(pair) <= set(group)]
-        first = max(group, key=lambda k: sum(k in pair for pair in inside))
-        known[first] = Placement(np.eye(3), np.zeros(3))
+    inside = [pair for pair in pairs if set(pair) <= set(group)]
+    known: dict[int, Placement] = {}
     while len(known) < len(group):
-        open_ends = [p for p in pairs if set(p) <= set(group) and len(known.keys() & set(p)) == 1]
+        open_ends = [pair for pair in inside if len(known.keys() & set(pair)) == 1]
+        if not open_ends:
+            waiting = [k for k in group if k not in known]
+            first = max(waiting, key=lambda k: (scans[k].nominal is not None, sum(k in pair for pair in inside)))
+            known[first] = scans[first].nominal or Placement(np.eye(3), np.zeros(3))
+            continue
         i, j = max(open_ends, key=lambda p: pairs[p].evidence)
         to_first = pairs[i, j].placement
         if i in known:

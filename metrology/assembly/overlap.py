@@ -126,7 +126,8 @@ def skin_ties(first: PanelScan, second: PanelScan, placement: Placement) -> Skin
 
 def _cells(points: Array, at: Array, gap: Array, normals: Array) -> SkinTies:
     """One tie for each cell of the field: where the gap has its median."""
-    _, label = np.unique(np.floor(at[:, :2] / _CELL_MM).astype(int), axis=0, return_inverse=True)
+    column, row = np.floor(at[:, :2] / _CELL_MM).astype(np.int64).T
+    _, label = np.unique(column * 1_000_003 + row, return_inverse=True)
     order = np.lexsort((gap, label))
     label, gap = label[order], gap[order]
     start = np.flatnonzero(np.diff(label, prepend=-1))

@@ -18,8 +18,6 @@ from metrology.assembly.adjust import Tie, adjusted
 from metrology.assembly.overlap import (
     DIAMETER_RATIO,
     HEAD_REACH_MM,
-    NO_SEAM,
-    NO_SKIN,
     head_partners,
     heads_expected,
     seam_ties,
@@ -40,7 +38,10 @@ _HEIGHT_FLOOR_MM = 0.005  # what two rigs or placements differ by beyond the sta
 _LENGTH_TOLERANCE_MM = 0.15
 _SHORTEST_MM = 15.0
 _MOST_CANDIDATES = 1500
-_KEPT = 12
+_KEPT = 8
+_ARM_MM = 20.0  # a normal counts as a second point so far above the head
+# Evidence of the heads alone that a seam's profile does not make up for, and how far behind the best one.
+_HOPELESS, _BEHIND = -15.0, 25.0
 _LOOKED_AT = 3
 _FEWEST_CELLS = 3
 _NOT_THE_SAME = float(np.log(0.02))  # a head that was drilled out, or set anew, between the scans
@@ -94,9 +95,10 @@ def neighbours(first: PanelScan, second: PanelScan, near: Placement | None = Non
         Where the second scan is expected, from its rig frame to the first one's; looked at beside what the heads say.
     """
     starts = [_by_heads(first, second, start) for start in _starts(first, second)]
-    ranked = sorted(starts, key=lambda start: -_of_heads(first, second, *start))[:_LOOKED_AT]
+    ranked = sorted(((_of_heads(first, second, *start), start[0]) for start in starts), key=lambda each: -each[0])
+    hopeful = [start for evidence, start in ranked[:_LOOKED_AT] if evidence > max(ranked[0][0] - _BEHIND, _HOPELESS)]
     given = [] if near is None else [near]
-    judged = [judged_at(first, second, start) for start in [*given, *(placement for placement, _ in ranked)]]
+    judged = [judged_at(first, second, start) for start in [*given, *hopeful]]
     found = sorted((each for each in judged if each is not None), key=lambda each: -each.evidence)
     if not found:
         return None
@@ -122,14 +124,29 @@ def judged_at(first: PanelScan, second: PanelScan, start: Placement) -> Neighbou
 
 
 def _by_heads(first: PanelScan, second: PanelScan, start: Placement) -> tuple[Placement, Ints]:
-    """A placement refined on the heads alone, and which of them are the same."""
-    placement = _refined(first, second, start, Tie(0, 1, head_partners(first, second, start), NO_SKIN, NO_SEAM))
+    """A placement fitted to the heads and the skin's directions alone, and which of them are the same."""
+    heads = head_partners(first, second, start)
+    if len(heads) < 2:
+        return start, heads
+    arms = [
+        np.concatenate([p.positions[k], p.positions[k] + _ARM_MM * _normals(p)[k]])
+        for p, k in ((first.pattern, heads[:, 0]), (second.pattern, heads[:, 1]))
+    ]
+    placement = rigid(arms[1], arms[0])
     return placement, head_partners(first, second, placement)
+
+
+def rigid(points: Array, onto: Array) -> Placement:
+    """The motion that lays points (n, 3) on others best (Kabsch 1976)."""
+    middle, target = points.mean(0), onto.mean(0)
+    u, _, vt = np.linalg.svd((points - middle).T @ (onto - target))
+    R = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    return Placement(R, target - R @ middle)
 
 
 def _refined(first: PanelScan, second: PanelScan, placement: Placement, tie: Tie) -> Placement:
     """The joint adjustment, for the two alone."""
-    return adjusted([first, second], [Placement(np.eye(3), np.zeros(3)), placement], [tie], steps=3).placements[1]
+    return adjusted([first, second], [Placement(np.eye(3), np.zeros(3)), placement], [tie], steps=2).placements[1]
 
 
 def _other(best: Neighbours, each: Neighbours) -> bool:

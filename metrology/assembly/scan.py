@@ -87,6 +87,8 @@ class PanelScan:
         From side A to side B of seam positions (seam_id, s_mm), rig frame, where it is kept.
     nominal : Placement or None
         In the frame of the specification's pattern, where the scan was recognised in it.
+    expected : Placement or None
+        Where the station should stand: good enough to know which scans cannot overlap.
     """
 
     key: SceneKey
@@ -95,6 +97,7 @@ class PanelScan:
     features: Features
     across: Mapping[tuple[str, float], Array] = field(default_factory=dict)
     nominal: Placement | None = None
+    expected: Placement | None = None
 
     @cached_property
     def heads(self) -> tuple[Rivet, ...]:

@@ -85,14 +85,14 @@ class SimulatedPanel:
 
     def seen(
         self, placement: Placement, station: str, rng: np.random.Generator, nominal: Placement | None = None,
-        listed: bool = False,
+        listed: bool = False, expected: Placement | None = None,
     ) -> PanelScan:  # fmt: skip
         """A scan of it."""
         skin = self._skin(placement, rng)
         key = SceneKey("MSN-1", "P", station, datetime(2026, 11, 20, 8, int(station[1:]), tzinfo=UTC))
         rivets = self._rivets(placement, rng, listed)
         seam, across = self._seam(placement, rng, "J01" if listed else "S01")
-        return PanelScan(key, RIG, skin, {RIVET.name: rivets, SEAM_STATION.name: seam}, across, nominal)
+        return PanelScan(key, RIG, skin, {RIVET.name: rivets, SEAM_STATION.name: seam}, across, nominal, expected)
 
     def _skin(self, placement: Placement, rng: np.random.Generator) -> Skin:
         rays = _RAYS @ placement.R.T
