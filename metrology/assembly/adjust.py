@@ -97,7 +97,7 @@ def adjusted(
     for _ in range(steps):
         jacobian, residual, _ = _system(scans, placements, ties, nominal)
         normal = jacobian.T @ jacobian
-        step = -np.linalg.solve(normal, jacobian.T @ residual)
+        step = np.asarray(-np.linalg.solve(normal, jacobian.T @ residual), float)
         for k, scan in enumerate(scans):
             placements[k] = _moved(placements[k], scan.skin.middle, step[6 * k : 6 * k + 6])
         if np.abs(step).max() < _CONVERGED:
@@ -105,7 +105,7 @@ def adjusted(
     jacobian, residual, real = _system(scans, placements, ties, nominal)
     freedom = max(int(real.sum()) - 6 * (len(scans) - (not nominal)), 1)
     scatter = float(np.sqrt(max(1.0, (residual[real] ** 2).sum() / freedom)))
-    return Adjusted(tuple(placements), np.linalg.inv(jacobian.T @ jacobian) * scatter**2, scatter)
+    return Adjusted(tuple(placements), np.asarray(np.linalg.inv(jacobian.T @ jacobian), float) * scatter**2, scatter)
 
 
 def _moved(placement: Placement, middle_rig: Array, step: Array) -> Placement:

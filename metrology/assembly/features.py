@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,7 +175,7 @@ def _with_mean(row: Feature, quantity: Quantity, known: Sequence[Sighting]) -> F
     mean = float((weights * values).sum() / weights.sum())
     birge = float(np.sqrt((weights * (values - mean) ** 2).sum() * 1.96**2 / (len(values) - 1)))
     spread = birge / float(np.sqrt(weights.sum()))
-    changed = {quantity.column: mean, quantity.u95_column: max(float(u95.min()), spread)}
+    changed: dict[str, Any] = {quantity.column: mean, quantity.u95_column: max(float(u95.min()), spread)}
     for column in quantity.rests_on_it:
         others = np.array([getattr(each.row, column) for each in known], float)
         if np.isfinite(others).all():

@@ -40,7 +40,7 @@ class SkinTies:
         return len(self.first)
 
 
-NO_SKIN = SkinTies(*(np.empty((0, 3)) for _ in range(3)), np.empty(0))
+NO_SKIN = SkinTies(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class SeamTies:
         return len(self.first)
 
 
-NO_SEAM = SeamTies(*(np.empty((0, 3)) for _ in range(3)), *(np.empty((0, 2)) for _ in range(2)))
+NO_SEAM = SeamTies(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2)))
 
 
 def head_partners(first: PanelScan, second: PanelScan, placement: Placement, reach_mm: float = HEAD_REACH_MM) -> Ints:
@@ -161,7 +161,8 @@ def seam_ties(first: PanelScan, second: PanelScan, placement: Placement) -> Seam
                 named.append((one, other))
     if not parts:
         return NO_SEAM
-    return SeamTies(*(np.concatenate(column) for column in zip(*parts, strict=True)), seams=tuple(named))
+    first_places, seconds, tangents, steps, u95 = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return SeamTies(first_places, seconds, tangents, steps, u95, tuple(named))
 
 
 def _beside(

@@ -216,7 +216,7 @@ def _hypotheses(first: PanelScan, second: PanelScan) -> tuple[Array, Array]:
 
 def _normals(pattern: PointPattern) -> Array:
     """Normals of heads; the mean of the others' where one is unknown."""
-    known = np.isfinite(pattern.normals).all(1)
+    known = np.asarray(np.isfinite(pattern.normals).all(axis=1))
     mean = pattern.normals[known].mean(0) if known.any() else np.array([0.0, 0.0, -1.0])
     return np.where(known[:, None], pattern.normals, mean)
 

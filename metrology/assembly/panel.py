@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,8 +137,8 @@ def _named(
             free = numbers.setdefault(letters, count(1))
             name = next(label for k in free if (label := f"{letters}{k:02d}") not in taken)
             taken.add(name)
-        label = kind.id_columns[0]
-        named.append([replace(feature, row=replace(feature.row, **{label: name})) for feature in group])
+        changed: dict[str, Any] = {kind.id_columns[0]: name}
+        named.append([replace(feature, row=replace(feature.row, **changed)) for feature in group])
     return named
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,8 @@ def _one_course(kind: Kind, part: int, pieces: Sequence[Piece], layout: PanelLay
     for s, sightings in _positions(kind, along):
         feature = combined(kind, part, sightings)
         label, position = kind.id_columns
-        rows.append(replace(feature, row=replace(feature.row, **{label: name, position: s})))
+        changed: dict[str, Any] = {label: name, position: s}
+        rows.append(replace(feature, row=replace(feature.row, **changed)))
     return rows
 
 
@@ -221,7 +223,7 @@ def _between(kind: Kind, row: Feature, one: Feature, two: Feature, share: float)
     """A row with values between two others; unmeasured where one of these is."""
     columns = ["x_panel_mm", "y_panel_mm", "z_panel_mm"]
     columns += [c for q in kind.quantities for c in (q.column, q.u95_column, *q.rests_on_it)]
-    changed = {}
+    changed: dict[str, Any] = {}
     for column in columns:
         a, b = getattr(one, column), getattr(two, column)
         if a is not None and b is not None:

@@ -192,12 +192,12 @@ def export(layout: Layout, target: str, aircraft: str | None = None, panel: str 
 
 def _current_paths(layout: Layout, aircraft: str | None, panel: str | None) -> list[str]:
     with contextlib.closing(snapshot.connect(layout)) as connection:
-        shown = bookkeeping.shown_runs(connection)
-    paths = [
-        layout.relative(layout.scene_folder(scene) / run)
-        for scene, run in sorted(shown.items())
-        if aircraft in (None, scene.split("~")[0]) and panel in (None, *scene.split("~")[1:2])
-    ]
+        parts = [
+            f"SELECT bundle_path FROM {table} WHERE ($1 IS NULL OR aircraft_serial = $1) AND ($2 IS NULL OR panel = $2)"
+            for table in bookkeeping.heads(connection)
+        ]
+        rows = connection.execute(f"{' UNION ALL '.join(parts)} ORDER BY 1", [aircraft, panel]).fetchall()
+    paths = [str(path) for (path,) in rows]
     for path in paths:
         if not (leads_inside(path) and path.startswith(f"{layout.bundles.name}/")):
             raise StoreError(f"{layout.archive}: found path {path!r}, expected one of a bundle")
