@@ -114,7 +114,7 @@ def _run_problems(layout: Layout, expected: Mapping[str, str]) -> dict[str, str]
         wanted = f"one of {len(expected)} scenes ('flushline archive rebuild')"
         return dict.fromkeys(list(expected)[:1], f"{layout.archive}: found no index, expected {wanted}")
     with contextlib.closing(snapshot.connect(layout)) as connection:
-        shown = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+        shown = bookkeeping.shown_runs(connection)
     found = {
         scene_id: f"{layout.archive}: found scene {scene_id} without an undamaged run, expected its bundle"
         for scene_id in sorted(shown.keys() - expected.keys())

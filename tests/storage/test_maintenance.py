@@ -89,7 +89,7 @@ def test_compacted_parquet_holds_the_same_rows(store: Store) -> None:
     with duckdb.connect() as other:
         for table in TABLES:
             files = str(parquet / table.name / "*" / "*.parquet")
-            if table.name == "holes":  # there are none
+            if store.query(f"FROM {table.name}").num_rows == 0:
                 assert not list((parquet / table.name).rglob("*.parquet"))
                 continue
             columns = ", ".join(column.name for column in table.columns)
