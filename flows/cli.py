@@ -25,6 +25,7 @@ COMMANDS = (
     "patterns",
     "overlay",
     "report",
+    "trace",
     "panel",
     "query",
     "export",
