@@ -26,6 +26,7 @@ COMMANDS = (
     "overlay",
     "report",
     "trace",
+    "verify",
     "panel",
     "query",
     "export",

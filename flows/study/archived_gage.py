@@ -126,7 +126,7 @@ def _planner(study: _Study) -> Section:
     ]
     tables = [Table("plan", "Scans of each operator", columns, rows)]
     if left := found.still(plan.trials):
-        order = [[k, *names] for k, names in enumerate(left, 1)]
+        order: list[list[Cell]] = [[k, *names] for k, names in enumerate(left, 1)]
         heads = (Column("no.", 0), Column("operator"), Column("aircraft"), Column("station"))
         tables.append(Table("to-scan", "Still to scan, in this random order", heads, order))
     text = [
