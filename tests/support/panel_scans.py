@@ -15,7 +15,7 @@ from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.registration.view import in_view
 from metrology.results import Rivet, SceneKey, SeamStation
 from metrology.rig import Device, Rig
-from tests.metrology.rows import rivet_at, station_at
+from tests.support.rows import rivet_at, station_at
 
 Array = NDArray[np.float64]
 
