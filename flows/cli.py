@@ -27,6 +27,7 @@ COMMANDS = (
     "report",
     "trace",
     "verify",
+    "artefact",
     "panel",
     "query",
     "export",

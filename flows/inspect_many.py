@@ -40,7 +40,7 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
     """Inspect scenes one after the other; returns the command's exit code."""
     share_heap()
     jobs = _jobs(inputs)
-    sound = [job for job in jobs if _passes(partial(steps.load, job.folder, job.rig_path, job.store), job, debug)]
+    sound = [job for job in jobs if _passes(partial(_look_at, job), job, debug)]
     if not sound:
         return EXIT_BAD_INPUT
     run = _way_to_run(inputs, use_server)
@@ -80,6 +80,11 @@ def _jobs(inputs: Inputs) -> list[Job]:
         load_rig(inputs.rig)  # a bad rig is one complaint, not one per scene
     settings, spec = load_settings(inputs.settings), load_panel_spec(inputs.panel_spec)
     return [Job(folder, store, inputs.rig, settings, spec) for folder in inputs.scenes]
+
+
+def _look_at(job: Job) -> None:
+    """Refuse a scene that cannot be inspected before any is."""
+    steps.load(job.folder, job.rig_path, job.store, job.settings.verification)
 
 
 def _way_to_run(inputs: Inputs, use_server: bool) -> Callable[[Job, Callable[[str], None]], Inspected]:

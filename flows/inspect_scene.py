@@ -135,7 +135,7 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
 
 def _measure(job: Job, run: _Run) -> _Measured:
     settings = job.settings
-    loaded = run.step(steps.load, job.folder, job.rig_path, job.store)
+    loaded = run.step(steps.load, job.folder, job.rig_path, job.store, settings.verification)
     reconstruction = run.step(steps.reconstruct_scene, loaded, settings)
     with ThreadPoolExecutor(2) as helpers:
         # What nobody waits for yet, each in the run's own context.

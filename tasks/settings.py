@@ -52,12 +52,32 @@ class SceneChecks:
 
 
 @dataclass(frozen=True)
+class VerificationSettings:
+    """What an inspection asks of its rig's evidence.
+
+    A rig that was verified once is watched: a verification that failed or is overdue, or a calibration past its due
+    date, is warned of.
+
+    Attributes
+    ----------
+    required : bool
+        Whether a rig that was never verified counts like one whose verification is overdue.
+    refuse : bool
+        Whether scans of such rigs are refused instead of warned of.
+    """
+
+    required: bool = False
+    refuse: bool = False
+
+
+@dataclass(frozen=True)
 class InspectionSettings:
     """Settings of every step, one block per step as in the TOML file."""
 
     checks: SceneChecks = field(default_factory=SceneChecks)
     reconstruction: ReconstructionSettings = field(default_factory=ReconstructionSettings)
     rig_health: HealthSettings = field(default_factory=HealthSettings)
+    verification: VerificationSettings = field(default_factory=VerificationSettings)
     rivets: RivetSettings = field(default_factory=RivetSettings)
     seams: SeamSettings = field(default_factory=SeamSettings)
     defects: DefectSettings = field(default_factory=DefectSettings)

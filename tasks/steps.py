@@ -39,8 +39,9 @@ from storage.scan_identity import frames_digest
 from storage.scene import MANIFEST, Camera, Scene, load_scene
 from tasks.clock import clock_warnings
 from tasks.rig_check import doubtful, mixed_up, unmatched
+from tasks.rig_evidence import evidence_warnings
 from tasks.scan_checks import check_frames, contradiction_warnings, refuse_wrong_frames
-from tasks.settings import InspectionSettings, SceneChecks
+from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,12 @@ class LoadedScene:
     known: KnownScene | None = None
 
 
-def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
+def load(
+    folder: Path, rig_path: Path | None, store: Store, evidence: VerificationSettings | None = None
+) -> LoadedScene:
     """Check a scene folder and find its rig: the file that is given, or else the one the scene names, in the store.
 
-    A scene that is signed off is refused: its result stays.
+    A scene that is signed off is refused: its result stays. `evidence` says what is asked of the rig's verification.
     """
     scene = load_scene(folder)
     refuse_signed_off(store.root, scene.key.scene_id)
@@ -75,6 +78,8 @@ def load(folder: Path, rig_path: Path | None, store: Store) -> LoadedScene:
     warnings = clock_warnings(scene.key, rig, known.first_stored_at if known else None)
     if rig.id != scene.rig_id:
         warnings.append(f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}")
+    if evidence:
+        warnings += evidence_warnings(store, rig, scene.key.captured_at, evidence, scene.folder)
     return LoadedScene(scene, rig, tuple(warnings), known)
 
 

@@ -83,7 +83,7 @@ def look(folder: Path, artefact: Artefact, rig: Path, store: Store, settings: In
     named = registration.register(
         rivets, stations, reconstruction, artefact.layout, scene.key.station, settings.registration
     )
-    if named.status != "recognised":
+    if named.status != "recognised" or named.ambiguous:
         warnings += (f"{folder.name}: {'; '.join(named.warnings) or named.status}",)
         return Look(scan, reconstruction, warnings=warnings)
     return Look(scan, reconstruction, named.rivets, named.stations, warnings=warnings)
@@ -172,7 +172,7 @@ def _fitted(artefact: Artefact, one: Look) -> list[SphereFit]:
     """The spheres in their order in the artefact; fewer where some were not found."""
     spheres = artefact.file.spheres
     points, sigma = _of(one)
-    radius = spheres[0].diameter_mm / 2
+    radius = sum(sphere.diameter_mm for sphere in spheres) / len(spheres) / 2
     centres = find_spheres(points, radius, len(spheres))
     fits = [fit for centre in centres if (fit := fit_sphere(points, sigma, centre, radius))]
     if len(fits) < len(spheres) or len(fits) == 1:

@@ -63,6 +63,8 @@ class Registration:
         The pattern whose first scan this one is.
     others : mapping
         Features of other kinds, which no pattern names, in panel coordinates where the placement is known.
+    ambiguous : bool
+        Whether another placement fits almost as well, so that names may be shifted.
     """
 
     status: Status
@@ -78,6 +80,7 @@ class Registration:
     warnings: tuple[str, ...] = ()
     enrolled: PanelLayout | None = None
     others: Features = field(default_factory=dict)
+    ambiguous: bool = False
 
     @property
     def features(self) -> Features:
@@ -148,6 +151,7 @@ def register(
         rms_mm=float(np.sqrt((distances**2).mean())) if len(distances) else None,
         shift_mm=shift,
         turn_deg=turn_deg,
+        ambiguous=_ambiguous(ranked),
         warnings=(*_warnings(ranked, shift, turn_deg, known.missing, settings), *_other_sizes(named)),
     )
 
@@ -209,12 +213,17 @@ def _unrecognised(rivets: Sequence[Rivet], stations: Sequence[SeamStation], foun
     return Registration("not recognised", None, tuple(rivets), tuple(stations), warnings=(warning,))
 
 
+def _ambiguous(ranked: Sequence[Hypothesis]) -> bool:
+    """Whether two placements are almost alike."""
+    return len(ranked) > 1 and ranked[0].score - ranked[1].score < _AMBIGUOUS
+
+
 def _warnings(
     ranked: Sequence[Hypothesis], shift: float | None, turn: float | None, missing: Sequence[NominalRivet],
     settings: RegistrationSettings,
 ) -> list[str]:  # fmt: skip
     warnings = []
-    if len(ranked) > 1 and ranked[0].score - ranked[1].score < _AMBIGUOUS:
+    if _ambiguous(ranked):
         warnings.append(
             "panel's pattern fits in two ways almost alike, expected one: ids may be shifted; "
             "see to the station's nominal placement"

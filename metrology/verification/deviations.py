@@ -56,14 +56,17 @@ class Trend:
 def common_bias(deviations: list[Deviation]) -> Trend:
     """Mean deviation over the features.
 
-    The scatter between features tells how well the mean is known; certified values may all err alike, which it does not
-    tell, so their uncertainty counts in full.
+    The scatter between features, about their line over the certified value where there is one, tells how well the mean
+    is known; certified values may all err alike, which it does not tell, so their uncertainty counts in full.
     """
     means, certified = _by_feature(deviations)
     n = len(means)
     if n < _LEAST:
         raise UsageError(f"bias: found {n} features, expected {_LEAST} or more")
-    half = float(stats.t.ppf(0.975, n - 1) * means.std(ddof=1) / np.sqrt(n))
+    unknowns, sigma = 1, means.std(ddof=1)
+    if n > _LEAST and np.ptp(certified[:, 0]) > 0:
+        unknowns, sigma = 2, linearity(certified[:, 0], means).sigma
+    half = float(stats.t.ppf(0.975, n - unknowns) * sigma / np.sqrt(n))
     return Trend(float(means.mean()), float(np.hypot(half, certified[:, 1].mean())), n)
 
 

@@ -81,4 +81,5 @@ def inflation(residuals: NDArray[np.float64]) -> float:
     whole = blocks[np.isfinite(blocks).all(axis=1)]
     if len(whole) < _LEAST_BLOCKS:
         return 1.0
-    return max(1.0, float(_BLOCK**2 * whole.mean(axis=1).var() / whole.var()))
+    ratio = float(_BLOCK**2 * whole.mean(axis=1).var(ddof=1) / whole.var())
+    return ratio if ratio > 1 + 2 * np.sqrt(2 / len(whole)) else 1.0  # what chance may give is none

@@ -19,7 +19,9 @@ _RIM_PX = 3  # beside a sphere's outline points are mixed with what lies behind
 _LEAST_POINTS = 1000
 _NEAR = 0.12  # of the radius: how far from a sphere its own points may lie at first
 _OUTLIER = 6.0  # standard deviations
-_STEPS = 8
+_STEPS = 12
+_CONVERGED_MM = 1e-6
+_MOST_CELLS = 2**20  # along an axis
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,10 @@ def find_spheres(points: Array, radius_mm: float, most: int) -> list[Array]:
     found: list[Array] = []
     cell = radius_mm / 4
     while len(votes) >= _LEAST_POINTS and len(found) < most:
-        _, member, counts = np.unique(
-            np.floor(votes / cell).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-        )
-        best = int(counts.argmax())
-        middle = np.median(votes[member.ravel() == best], axis=0)
+        cells = np.floor((votes - votes.min(axis=0)) / cell).astype(np.int64)
+        key = (cells[:, 0] * _MOST_CELLS + cells[:, 1]) * _MOST_CELLS + cells[:, 2]
+        _, member, counts = np.unique(key, return_inverse=True, return_counts=True)
+        middle = np.median(votes[member == counts.argmax()], axis=0)
         for _ in range(3):
             middle = np.median(votes[np.linalg.norm(votes - middle, axis=1) < 1.5 * cell], axis=0)
         near = np.linalg.norm(votes - middle, axis=1) < 1.5 * cell
@@ -130,7 +131,10 @@ def fit_sphere(points: Array, sigma_z: Array, centre: Array, radius_mm: float) -
         weight = (np.abs(residual / sigma) < _OUTLIER * scale) / sigma**2
         rows = np.column_stack([-normal, -np.ones(len(p))])
         matrix = rows.T @ (weight[:, None] * rows)
-        unknown = unknown - np.linalg.solve(matrix, rows.T @ (weight * residual))
+        change = np.linalg.solve(matrix, rows.T @ (weight * residual))
+        unknown = unknown - change
+        if np.abs(change).max() < _CONVERGED_MM:
+            break
     image = np.full(inside.shape, np.nan)
     image[inside] = residual
     factor = inflation(image)

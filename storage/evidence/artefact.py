@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from metrology.errors import SpecError
@@ -20,6 +21,10 @@ from storage.panel_spec import FeatureName, Vector3
 FORMAT = "flushline-artefact/1"
 Kind = Literal["plane", "spheres", "rivet-plate", "step-plate", "gap-plate", "board"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+_LEAST_HEADS = 3
+_SAME_MM = 2.0  # a pattern is told from its image by more than that
+_SAME_SIZE = 0.1  # of the diameter, as registration tells heads apart
+_SAME_SPHERE = 1.02
 Uncertainty = Annotated[float, Field(ge=0)]
 
 
@@ -111,6 +116,8 @@ class ArtefactFile(StrictModel):
     ----------
     id : str
     kind : str
+    size_mm : (width, height) or None
+        Of a plate, for its drawing.
     valid_days : int or None
         How long a verification with it holds.
     positions : int
@@ -123,6 +130,7 @@ class ArtefactFile(StrictModel):
     id: Identifier
     kind: Kind
     title: Line = ""
+    size_mm: tuple[PositiveNumber, PositiveNumber] | None = None
     valid_days: Annotated[WholeNumber, Field(gt=0)] | None = None
     certificate: CertificateModel | None = None
     limits: LimitsModel = Field(default_factory=LimitsModel)
@@ -147,10 +155,15 @@ class ArtefactFile(StrictModel):
         for distance in self.distances:
             if unknown := set(distance.between) - set(names):
                 raise ValueError(f"found sphere {min(unknown)!r} in a distance, expected one of {', '.join(names)}")
-        if len({sphere.diameter_mm for sphere in self.spheres}) > 1:
-            raise ValueError("found spheres of different diameters, expected one diameter in an artefact")
+        diameters = [sphere.diameter_mm for sphere in self.spheres]
+        if diameters and max(diameters) > _SAME_SPHERE * min(diameters):
+            raise ValueError(
+                f"found spheres of {min(diameters):g} and {max(diameters):g} mm, expected one nominal diameter"
+            )
         if len(self.spheres) > 1 and not self.distances:
             raise ValueError("found several spheres but no distances, expected the certified distance of two")
+        if self.rivets or self.seams:
+            _refuse_unplaceable(self.rivets)
         missing = "step_mm" if self.kind == "step-plate" else "width_mm" if self.kind == "gap-plate" else ""
         for seam in self.seams:
             if missing and getattr(seam, missing) is None:
@@ -175,10 +188,42 @@ class Artefact:
         )
 
 
+def _refuse_unplaceable(rivets: Sequence[CertifiedRivetModel]) -> None:
+    """Heads must tell where a plate is and which way round: names would be guessed otherwise."""
+    if len(rivets) < _LEAST_HEADS:
+        raise ValueError(f"found {len(rivets)} heads, expected {_LEAST_HEADS} or more that tell where the plate is")
+    places = np.array([complex(*rivet.position_mm[:2]) for rivet in rivets])
+    sizes = np.array([rivet.diameter_mm for rivet in rivets])
+    places -= places.mean()
+    first = int(np.abs(places).argmax())
+    for k in range(len(places)):
+        if k == first or abs(abs(places[k]) - abs(places[first])) > _SAME_MM:
+            continue
+        turned = places * (places[k] / places[first]) * abs(places[first]) / abs(places[k])
+        apart = np.abs(turned[:, None] - places)
+        partner = apart.argmin(1)
+        if (apart.min(1) < _SAME_MM).all() and np.allclose(sizes[partner], sizes, rtol=_SAME_SIZE):
+            turn = np.degrees(np.angle(places[k] / places[first]))
+            raise ValueError(f"found heads that look the same after a turn by {turn:.0f}°, expected none such")
+
+
 def _left_of(course: tuple[tuple[float, float, float], ...]) -> tuple[float, float, float]:
     """The direction to the left of a course: a step in an air flow that way is left above right, however it is seen."""
     (x0, y0, _), (x1, y1, _) = course[0], course[-1]
     return (y0 - y1, x1 - x0, 0.0)
+
+
+SHIPPED = Path(__file__).with_name("artefacts")
+"""Artefacts that ship with Flushline, to be made and certified."""
+
+
+def shipped_artefact(name: str) -> Path:
+    """The file of an artefact that ships."""
+    path = SHIPPED / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
+        raise SpecError(f"artefact: found {name!r}, expected one of {known}")
+    return path
 
 
 def load_artefact(path: Path) -> Artefact:
