@@ -15,7 +15,7 @@ from metrology.errors import FlushlineError
 from storage.archive.files import hold
 from storage.archive.store import Store
 from storage.export.deliveries import Delivery, Record, TargetModel, load_targets
-from storage.export.events import Event, events_of, quarantined, runs_since
+from storage.export.events import Event, events_of, quarantined, rigs_due, runs_since
 from storage.export.formats import format_named
 from storage.export.subject import panel_subject
 from storage.export.webhook import NotTaken, read_secret, send
@@ -55,8 +55,9 @@ def deliver(store: Store, outcomes: Iterable[Outcome] = (), now: Callable[[], da
         return Delivered()
     record = Record(store.root)
     aside = [quarantined(str(o.folder), o.scene_id, o.text) for o in outcomes if o.state == "quarantined"]
+    unasked = [*aside, *rigs_due(store, clock())]
     for target in targets:
-        record.add(target.name, [event for event in aside if target.takes(event.type)])
+        record.add(target.name, [event for event in unasked if target.takes(event.type)])
     descriptor = hold(store.layout.index)
     if descriptor is None:
         return Delivered(waiting=1, problems=("deliveries: found another process at them, which goes on with these",))

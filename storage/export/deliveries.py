@@ -44,7 +44,7 @@ class TargetModel(StrictModel):
     secret_file: Path | None = None
     place: Annotated[str, Field(min_length=1)] | None = None
     formats: tuple[str, ...] = ()
-    events: tuple[Literal["scene.verdict", "panel.verdict", "rig.doubtful", "scan.quarantined"], ...] = ()
+    events: tuple[Literal["scene.verdict", "panel.verdict", "rig.doubtful", "rig.due", "scan.quarantined"], ...] = ()
     give_up_hours: Annotated[float, Field(gt=0, le=24 * 365)] = 72.0
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from storage.archive.store import Store
@@ -13,6 +13,16 @@ from storage.documents import utc_text
 from storage.export.subject import Subject, panel_subject, scene_subject, stable_uuid
 
 FORMAT = "flushline-event/1"
+_IN_USE, _AHEAD = timedelta(days=30), timedelta(days=7)
+_DUE = """
+SELECT DISTINCT rig_id, what, due_at
+FROM (
+    SELECT rig_id, rig_hash, 'calibration' AS what, calibration_due_at AS due_at FROM rigs
+    UNION ALL SELECT rig_id, rig_hash, 'verification', verification_due_at FROM rigs
+) JOIN scenes USING (rig_id, rig_hash)
+WHERE captured_at >= ? AND due_at <= ?
+ORDER BY due_at, rig_id, what
+"""
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,16 @@ def runs_since(store: Store, since: datetime) -> dict[str, tuple[str, str, str]]
         [since],
     ).to_pylist()
     return {row["run"]: (row["scene_id"], row["aircraft_serial"], row["panel"]) for row in rows}
+
+
+def rigs_due(store: Store, now: datetime) -> Iterator[Event]:
+    """Rigs of scans of the last 30 days whose calibration or verification is due within a week."""
+    if not store.layout.archive.exists():
+        return
+    for row in store.query(_DUE, [now - _IN_USE, now + _AHEAD]).to_pylist():
+        due = utc_text(row["due_at"])
+        data = {"rig_id": row["rig_id"], "due": row["what"], "due_at": due}
+        yield Event("rig.due", _id("rig.due", row["rig_id"], row["what"], due), row["due_at"], data)
 
 
 def events_of(store: Store, runs: dict[str, tuple[str, str, str]]) -> Iterator[Event]:

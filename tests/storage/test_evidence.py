@@ -6,8 +6,10 @@ import json
 import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from importlib.resources import files
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from flows.cli import main
@@ -19,6 +21,7 @@ from storage.archive.bundle import document_hash
 from storage.certificate import CertificateModel
 from storage.evidence.chain import missing, trace
 from storage.evidence.verifications import ArtefactModel, MeasureModel, ScanModel, VerificationModel, verified
+from storage.export.events import rigs_due
 from storage.panel_spec import load_panel_spec
 from storage.report import scene_page, scene_record
 from storage.review import Feature as ReviewedFeature
@@ -186,3 +189,19 @@ def test_rigs_and_verifications_are_tables(tmp_path: Path) -> None:
     assert row["verification_due_at"] == CAPTURED + timedelta(days=28)
     joined = "SELECT s.scene_id, v.measure, v.verdict FROM scenes s JOIN verifications v USING (rig_id, rig_hash)"
     assert {row["verdict"] for row in store.query(joined).to_pylist()} == {"pass", "fail"}
+
+
+def test_a_rig_is_told_of_when_it_is_soon_due(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    assert list(rigs_due(store, CAPTURED)) == []
+    store.publish(result(tmp_path))
+    store.keep_verification(verification(-2), "")  # due after 28 days
+    assert list(rigs_due(store, CAPTURED + timedelta(days=20))) == []
+    (event,) = rigs_due(store, CAPTURED + timedelta(days=22))
+    assert event.data == {"rig_id": "rig-a", "due": "verification", "due_at": "2026-12-18T08:15:00Z"}
+    jsonschema.validate(
+        json.loads(event.document), json.loads((files("storage.export") / "event.schema.json").read_text("utf-8"))
+    )
+    (same,) = rigs_due(store, CAPTURED + timedelta(days=29))
+    assert same.id == event.id
+    assert list(rigs_due(store, CAPTURED + timedelta(days=31))) == []  # nobody scans with it any more
