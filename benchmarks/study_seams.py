@@ -20,7 +20,7 @@ import math
 import pickle
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +28,10 @@ import numpy as np
 
 from metrology.cloud import Reconstruction
 from metrology.reconstruct import reconstruct
-from metrology.seams import SeamSettings, detect_seams, measure_seams
+from metrology.seams import SeamSettings, detect_seams, measure, measure_seams
+from metrology.seams.gap import fit, image_edges, levels, prior, shape
+from metrology.seams.gap.model import SKY
+from metrology.seams.skins import neighbours
 from simulator.pack import pack
 from simulator.panel import Panel, Seam, Skin, Surface
 from simulator.random_panel import random_placement
@@ -206,6 +209,32 @@ def kept_scan(number: int, i: int, count: int, folder: Path | None) -> tuple[Rec
     return scan, true
 
 
+def predicted_step_unused(lines: np.ndarray, covariance: np.ndarray, *_: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smoothing's last part, which leaves everything as it is."""
+    return lines, covariance
+
+
+def even_floor() -> None:
+    """No darkening of the floor towards its walls: its level is held at nothing."""
+    usual = prior._levels
+    prior._levels = lambda *light: [(0.0, 1e-6) if k == SKY else level for k, level in enumerate(usual(*light))]
+    levels.LEVEL_SCATTER[SKY] = levels.COURSE_SCATTER[SKY] = 1e-6
+
+
+# What the measurement can be had without: how it is switched off.
+REFINEMENTS: dict[str, Callable[[], None]] = {
+    "neighbours": lambda: setattr(neighbours, "smoothed", lambda sections, *_: list(sections)),
+    "predicted-step": lambda: setattr(neighbours, "_step_told", predicted_step_unused),
+    "shared-noise": lambda: setattr(neighbours, "shared_share", lambda *_: 0.0),
+    "bends": lambda: setattr(measure, "with_unresolved_bends", lambda rows, *_: list(rows)),
+    "courses": lambda: setattr(fit, "courses", lambda places, away: np.zeros_like(away)),
+    "floor-darkening": even_floor,
+    "likely-chamfers": lambda: setattr(shape, "weigh_chamfers", lambda free, some: (free, 0.0)),
+    "open-rivals": lambda: setattr(fit, "sealant_doubt", lambda *_: 0.0),
+    "broken-laps": lambda: setattr(image_edges, "gap_or_edge", lambda _: None),
+}
+
+
 def over_rigs(chosen: argparse.Namespace, settings: SeamSettings) -> None:
     """What U95 covers, by rig and by joint."""
     tables: dict[str, list[np.ndarray]] = {}
@@ -286,9 +315,12 @@ def main() -> None:
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--edges", choices=("image", "points"), default="image")
     parser.add_argument("--rigs", type=int, nargs="*", choices=tuple(RIGS), help="coverage on these rigs, or on all")
+    parser.add_argument("--without", choices=tuple(REFINEMENTS), nargs="*", default=[], help="switched off")
     parser.add_argument("--keep", type=Path, help="folder for reconstructed scans")
     chosen = parser.parse_args()
     settings = SeamSettings(edges=chosen.edges)
+    for name in chosen.without:
+        REFINEMENTS[name]()
     if chosen.rigs is not None:
         over_rigs(chosen, settings)
         return

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.results import COVERAGE_95
 from metrology.seams.gap.chamfers import PROOF, doubt_of_sealant, weigh_chamfers
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
@@ -22,6 +23,8 @@ _START_STATIONS = 6
 _START_CHAMFERS_MM = (0.05, 0.35, 0.7, 1.05)
 _START_DEPTHS_MM = (1.0, 3.0)
 _START_ITERATIONS, _ITERATIONS = 10, 30
+# In a band as narrow as the blur (its width at half height) two broken edges look like anything, px.
+_RESOLVED_PX = 2.0
 
 
 def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array, float]:
@@ -46,6 +49,9 @@ def sealant_doubt(profiles: Profiles, found: State) -> float:
     floor = found.known.floor
     if not floor.sealed or floor.depth_mm is not None:
         return 0.0
+    width = float(np.median(found.widths))
+    if width < _RESOLVED_PX / float(np.median(profiles.px_mm)):
+        return width / COVERAGE_95
     chosen = _evenly(len(profiles.stations), _START_STATIONS)
     some = profiles.at(chosen)
     sealed = fit_shape_from(some, found.borders[chosen], found.shared, found.known, _START_ITERATIONS)
