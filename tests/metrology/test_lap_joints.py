@@ -9,7 +9,7 @@ from metrology.fits import SkinLine
 from metrology.kinds import SEAM_STATION
 from metrology.limits import Limit, PanelSpec
 from metrology.seams import detect_seams, measure_seams
-from metrology.seams.gap.lap_shadow import shadow_alone
+from metrology.seams.gap.lap_shadow import gap_or_edge, shadow_alone
 from metrology.seams.skins.residuals import shared_share
 from metrology.seams.skins.sections import Section
 from metrology.surfaces import Frame
@@ -62,6 +62,18 @@ def test_line_of_the_picture_along_an_edge_is_found_once(rng):
 )
 def test_wall_and_shadow_of_a_step_are_no_gap(gap, lap, rng):
     assert (shadow_alone(gap_render.profiles(gap, 8, rng)) is not None) == lap
+
+
+@pytest.mark.parametrize(
+    ("gap", "alike"),
+    [(Gap(0.4, 0.0, 0.9, sealed=True), True), (Gap(0.4, 0.0, -0.7, sealed=True), True), (Gap(0.9, 0.0, 0.6), False)],
+)
+def test_narrow_gap_beside_a_high_step_may_be_a_broken_edge(gap, alike, rng):
+    some = gap_render.profiles(gap, 8, rng)
+    assert shadow_alone(some) is None
+    under = gap_or_edge(some)
+    assert (under is not None) == alike
+    assert under is None or under > gap.width_mm
 
 
 def test_limit_of_the_width_does_not_ask_a_lap_joint():

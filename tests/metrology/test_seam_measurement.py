@@ -248,6 +248,22 @@ def test_narrow_gap_is_as_wide_as_stated(gap, rng):
     assert np.mean(error < u95) > 0.9
 
 
+@pytest.mark.parametrize("gap", [Gap(0.3, 0.0, sealed=True), Gap(0.06, 0.12)])
+def test_band_within_the_blur_may_be_sealed_or_a_tight_gap(gap, rng):
+    fit = fit_gap(profiles(gap, 16, rng), possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
+    assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.9
+    if fit.sealed:
+        assert (u95 > widths - 0.07).all()
+
+
+def test_sealant_that_broken_edges_could_not_imitate_keeps_its_width(rng):
+    fit = fit_gap(profiles(Gap(1.5, 0.0, 0.1, sealed=True), 16, rng), possible_floors(None))
+    assert fit.sealed
+    assert fit.sigma_common_mm < 0.04
+
+
 @pytest.mark.slow
 def test_narrow_gaps_are_as_wide_as_stated():
     # What a seam's stations have in common errs once for all of them: several draws of noise, several gaps.

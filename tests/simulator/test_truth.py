@@ -123,3 +123,15 @@ def test_filled_seam_joins_both_edges():
     z, _ = surface_heights(relief, x, np.zeros(5))
     np.testing.assert_allclose(z, [0.15, 0.15, 0.0, -0.15, -0.15], atol=1e-6)
     assert plate_heights(relief, x[:1], np.zeros(1), np.array([1]))[0] == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("angle", [15.0, 30.0, 60.0, 80.0])
+@pytest.mark.parametrize("step", [1.5, -1.5])
+def test_sides_of_a_high_step_are_those_of_the_skins(rig, angle, step):
+    # The camera sees a high edge aside of where it stands: that decides nothing.
+    c, s = 60.0 * np.cos(np.radians(angle)), 60.0 * np.sin(np.radians(angle))
+    lap = Seam("J", ((-c, -s), (c, s)), (0.0,), (step,), joint="lap")
+    panel = Panel(seams=(lap,))
+    (told,) = truth(panel, pack(panel), rig, posed(rig, (8, -8, 0))).seams
+    # The panel's y points up: the sheet to the left of the course lies above it or to its left in the image, side A.
+    np.testing.assert_allclose(told.step_mm, -step, atol=1e-6)

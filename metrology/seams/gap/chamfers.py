@@ -4,6 +4,9 @@ A chamfer narrower than the blur looks much like blur, and a square edge is a ki
 stands for what is known: the rest is fitted for each of many widths, square edges among them, and the chamfers
 are the median over them, each weighted by its likelihood; how far apart the gap's likely widths lie goes into the
 uncertainty.
+
+Sealant in a narrow gap looks much like the broken edges of a still narrower open one. It is taken for sealant unless
+the pictures ask for a gap, so every open gap that they do not exclude goes into the uncertainty.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.results import COVERAGE_95
-from metrology.seams.gap.prior import WIDTH_A, WIDTH_B
+from metrology.seams.gap.floor import Floor
+from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
 
@@ -27,8 +31,14 @@ _NO_WEIGHT = 12.0
 # Before any picture is seen: drawings ask for broken edges; of four joints one may have been left square.
 _SQUARE_SHARE = 0.25
 _ITERATIONS = 12
+# Open gaps that are to look like sealant: edges broken up to here, a floor as deep as usual; their fit starts far off.
+_WIDEST_BROKEN_MM, _DEPTH_MM = 0.55, 2.0
+_RIVAL_ITERATIONS = 40
 # Share of what is likely that U95 is to cover.
 _COVERAGE = 0.95
+# An open gap is taken for real where sealant costs more than this in squared standard deviations: then its chamfers
+# earn their keep (Bayesian information of about a hundred independent pixels).
+PROOF = 9.0
 
 
 def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
@@ -63,17 +73,36 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
     median = _with_chamfers(states[int(np.abs(chamfers - chamfer).argmin())], some, chamfer)
     away = np.abs(widths - np.median(median.widths))
     order = np.argsort(away)
-    return median, float(np.interp(_COVERAGE, np.cumsum(weights[order]), away[order])) / COVERAGE_95
+    reached = min(int(np.searchsorted(np.cumsum(weights[order]), _COVERAGE)), len(order) - 1)
+    return median, float(away[order[reached]]) / COVERAGE_95
 
 
-def _with_chamfers(start: State, some: Profiles, width_mm: float) -> State:
+def doubt_of_sealant(sealed: State, some: Profiles) -> float:
+    """The standard uncertainty of a sealed gap's width by open ones with broken edges that look nearly as well.
+
+    Within the same dark band the widest chamfers that the pictures do not exclude leave the narrowest gap. Its floor
+    lies as deep as floors do: right below the chamfers it would be sealant once more.
+    """
+    known = Prior(some, Floor(sealed=False, depth_mm=_DEPTH_MM)).without_chamfers()
+    shared = np.concatenate([sealed.shared[: known.lenses.stop], known.mean[known.lenses.stop :]])
+    shared[DEPTH] = known.mean[DEPTH]
+    rival = fit_shape_from(some, sealed.borders, shared, known, _RIVAL_ITERATIONS)
+    band, widest = float(np.median(sealed.widths)), 0.0
+    for chamfer in np.arange(_STEP_MM, min(_WIDEST_BROKEN_MM, 0.5 * band), _STEP_MM):
+        rival = _with_chamfers(rival, some, float(chamfer), _RIVAL_ITERATIONS)
+        if rival.cost(sealed.limit) - sealed.cost(sealed.limit) < PROOF * sealed.excess_misfit:
+            widest = float(chamfer) + _STEP_MM
+    return min(2.0 * widest, band) / COVERAGE_95
+
+
+def _with_chamfers(start: State, some: Profiles, width_mm: float, iterations: int = _ITERATIONS) -> State:
     """Everything else fitted to chamfers of this width."""
     shared = start.shared.copy()
     shared[[WIDTH_A, WIDTH_B]] = width_mm
     # A chamfer's middle stays where it is.
     wider = shared[[WIDTH_A, WIDTH_B]] - start.shared[[WIDTH_A, WIDTH_B]]
     borders = start.borders + 0.5 * wider * ACROSS
-    return fit_shape_from(some, borders, shared, start.known.without_chamfers(), _ITERATIONS)
+    return fit_shape_from(some, borders, shared, start.known.without_chamfers(), iterations)
 
 
 def _weights(costs: Array, free: State, chamfers: Array) -> Array:

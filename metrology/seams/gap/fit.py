@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.seams.gap.floor import Floor
+from metrology.seams.gap.lap_shadow import wall_and_shadow
 from metrology.seams.gap.levels import COURSE_SCATTER, courses
 from metrology.seams.gap.prior import LEAN, LEAN_CHANGE, SLOPE, WIDTH_A, WIDTH_B
 from metrology.seams.gap.profiles import Profiles
-from metrology.seams.gap.shape import fit_shape, fit_shape_again
+from metrology.seams.gap.shape import fit_shape, fit_shape_again, sealant_doubt
 from metrology.seams.gap.solver import ACROSS, State, fit_borders_from
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ _STREAKY = 1.5
 # The levels' courses follow from the fit, and the fit from them.
 _LEVEL_ROUNDS = 2
 _MAD = 1.4826
+# What a step's wall and shadow send back differs from the gap's own walls: that share of their width is not known.
+_WALL_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,8 @@ def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
         profiles = replace(profiles, courses=along, level_scatter=COURSE_SCATTER)
         shape, borders, sigma_common = fit_shape_again(profiles, final)
         final = fit_borders_from(profiles, borders, shape)
+    beside_step = _WALL_SHARE * float(np.median(wall_and_shadow(profiles).max(axis=1)))
+    sigma_common = float(np.linalg.norm([sigma_common, sealant_doubt(profiles, final), beside_step]))
     sound = _is_sound(final, profiles)
     if not sound.all() and sound.any():
         # Where a shadow or a scratch was taken for a border, its neighbours know better.

@@ -16,7 +16,7 @@ from metrology.results import Joint
 from metrology.rig import Device
 from metrology.seams.gap.fit import fit_gap
 from metrology.seams.gap.floor import floor_depth, possible_floors
-from metrology.seams.gap.lap_shadow import NO_GAP, shadow_alone
+from metrology.seams.gap.lap_shadow import NO_GAP, gap_or_edge, shadow_alone
 from metrology.seams.gap.profiles import collect
 from metrology.seams.gap.views import both_views
 from metrology.seams.gap.width import Gap, GapEdge
@@ -53,10 +53,13 @@ def image_edges(
     profiles = collect(sections, half_widths, views, projector, half_length, slope)
     if profiles is None:
         return gaps, None
-    if darkest_gap := shadow_alone(profiles):
-        return [f"{NO_GAP} (what is dark is its edge's wall and shadow, or a gap under {darkest_gap:.2f} mm)"] * len(
+    if widest := shadow_alone(profiles):
+        why = f"{NO_GAP} (what is dark is its edge's wall and shadow, or a gap under {widest:.2f} mm)"
+        return [why] * len(sections), "lap"
+    if widest := gap_or_edge(profiles):
+        return [f"a lap joint with a broken edge, or a gap under {widest:.2f} mm: both look alike"] * len(
             sections
-        ), "lap"
+        ), None
     fit = fit_gap(profiles, possible_floors(floor_depth(sections, half_widths, reconstruction, half_length)))
     depths = fit.chamfer_slope * fit.chamfers_mm
     for row, station in enumerate(profiles.stations):

@@ -3,7 +3,8 @@
 Blur spreads what is dark without changing how much there is of it: the brightness missing across the line, in
 millimetres of black. Of the edge of a sheet of height t a camera on the low side sees a wall ``t tan θ_camera`` wide,
 and a projector on the high side leaves a shadow of ``t tan θ_projector`` on the low skin; where that is enough for all
-that is missing, there is no sign of a gap. Joints whose sheets differ by a sheet's thickness are lap joints.
+that is missing, there is no sign of a gap. Joints whose sheets differ by a sheet's thickness are lap joints. A widely
+broken or rounded edge may be as dark as a narrow gap: up to there the picture leaves it open.
 """
 
 from __future__ import annotations
@@ -20,14 +21,22 @@ Array = NDArray[np.float64]
 NO_GAP = "lap joint: no gap"
 # A broken or rounded edge of half a millimetre that sends back two thirds of the skin's light looks this dark, mm.
 _EDGE_MM = 0.17
+# Edges are broken over 0.6 mm at most, or over the sheet's thickness, and keep three tenths of the light at least.
+_WIDEST_EDGE_MM, _DARKEST_EDGE = 0.6, 0.7
 
 
-def shadow_alone(profiles: Profiles) -> float | None:
-    """None where the picture shows a gap; else how wide one might be and not show, mm."""
-    step = -2.0 * profiles.tilts[:, 0]
-    if abs(float(np.median(step))) < LEAST_STEP_MM:
+def shadow_alone(profiles: Profiles, edge_mm: float = _EDGE_MM) -> float | None:
+    """None where the picture shows a gap; else how wide one might be and not show, mm.
+
+    Parameters
+    ----------
+    profiles : Profiles
+    edge_mm : float
+        How dark the sheet's edge may be, mm of black.
+    """
+    if abs(float(np.median(_steps(profiles)))) < LEAST_STEP_MM:
         return None
-    most = _wall_and_shadow(profiles, step) + _EDGE_MM
+    most = wall_and_shadow(profiles) + edge_mm
     missing = _missing(profiles)
     seen = np.isfinite(missing)
     views = [c for c in range(missing.shape[1]) if seen[:, c].any()]
@@ -37,8 +46,20 @@ def shadow_alone(profiles: Profiles) -> float | None:
     return max(float(np.median(missing[seen[:, c], c])) for c in views) + _EDGE_MM if max(excess) < 0 else None
 
 
-def _wall_and_shadow(profiles: Profiles, step: Array) -> Array:
-    """(n, k) width of the visible wall and of the shadow beside it, mm."""
+def gap_or_edge(profiles: Profiles) -> float | None:
+    """How wide a gap may be where the widest and darkest edge of a lap looks as dark, mm; else None."""
+    thickness = abs(float(np.median(_steps(profiles))))
+    return shadow_alone(profiles, _DARKEST_EDGE * min(_WIDEST_EDGE_MM, thickness))
+
+
+def _steps(profiles: Profiles) -> Array:
+    """(n,) height of skin B above skin A, mm."""
+    return np.asarray(-2.0 * profiles.tilts[:, 0])
+
+
+def wall_and_shadow(profiles: Profiles) -> Array:
+    """(n, k) width of a step's visible wall and of the shadow beside it, mm."""
+    step = _steps(profiles)
     towards_low = -np.sign(step)[:, None]
     camera = towards_low * profiles.eyes[..., 0] / profiles.eyes[..., 1]
     lamp = towards_low * (profiles.lamps[:, :1] / profiles.lamps[:, 1:])

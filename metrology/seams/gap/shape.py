@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.seams.gap.chamfers import weigh_chamfers
+from metrology.results import COVERAGE_95
+from metrology.seams.gap.chamfers import PROOF, doubt_of_sealant, weigh_chamfers
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
@@ -22,9 +23,8 @@ _START_STATIONS = 6
 _START_CHAMFERS_MM = (0.05, 0.35, 0.7, 1.05)
 _START_DEPTHS_MM = (1.0, 3.0)
 _START_ITERATIONS, _ITERATIONS = 10, 30
-# An open gap is taken for real where sealant costs more than this in squared standard deviations: then its chamfers
-# earn their keep (Bayesian information of about a hundred independent pixels).
-_PROOF = 9.0
+# In a band as narrow as the blur (its width at half height) two broken edges look like anything, px.
+_RESOLVED_PX = 2.0
 
 
 def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array, float]:
@@ -33,7 +33,7 @@ def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array
     few = some.at(_evenly(len(some.stations), _START_STATIONS))
     # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
     looks = [_first_look(few, floor) for floor in floors]
-    look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
+    look = min(looks, key=lambda look: _cost(look) - (PROOF if look.known.floor.sealed else 0.0))
     return _fit_some(some, profiles, _like(look, few, some), look.shared, look.known)
 
 
@@ -42,6 +42,20 @@ def fit_shape_again(profiles: Profiles, found: State) -> tuple[State, Array, flo
     chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
     known = Prior(profiles, found.known.floor)
     return _fit_some(profiles.at(chosen), profiles, found.borders[chosen], found.shared, known)
+
+
+def sealant_doubt(profiles: Profiles, found: State) -> float:
+    """The standard uncertainty of the width by not knowing that a gap is sealed; nothing where points show it."""
+    floor = found.known.floor
+    if not floor.sealed or floor.depth_mm is not None:
+        return 0.0
+    width = float(np.median(found.widths))
+    if width < _RESOLVED_PX / float(np.median(profiles.px_mm)):
+        return width / COVERAGE_95
+    chosen = _evenly(len(profiles.stations), _START_STATIONS)
+    some = profiles.at(chosen)
+    sealed = fit_shape_from(some, found.borders[chosen], found.shared, found.known, _START_ITERATIONS)
+    return doubt_of_sealant(sealed, some)
 
 
 def _fit_some(
