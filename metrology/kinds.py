@@ -144,6 +144,8 @@ class Kind:
         As addresses of pages name it.
     verdict : str
         A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
+    unlimited : str
+        A function of a row that no limit of its zone judges ("module:name"); "" where such a row is in order.
     note : str
         A function of a row that gives what the projector writes behind its values; "" where there is nothing to say.
     measure : str
@@ -172,6 +174,7 @@ class Kind:
     subject: str = ""
     parameter: str = ""
     verdict: str = ""
+    unlimited: str = ""
     note: str = ""
     measure: str = ""
     settings: str = ""
@@ -313,6 +316,7 @@ HOLE = Kind(
     subject="hole",
     parameter="hole",
     verdict="metrology.holes.verdict:hole_finding",
+    unlimited="metrology.holes.verdict:unexpected_hole",
     note="metrology.holes.verdict:hole_note",
     measure="metrology.holes.measure:measure_sighted",
     settings="rivets",

@@ -106,4 +106,6 @@ def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
     otherwise: Verdict | None = load(kind.verdict)(row) if kind.verdict else None
     parts = [*([otherwise] if otherwise else []), *(_judge(required) for required in requirements(kind, row, spec))]
     verdict = _gravest(parts, row.reason)
+    if verdict.decision == "no limit" and kind.unlimited:
+        verdict = load(kind.unlimited)(row) or verdict
     return replace(row, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason)

@@ -115,8 +115,9 @@ def _round_openings(away: NDArray[np.uint8], view: _View) -> list[Opening]:
             continue
         window = np.s_[v0 : v0 + rows, u0 : u0 + columns]
         opening = _opening(labels[window] == k, window, view)
-        if opening is not None and _in_skin(view, opening.ellipse):
+        if opening is not None:
             found.append(opening)
+            away[window][labels[window] == k] = 0
     return found
 
 
@@ -128,10 +129,10 @@ def _opening(patch: Mask, window: tuple[slice, slice], view: _View) -> Opening |
     if proud.sum() > (1 - _EMPTY) * np.isfinite(height[patch]).sum():
         standing = _round_patch(patch, corner, view.shapes, _LONG)
         top = _round_patch(proud, corner, view.shapes, np.inf)
-        if standing is not None:
+        if standing is not None and _in_skin(view, standing):
             return Opening(top or standing, float(np.median(height[proud])))
     ellipse = _round_patch(patch, corner, view.shapes, _ROUND)
-    if ellipse is None:
+    if ellipse is None or not _in_skin(view, ellipse):
         return None
     inside = height[patch & _core(ellipse, window)]
     seen = inside[np.isfinite(inside)]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.holes.bore import bore_circle
 from metrology.holes.countersink import Countersink, countersink
 from metrology.holes.find import Opening, brightness
-from metrology.holes.rim import DIRECTIONS, RimCircle, cloud_edges, picture_edges, rim_circle
+from metrology.holes.rim import CLOUD_SD_PX, DIRECTIONS, RimCircle, View, cloud_edges, picture_edges, rim_circle
 from metrology.results import COVERAGE_95, Hole, HoleKind, RivetDetection
-from metrology.rig import Device
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, point_sets
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -23,14 +23,12 @@ if TYPE_CHECKING:
     from metrology.sighted import Sighted
 
 Array = NDArray[np.float64]
-View = tuple[Device, NDArray[np.float32]]
 
 _ENOUGH = 0.25  # of all directions in which pictures must show a rim; below it the cloud tells
 _LEAST_MM = 0.5
 _DARK = 0.15  # of the skin's brightness: black paint sends back more than a hole into which no light falls
 _PROFILE_PX = 8.0  # of skin beyond the largest radius of a rim
-_ON_CONE_PX = 1.5  # within a countersink: clear of the blur of its border, and wide enough to tell its brightness
-_DEEPER = 3  # rounds in which a rim's depth and its place agree
+_BORDER_PX = 1.0  # by which a cone's border in pictures may lie off the cloud's, beyond its U95
 _SIZE = 1.35  # times the radius at which it was found may the rim lie
 
 
@@ -80,15 +78,12 @@ def _measured(
         return replace(placed, decision="not measured", reason=reason)
     height = patch.h - skin.height(patch.x, patch.y)
     cone = countersink(np.hypot(patch.x, patch.y), height, patch.guard / patch.guard_px, _SIZE * patch.radius)
-    rim = _rim(patch, skin, reconstruction, cone)
+    pixel_mm = patch.guard / patch.guard_px
+    rig = reconstruction.rig
+    views = (rig.left, reconstruction.left.texture), (rig.right, reconstruction.right.texture)
+    rim = _rim(patch, skin, views, pixel_mm)
     if cone is not None:
-        placed = replace(
-            placed,
-            countersink_diameter_mm=cone.diameter_mm,
-            countersink_diameter_u95_mm=COVERAGE_95 * cone.diameter_sd_mm,
-            countersink_depth_mm=None if rim is None else cone.depth_at(rim.radius),
-            countersink_angle_deg=cone.angle_deg,
-        )
+        rim, placed = _below(cone, rim, placed, patch, skin, views, pixel_mm)
     if rim is None or rim.radius < _LEAST_MM:
         below = "" if cone is None else " below its countersink"
         return replace(placed, decision="not measured", reason=f"no circle follows its rim{below}")
@@ -107,33 +102,31 @@ def _at(row: Hole, point: Array, reconstruction: Reconstruction) -> Hole:
     return replace(row, x_mm=x, y_mm=y, z_mm=z, u_px=float(u), v_px=float(v))
 
 
-def _rim(patch: Patch, skin: Polynomial, reconstruction: Reconstruction, cone: Countersink | None) -> RimCircle | None:
-    """The hole's own rim, at the lower end of a countersink where there is one."""
-    pixel_mm = patch.guard / patch.guard_px
-    rig = reconstruction.rig
-    views = (rig.left, reconstruction.left.texture), (rig.right, reconstruction.right.texture)
-    if cone is not None:
-        return _rim_below(patch, skin, views, cone, pixel_mm)
+def _rim(patch: Patch, skin: Polynomial, views: tuple[View, ...], pixel_mm: float) -> RimCircle | None:
+    """Where the skin ends."""
     within = _SIZE * patch.radius
     edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
-    if edges.directions < _ENOUGH * DIRECTIONS:
-        edges = cloud_edges(patch, patch.h - skin.height(patch.x, patch.y), pixel_mm, within)
-    return rim_circle(edges, pixel_mm)
+    rim = rim_circle(edges, pixel_mm) if edges.directions >= _ENOUGH * DIRECTIONS else None
+    height = patch.h - skin.height(patch.x, patch.y)
+    return rim or rim_circle(cloud_edges(patch, height, pixel_mm, within), pixel_mm)
 
 
-def _rim_below(
-    patch: Patch, skin: Polynomial, views: tuple[View, ...], cone: Countersink, pixel_mm: float
-) -> RimCircle | None:
-    """The rim where a countersink ends; how deep that is follows from how wide it is."""
-    start = 0.5 * cone.diameter_mm - _ON_CONE_PX * pixel_mm
-    radius = min(0.5 * cone.lower_diameter_mm, start - _ON_CONE_PX * pixel_mm)
-    rim = None
-    for _ in range(_DEEPER):
-        edges = picture_edges(
-            patch, skin, views, pixel_mm, start, start - _ON_CONE_PX * pixel_mm, cone.depth_at(radius)
-        )
-        rim = rim_circle(edges, pixel_mm)
-        if rim is None or rim.directions < _ENOUGH * DIRECTIONS or not _LEAST_MM < rim.radius < start:
-            return None
-        radius = rim.radius
-    return rim
+def _below(
+    cone: Countersink, rim: RimCircle | None, placed: Hole, patch: Patch, skin: Polynomial, views: tuple[View, ...],
+    pixel_mm: float,
+) -> tuple[RimCircle | None, Hole]:  # fmt: skip
+    """The bore below a countersink, and the row with the countersink: its border of pictures, else of the cloud."""
+    diameter, sd = cone.diameter_mm, cone.diameter_sd_mm
+    outer = RimCircle(0.0, 0.0, 0.5 * diameter, 0.5 * sd, 0)
+    off = np.inf if rim is None or rim.radius_sd > CLOUD_SD_PX * pixel_mm else abs(2 * rim.radius - diameter)
+    if rim is not None and off < COVERAGE_95 * sd + _BORDER_PX * pixel_mm:
+        outer, diameter, sd = rim, 2 * rim.radius, 2 * rim.radius_sd
+    bore = bore_circle(patch, skin, views, cone, outer, pixel_mm)
+    row = replace(
+        placed,
+        countersink_diameter_mm=diameter,
+        countersink_diameter_u95_mm=COVERAGE_95 * sd,
+        countersink_depth_mm=None if bore is None else cone.depth_at(bore.radius),
+        countersink_angle_deg=cone.angle_deg,
+    )
+    return bore, row

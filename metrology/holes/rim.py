@@ -19,6 +19,7 @@ from metrology.robust import fit_circle
 from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
+View = tuple[Device, NDArray[np.float32]]
 
 DIRECTIONS = 72
 _SPACING_PX = 0.25
@@ -26,8 +27,9 @@ _CONTRAST = 0.2  # of the skin's brightness: an edge; grain is a tenth of it
 _PLATEAU_PX = 1.5  # behind an edge that must stay as dark, or blur moves its middle
 _PLATEAU = 0.7
 _FALL_MM = 0.25  # below the skin: over the rim
-_EDGE_SD_PX = 0.08  # systematic: what the blur of a curved edge and a wall's shine move it by
-_CLOUD_SD_PX = 0.5
+EDGE_SD_PX = 0.08  # systematic: what the blur of a curved edge and a wall's shine move it by
+CLOUD_SD_PX = 0.5
+_SCATTER_PX = 0.2  # of a radius by its edges' scatter: they follow no one circle
 _SHARED = 4.0  # neighbouring edges that are worth one
 _NEAREST_PX = 0.02  # of an edge off its place: sampled profiles tell it no better
 
@@ -71,7 +73,7 @@ class RimCircle:
 def picture_edges(
     patch: Patch,
     skin: Polynomial,
-    views: tuple[tuple[Device, NDArray[np.float32]], ...],
+    views: tuple[View, ...],
     pixel_mm: float,
     start: float,
     outside: float,
@@ -107,7 +109,7 @@ def picture_edges(
                 found.append((int(k), float(np.interp(at, np.arange(len(radii)), radii))))
     which = np.array([k for k, _ in found], int)
     r = np.array([radius for _, radius in found])
-    return Edges(r * np.cos(turn[which]), r * np.sin(turn[which]), which, _EDGE_SD_PX)
+    return Edges(r * np.cos(turn[which]), r * np.sin(turn[which]), which, EDGE_SD_PX)
 
 
 def _edge(departure: Array) -> float | None:
@@ -147,11 +149,11 @@ def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float) -> 
         x.append(edge * np.cos(angle))
         y.append(edge * np.sin(angle))
         directions.append(k)
-    return Edges(np.array(x), np.array(y), np.array(directions, int), _CLOUD_SD_PX)
+    return Edges(np.array(x), np.array(y), np.array(directions, int), CLOUD_SD_PX)
 
 
 def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
-    """The circle through edges, those that lie off it left out."""
+    """The circle through edges, those that lie off it left out; None where they follow none."""
     if len(edges.x) < 8:
         return None
     found = fit_circle(edges.x, edges.y, _NEAREST_PX * pixel_mm)
@@ -163,5 +165,7 @@ def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
     rows = np.column_stack([away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
     # Neighbouring edges share their pixels: a quarter of them is independent.
     by_noise = spread * np.sqrt(_SHARED * np.linalg.inv(rows.T @ rows + 1e-9 * np.eye(3))[2, 2])
+    if by_noise > _SCATTER_PX * pixel_mm:
+        return None
     sd = float(np.hypot(by_noise, edges.sd_px * pixel_mm))
     return RimCircle(found.x, found.y, found.radius, sd, len(np.unique(edges.direction[kept])))

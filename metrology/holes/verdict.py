@@ -18,3 +18,10 @@ def hole_finding(hole: Hole) -> Verdict | None:
     if hole.kind == "missing fastener":
         return Verdict("red", "fail", hole.reason)
     return Verdict(None, "not measured", hole.reason) if hole.diameter_mm is None else None
+
+
+def unexpected_hole(hole: Hole) -> Verdict | None:
+    """An open hole that no zone's `hole_diameter_mm` asks for: somebody must say what belongs there."""
+    if hole.kind != "open hole" or hole.diameter_mm is None:
+        return None
+    return Verdict("blue", "conditional fail", f"open hole of {hole.diameter_mm:.1f} mm where no limit asks for one")

@@ -23,7 +23,7 @@ def test_a_kind_names_what_exists(kind: Kind) -> None:
         named += [quantity.into_wind] if quantity.into_wind else []
         assert len(quantity.limits) == (3 if quantity.into_wind else 1)
     assert set(named) <= there
-    for function in filter(None, (kind.verdict, kind.note, kind.measure)):
+    for function in filter(None, (kind.verdict, kind.unlimited, kind.note, kind.measure)):
         assert callable(load(function))
 
 

@@ -1,0 +1,82 @@
+"""The bore below a countersink: of all edges on the cone in both pictures, those that lie on one circle about its axis.
+
+A cone is lit on one side and lies in its own shadow on the other, so the first edge from the skin inwards need not be
+the bore's. Shadows and highlights change their radius from direction to direction; the bore does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+from metrology.holes.countersink import Countersink
+from metrology.holes.rim import DIRECTIONS, EDGE_SD_PX, Edges, RimCircle, View, rim_circle
+from metrology.rivets.bilinear import sample_image
+from metrology.rivets.patch import Patch
+from metrology.surfaces import Polynomial
+
+Array = NDArray[np.float64]
+
+_SPACING_PX = 0.25
+_CLEAR_PX = 1.5  # of the countersink's border
+_INNERMOST = 0.3  # of the countersink's radius: no bore is smaller
+_SMOOTH_PX = 0.7  # of the derivative along a profile
+_STEEP = 0.06  # of the skin's brightness per pixel: an edge; grain is a third of it
+_TOGETHER_PX = 0.75  # within which edges are of one circle, before its own centre is known
+_ENOUGH = 0.3  # of all directions in which there must be an edge of it
+
+
+def bore_circle(
+    patch: Patch, skin: Polynomial, views: tuple[View, ...], cone: Countersink, outer: RimCircle, pixel_mm: float
+) -> RimCircle | None:
+    """The circle in which a countersink ends; None where too few edges lie on one.
+
+    Parameters
+    ----------
+    patch : Patch
+    skin : Polynomial
+    views : tuple of (Device, texture)
+    cone : Countersink
+    outer : RimCircle
+        Where the countersink meets the skin.
+    pixel_mm : float
+    """
+    radii = np.arange(outer.radius - _CLEAR_PX * pixel_mm, _INNERMOST * outer.radius, -_SPACING_PX * pixel_mm)
+    if len(radii) < 4 / _SPACING_PX:
+        return None
+    turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+    x, y = (c + radii * f(turn)[:, None] for c, f in ((outer.x, np.cos), (outer.y, np.sin)))
+    # Every sample lies on the cone; only where the cone ends it does not.
+    depth = np.array([cone.depth_at(radius) for radius in radii])
+    places = patch.frame.rig(np.stack([x, y, skin.height(x, y) - depth], axis=-1))
+    which, at = [], []
+    for device, texture in views:
+        directions, positions = _steep_places(sample_image(texture, device.project(places)))
+        which.append(directions)
+        at.append(np.interp(positions, np.arange(len(radii)), radii))
+    direction, radius = np.concatenate(which), np.concatenate(at)
+    if len(radius) == 0:
+        return None
+    near = np.abs(radius[:, None] - radii) < _TOGETHER_PX * pixel_mm
+    supported = [len(np.unique(direction[column])) for column in near.T]
+    best = int(np.argmax(supported))
+    if supported[best] < _ENOUGH * DIRECTIONS:
+        return None
+    kept = near[:, best]
+    r, angle = radius[kept], turn[direction[kept]]
+    edges = Edges(outer.x + r * np.cos(angle), outer.y + r * np.sin(angle), direction[kept], EDGE_SD_PX)
+    return rim_circle(edges, pixel_mm)
+
+
+def _steep_places(profiles: Array) -> tuple[NDArray[np.int64], Array]:
+    """Profile and position (index, between samples) of the places where brightness changes fastest."""
+    known = np.flatnonzero(np.isfinite(profiles).all(axis=1))
+    level = float(np.median(profiles[known].max(axis=1))) if len(known) else 1.0
+    slope = np.abs(gaussian_filter1d(profiles[known] / level, _SMOOTH_PX / _SPACING_PX, axis=1, order=1)) / _SPACING_PX
+    peak = (slope == maximum_filter1d(slope, 5, axis=1)) & (slope > _STEEP)
+    peak[:, [0, -1]] = False
+    row, column = np.nonzero(peak)
+    before, here, after = (slope[row, column + k] for k in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return known[row], column + 0.5 * (before - after) / np.where(bend < 0, bend, -1.0)
