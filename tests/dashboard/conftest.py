@@ -50,7 +50,7 @@ def writable(filled: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _components_are_looked_for_once() -> Iterator[None]:
-    """AppTest reads the metadata of all installed packages whenever it runs a page: longer than the page itself takes."""
+    """AppTest reads the metadata of all installed packages whenever it runs a page, which takes longer than it does."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(manifest_scanner, "scan_component_manifests", cache(manifest_scanner.scan_component_manifests))
         yield

@@ -201,16 +201,6 @@ def test_gap_is_measured_from_its_pictures(gap, rng):
     assert np.median(u95) < 0.15
 
 
-@pytest.mark.parametrize("gap", [Gap(0.3, 0.45), Gap(0.4, 0.2, 0.5), Gap(0.5, 0.0, -0.3), Gap(0.35, 0.1)])
-def test_narrow_gap_is_as_wide_as_stated(gap, rng):
-    fit = fit_gap(profiles(gap, 16, rng), possible_floors(None))
-    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
-    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
-    error = np.abs(widths - gap.width_mm)
-    assert error.mean() < 0.03
-    assert np.mean(error < u95) > 0.9
-
-
 @pytest.mark.slow
 def test_narrow_gaps_are_as_wide_as_stated():
     # What a seam's stations have in common errs once for all of them: several draws of noise, several gaps.
