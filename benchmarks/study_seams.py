@@ -1,29 +1,41 @@
 """Accuracy and repeatability of seam measurement over simulated seams: the figures in docs/seams.md.
 
 python benchmarks/study_seams.py [--seams 24] [--scans 1] [--only 5 11] [--draw 5] [--angles 6] [--shift 3]
-                                  [--edges image|points]
+                                  [--edges image|points] [--without NAME …]
+python benchmarks/study_seams.py --rigs [1 2 …] [--seams 36] [--only 5 11] [--keep DIR] [--without NAME …]
 
 Widths 0.3 to 5 mm, steps −1 to 1 mm, chamfers 0 to 0.6 mm, eight directions, bent skin, sealed ones, dark, bright and
 shiny skin. A seam takes about 15 s of CPU to trace; further scans of it differ by noise alone.
+
+With --rigs: what U95 covers on six rigs (resolution, baseline, blur), for butt joints, sealed ones and laps in all
+directions, gaps of 0.05 to 2 mm, in small pictures. Reconstructed scans are kept in DIR, for measuring them again.
+
+With --without: one refinement of the measurement switched off, to see what it buys.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import pickle
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from metrology.cloud import Reconstruction
 from metrology.reconstruct import reconstruct
 from metrology.seams import SeamSettings, detect_seams, measure_seams
+from simulator.pack import pack
 from simulator.panel import Panel, Seam, Skin, Surface
 from simulator.random_panel import random_placement
 from simulator.rig import RigDesign
-from simulator.scene import expose, fringe_light, make_rig, set_up
+from simulator.scene import expose, fringe_light, make_rig, place, set_up
 from simulator.spec import Camera, Lighting, RigSpec, SceneKeys, SimulationSpec
+from simulator.truth import truth
 
 KEYS = SceneKeys("SIM", "P", "S", "2026-11-20T08:00:00Z")
 # A quarter of the usual cameras, of the usual resolution on the panel.
@@ -111,6 +123,116 @@ def errors(stations: list, truth: dict) -> np.ndarray:
     return np.array(rows, float).reshape(-1, 5)
 
 
+@dataclass(frozen=True)
+class Kind:
+    """A rig: what a pixel shows, mm; distance of the cameras and of the panel, mm; blur, px."""
+
+    px_mm: float
+    baseline_mm: float
+    stand_off_mm: float
+    blur_px: float
+
+    @property
+    def design(self) -> RigDesign:
+        """Small cameras, and a projector whose pixels are as large on the panel as the usual one's."""
+        away = self.stand_off_mm
+        return RigDesign(
+            camera_width=400, camera_height=320, camera_focal_px=away / self.px_mm,
+            projector_focal_px=2550.0 * away / 700.0, baseline_mm=self.baseline_mm, stand_off_mm=away,
+        )  # fmt: skip
+
+
+RIGS = {
+    1: Kind(0.15, 240.0, 550.0, 0.9), 2: Kind(0.19, 300.0, 700.0, 0.75), 3: Kind(0.24, 400.0, 700.0, 0.6),
+    4: Kind(0.28, 300.0, 900.0, 1.1), 5: Kind(0.35, 250.0, 1050.0, 0.7), 6: Kind(0.42, 500.0, 1260.0, 0.85),
+}  # fmt: skip
+# In turn, so that every rig has all of them in all directions.
+JOINTS = ("butt", "lap", "butt", "butt sealed", "butt", "lap", "butt", "butt sealed", "butt", "butt")
+GAPS_MM = (0.05, 2.0)
+
+
+def rig_seam(number: int, i: int, count: int, draw: int = 21) -> SimulationSpec:
+    """The i-th of `count` seams before the rig of that number."""
+    rng = np.random.default_rng([draw, number, i])
+    kind, joint = RIGS[number], JOINTS[i % len(JOINTS)]
+    side = 520 * kind.px_mm
+    sheet = joint == "lap"
+    step = rng.choice([-1, 1]) * rng.uniform(0.4, 1.6) if sheet else rng.uniform(-1, 1) * (1.0 if i % 3 else 0.2)
+    width = 0.0 if sheet else float(np.geomspace(*GAPS_MM, count)[(i * 7) % count])
+    radius = float(rng.choice([0.0, 0.2, 0.5])) if sheet else 0.0
+    broken = float(rng.choice(CHAMFERS_MM)) if joint == "butt" or (sheet and not radius) else 0.0
+    # Evenly over a quarter turn; at 45° itself the last pixel decides which side is A.
+    angle = 90.0 * ((i * 11) % count + 0.5) / count
+    angle += 2.0 if abs(angle - 45.0) < 2.0 else 0.0
+    seam = Seam(
+        "J01", course(math.radians(angle), rng.uniform(-1, 1)),
+        tuple(float(w) for w in width * (1 + rng.uniform(0.0, 0.08, 5))),
+        tuple(float(s) for s in step + rng.uniform(-0.03, 0.03, 5)),
+        chamfer_mm=min(broken, 0.8 * abs(step)) if sheet else broken, chamfer_deg=45.0 + float(rng.uniform(-5, 5)),
+        filled=joint == "butt sealed", joint="lap" if sheet else "butt", edge_radius_mm=min(radius, 0.8 * abs(step)),
+        depth_mm=rng.uniform(0, 0.05) if joint == "butt sealed" else rng.uniform(1.5, 4),
+        floor_reflectance=rng.uniform(0.15, 0.5), edge_reflectance=rng.uniform(0.6, 1.0),
+    )  # fmt: skip
+    reflectance, specular = rng.uniform(0.25, 0.8), float(rng.choice([0.0, 0.3, 0.6]))
+    surface = Surface(
+        reflectance=reflectance, specular=specular, roughness=rng.uniform(0.3, 0.5),
+        brushing=rng.uniform(0.005, 0.03), brushing_deg=rng.uniform(0, 180), random_scratches=0,
+    )  # fmt: skip
+    bends = rng.uniform(-1 / 900, 1 / 900, 2)
+    panel = Panel(side, side, Skin(1 / bends[0], 1 / bends[1], rng.uniform(0, 180)), (), (seam,), surface=surface)
+    brightness = 186.0 / reflectance / (1 + 1.6 * specular)
+    return SimulationSpec(
+        "flushline-simulation/1", KEYS, panel, RigSpec(seed=number, design=kind.design),
+        (random_placement(rng, 10, 3),), camera=Camera(blur_px=kind.blur_px, samples=200),
+        light=Lighting(min(500.0, brightness), rng.uniform(10, 40), rng.uniform(0.3, 0.8)), seed=100 + i,
+    )  # fmt: skip
+
+
+def kept_scan(number: int, i: int, count: int, folder: Path | None) -> tuple[Reconstruction, dict]:
+    """One seam's reconstructed scan, traced or as kept, and its truth."""
+    spec = rig_seam(number, i, count)
+    rig, placement = make_rig(spec), spec.placements[0]
+    true = truth(spec.panel, pack(spec.panel), rig, place(rig, placement)).as_dict()
+    path = folder / f"{number}-{i}-of-{count}.pickle" if folder else None
+    if path and path.exists():
+        return pickle.loads(path.read_bytes()), true
+    stage, rng = set_up(spec, rig, placement), np.random.default_rng([9, number, i])
+    light = fringe_light(spec, stage, rng)
+    left, right = (expose(spec, light[side], rng) for side in ("left", "right"))
+    scan = reconstruct(left, right, rig, spec.fringe, spec.camera.exposures)
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(scan))
+    return scan, true
+
+
+def over_rigs(chosen: argparse.Namespace, settings: SeamSettings) -> None:
+    """What U95 covers, by rig and by joint."""
+    tables: dict[str, list[np.ndarray]] = {}
+    counts: Counter[str] = Counter()
+    for number in chosen.rigs or RIGS:
+        for i in chosen.only or range(chosen.seams):
+            scan, true = kept_scan(number, i, chosen.seams, chosen.keep)
+            stations = measure_seams(detect_seams(scan, ()), scan, (), settings)
+            seam = rig_seam(number, i, chosen.seams).panel.seams[0]
+            true_kind = "lap" if seam.joint == "lap" else "butt sealed" if seam.filled else "butt"
+            found = errors(stations, true) if stations else np.empty((0, 5))
+            named = Counter(station.joint for station in stations).most_common(1)[0][0] if stations else "not found"
+            for key in (f"rig {number} ({RIGS[number].px_mm} mm)", true_kind, "all"):
+                tables.setdefault(key, []).append(found)
+                counts[key] += 1
+            print(
+                f"rig {number} {i:2d} {true_kind:11s} as {named or '?':11s} width {seam.width_mm[2]:.2f} step "
+                f"{seam.step_mm[2]:+.2f} edge {seam.chamfer_mm or seam.edge_radius_mm:.2f}: {len(found)} stations\n"
+                f"   step  {summary(found[:, 1], found[:, 2])}\n   width {summary(found[:, 3], found[:, 4])}",
+                flush=True,
+            )
+    for key in sorted(tables):
+        joined = np.concatenate(tables[key])
+        print(f"{key}: {counts[key]} seams, {len(joined)} seam stations")
+        print(f"   step  {summary(joined[:, 1], joined[:, 2])}\n   width {summary(joined[:, 3], joined[:, 4])}")
+
+
 def scans(spec: SimulationSpec, count: int, settings: SeamSettings) -> Iterator[tuple[np.ndarray, float]]:
     """Errors of each of `count` scans of one seam, and the CPU seconds of measuring it."""
     rig = make_rig(spec)
@@ -163,8 +285,13 @@ def main() -> None:
     parser.add_argument("--shift", type=int, default=0, help="give each skin the chamfers of another, so many on")
     parser.add_argument("--only", type=int, nargs="*")
     parser.add_argument("--edges", choices=("image", "points"), default="image")
+    parser.add_argument("--rigs", type=int, nargs="*", choices=tuple(RIGS), help="coverage on these rigs, or on all")
+    parser.add_argument("--keep", type=Path, help="folder for reconstructed scans")
     chosen = parser.parse_args()
     settings = SeamSettings(edges=chosen.edges)
+    if chosen.rigs is not None:
+        over_rigs(chosen, settings)
+        return
     found, seconds = [], []
     for i in chosen.only or range(chosen.seams):
         spec = seam_spec(i, chosen.seams, chosen.draw, chosen.angles, chosen.shift)

@@ -326,7 +326,9 @@ def _seam(index: int, seam: Seam, panel: Panel, relief: Relief, rig: Rig, pose: 
     # Side B is the one at larger u of a seam nearer to vertical in the left image, at larger v otherwise.
     run = uv[-1] - uv[0] if len(uv) > 1 else np.array([0.0, 1.0])
     axis = 0 if abs(run[1]) > abs(run[0]) else 1
-    towards = rig.left.project(pose.to_rig(left.skin)) - rig.left.project(pose.to_rig(right.skin))
+    # Across the seam on the skin: its edges themselves lie at different heights, and a camera sees that aside.
+    ideal = 0.5 * (left.ideal + right.ideal)
+    towards = rig.left.project(pose.to_rig(ideal + left.across)) - rig.left.project(pose.to_rig(ideal))
     sign = 1.0 if np.median(towards[:, axis]) > 0 else -1.0
     return TrueSeam(
         seam.id, _visible(index, xi, panel, relief, rig, pose).tolist(), uv.tolist(), middle.tolist(),

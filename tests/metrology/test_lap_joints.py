@@ -9,9 +9,9 @@ from metrology.fits import SkinLine
 from metrology.kinds import SEAM_STATION
 from metrology.limits import Limit, PanelSpec
 from metrology.seams import detect_seams, measure_seams
-from metrology.seams.lap_shadow import shadow_alone
-from metrology.seams.leaning import shared_share
-from metrology.seams.sections import Section
+from metrology.seams.gap.lap_shadow import shadow_alone
+from metrology.seams.skins.residuals import shared_share
+from metrology.seams.skins.sections import Section
 from metrology.surfaces import Frame
 from metrology.tolerance import judge
 from tests.support import gap_render

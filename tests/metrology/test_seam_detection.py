@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 from metrology.errors import UsageError
 from metrology.results import RivetDetection
 from metrology.seams import ImageLine, LineSettings, SeamSettings, detect_lines, detect_seams
+from metrology.seams.finding.relief import examine_relief
+from metrology.seams.finding.segments import join_pieces, straight_pieces
+from metrology.seams.finding.shade import projected_share
 from metrology.seams.polyline import smoothest
-from metrology.seams.relief import examine_relief
-from metrology.seams.sections import usable_points
-from metrology.seams.segments import join_pieces, straight_pieces
-from metrology.seams.shade import projected_share
+from metrology.seams.skins.sections import usable_points
 from tests.support.seam_scan import SHAPE, Relief, seam_scan
 from tests.support.seam_textures import Band, paint
 

@@ -13,8 +13,8 @@ from metrology.panel import NominalSeam, Placement
 from metrology.registration.courses import on_course
 from metrology.results import SeamLine
 from metrology.seams import SeamSettings, measure_seams
-from metrology.seams.gap import step_height
 from metrology.seams.sides import is_upright, oriented, towards_b
+from metrology.seams.skins.step import step_height
 from tests.support.seam_scan import Relief, seam_scan
 from tests.support.seam_textures import Band
 

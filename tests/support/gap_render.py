@@ -1,4 +1,4 @@
-"""The picture of a gap's section by casting single rays at its outline: slow, and sharing nothing with `gap_view`."""
+"""The picture of a gap's section by casting single rays at its outline: slow, and sharing nothing with `gap.model`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from metrology.seams import gap_view
-from metrology.seams.gap_levels import LEVEL_SCATTER
-from metrology.seams.gap_profiles import Profiles
+from metrology.seams.gap import model
+from metrology.seams.gap.levels import LEVEL_SCATTER
+from metrology.seams.gap.profiles import Profiles
 
 Array = NDArray[np.float64]
 SKIN_A, CHAMFER_A, WALL_A, FLOOR, WALL_B, CHAMFER_B, SKIN_B = range(7)
@@ -131,6 +131,6 @@ def profiles(gap: Gap, stations: int, rng: np.random.Generator, noise: float = 0
         normals=np.tile([1.0, 0.0], (k, 1)),
         ambient=np.array([0.2, 0.2]),
         chamfer_slope=1.0,
-        courses=np.zeros((stations, k, gap_view.LEVELS)),
+        courses=np.zeros((stations, k, model.LEVELS)),
         level_scatter=LEVEL_SCATTER,
     )

@@ -19,7 +19,8 @@ from metrology.overlay import draw_overlay
 from metrology.results import Rivet, SceneKey, SeamStation
 from metrology.rig import Device, Rig
 from metrology.rivets.flushness import mean_height
-from metrology.seams.gap import GapEdge, gap_width, step_height
+from metrology.seams.gap.width import GapEdge, gap_width
+from metrology.seams.skins.step import step_height
 from metrology.surfaces import Frame, monomials
 from metrology.tolerance import judge
 from storage.panel_spec import load_panel_spec
