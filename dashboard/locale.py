@@ -89,11 +89,6 @@ class Locale:
         """Moments for an axis, in the person's zone."""
         return moments.dt.tz_convert(self.zone).dt.tz_localize(None)
 
-    @property
-    def date_input(self) -> str:
-        """Streamlit's format of a date field."""
-        return {"us": "MM/DD/YYYY", "de": "DD.MM.YYYY", "iso": "YYYY-MM-DD"}[self.style]
-
     def _local(self, moment: object) -> datetime | None:
         if not isinstance(moment, datetime) or moment != moment:  # pandas' NaT is a datetime unequal to itself
             return None

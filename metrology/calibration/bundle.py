@@ -213,8 +213,7 @@ def predict(state: State, sighting: Sighting, known: Array | None = None) -> Arr
         points = known @ rotation[:, :2].T + translation
     else:
         points = on_plane(state.devices["projector"], known, rotation, translation)
-    device = state.devices[sighting.device]
-    return project(points @ device.R.T + device.t, lens_vector(device)).pixels
+    return state.devices[sighting.device].project(points)
 
 
 def adjust(

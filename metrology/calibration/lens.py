@@ -54,15 +54,21 @@ def project(points: Array, lens: Array) -> Projected:
     yd_x = xd_y
 
     by_point = np.empty((len(points), 2, 3))
-    by_point[:, 0] = np.stack([fx * xd_x, fx * xd_y, -fx * (xd_x * x + xd_y * y)], -1) / z[:, None]
-    by_point[:, 1] = np.stack([fy * yd_x, fy * yd_y, -fy * (yd_x * x + yd_y * y)], -1) / z[:, None]
+    for row, f, by_x, by_y in ((by_point[:, 0], fx, xd_x, xd_y), (by_point[:, 1], fy, yd_x, yd_y)):
+        row[:, 0], row[:, 1], row[:, 2] = f * by_x / z, f * by_y / z, -f * (by_x * x + by_y * y) / z
 
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    by_lens = np.empty((len(points), 2, 9))
-    u_terms = [x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3]
-    v_terms = [y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3]
-    by_lens[:, 0] = np.stack([xd, zero, one, zero, *(fx * term for term in u_terms)], -1)
-    by_lens[:, 1] = np.stack([zero, yd, zero, one, *(fy * term for term in v_terms)], -1)
+    r4, xy = r2 * r2, 2 * x * y
+    by_lens = np.zeros((len(points), 2, 9))
+    by_lens[:, 0, 0], by_lens[:, 1, 1] = xd, yd
+    by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
+    for column, by_xd, by_yd in (
+        (4, x * r2, y * r2),
+        (5, x * r4, y * r4),
+        (6, xy, r2 + 2 * y * y),
+        (7, r2 + 2 * x * x, xy),
+        (8, x * r4 * r2, y * r4 * r2),
+    ):
+        by_lens[:, 0, column], by_lens[:, 1, column] = fx * by_xd, fy * by_yd
     return Projected(np.column_stack([fx * xd + cx, fy * yd + cy]), by_point, by_lens)
 
 

@@ -24,6 +24,11 @@ from storage.rig import save_rig
 from tasks.settings import InspectionSettings
 from tests.support.small_panel import PLACEMENTS, SEAM, SIMULATION
 
+FEW_RAYS = """
+[camera]
+samples = 4
+"""
+
 ACCURACY = """
 format = "flushline-study/1"
 study = "accuracy"
@@ -51,8 +56,8 @@ def specs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with simulations and studies of them; the fewer features and scans, the sooner they are done."""
     folder = tmp_path_factory.mktemp("specs")
     for name, text in (
-        ("rivets", SIMULATION),
-        ("rivets-twice", SIMULATION + PLACEMENTS),
+        ("rivets", SIMULATION + FEW_RAYS),
+        ("rivets-twice", SIMULATION + PLACEMENTS + FEW_RAYS),
         ("seam", SIMULATION + SEAM),
         ("seam-twice", SIMULATION + SEAM + PLACEMENTS),
         ("accuracy", ACCURACY.replace("SIMULATION", "rivets")),

@@ -16,10 +16,16 @@ from metrology.errors import CalibrationError
 from tests.support.calibration_bench import SIZES, bench_rig, bench_state, see
 
 SIGMA_PX = 0.01
+CAMERA_SIZES = {name: size for name, size in SIZES.items() if name != "projector"}
 
 
-def sightings(poses: int = 7, seed: int = 1) -> list[Sighting]:
-    return see(bench_state(bench_rig(), poses), np.random.default_rng(seed), SIGMA_PX)
+def sightings(poses: int = 7, dots: bool = True) -> list[Sighting]:
+    return see(bench_state(bench_rig(), poses), np.random.default_rng(1), SIGMA_PX, dots=dots)
+
+
+def cameras() -> list[Sighting]:
+    """The board alone, where the projector does not matter: solved in a quarter of the time."""
+    return sightings(dots=False)
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +71,8 @@ def test_the_third_radial_term_is_not_fitted_to_noise(calibration: Calibration) 
 def test_a_pinhole_is_called_one() -> None:
     rig = bench_rig()
     ideal = replace(rig, left=replace(rig.left, distortion=np.zeros(5)))
-    seen = see(bench_state(ideal), np.random.default_rng(2), SIGMA_PX)
-    assert calibrate_sightings(seen, SIZES).terms["left"] == ()
+    seen = see(bench_state(ideal), np.random.default_rng(2), SIGMA_PX, dots=False)
+    assert calibrate_sightings(seen, CAMERA_SIZES).terms["left"] == ()
 
 
 def test_a_rig_file_keeps_covariance_residuals_and_poses(calibration: Calibration) -> None:
@@ -80,18 +86,18 @@ def test_a_rig_file_keeps_covariance_residuals_and_poses(calibration: Calibratio
 def test_projector_coordinates_from_fringes_serve_as_well() -> None:
     state = bench_state(bench_rig())
     rng = np.random.default_rng(3)
-    cameras = see(state, rng, SIGMA_PX, dots=False)
+    pictures = see(state, rng, SIGMA_PX, dots=False)
     decoded = see(state, rng, 0.02, devices=("projector",))
-    found = calibrate_sightings(cameras + decoded, SIZES)
+    found = calibrate_sightings(pictures + decoded, SIZES)
     assert found.rms_px["projector"] == pytest.approx(np.sqrt(2) * 0.02, rel=0.15)
     assert found.adjusted.state.devices["projector"].K[0, 0] == pytest.approx(bench_rig().projector.K[0, 0], rel=3e-4)
 
 
 def test_outliers_are_left_out_and_counted() -> None:
-    seen = sightings()
+    seen = cameras()
     pixels = seen[0].pixels.copy()
     pixels[[3, 20, 41]] += (0.4, -0.3)
-    found = calibrate_sightings([replace(seen[0], pixels=pixels), *seen[1:]], SIZES)
+    found = calibrate_sightings([replace(seen[0], pixels=pixels), *seen[1:]], CAMERA_SIZES)
     assert found.poses[0].outliers >= 3
     assert found.poses[0].rms_px["left board"] < 2 * SIGMA_PX
 
@@ -101,7 +107,7 @@ def swapped(sighting: Sighting) -> Sighting:
 
 
 def test_one_pose_with_left_and_right_swapped_is_refused_by_name() -> None:
-    found = calibrate_sightings([swapped(s) if s.pose == 3 else s for s in sightings()], SIZES)
+    found = calibrate_sightings([swapped(s) if s.pose == 3 else s for s in cameras()], CAMERA_SIZES)
     assert found.poses[3].used == ()
     assert any("swapped" in reason for reason in found.poses[3].reasons)
     assert any(text.startswith("pose 3 refused") for text in found.warnings)
@@ -109,21 +115,21 @@ def test_one_pose_with_left_and_right_swapped_is_refused_by_name() -> None:
 
 def test_cameras_swapped_throughout_are_an_error() -> None:
     with pytest.raises(CalibrationError, match="swapped throughout"):
-        calibrate_sightings([swapped(s) for s in sightings()], SIZES)
+        calibrate_sightings([swapped(s) for s in cameras()], CAMERA_SIZES)
 
 
 def test_right_frames_of_two_poses_exchanged_are_refused() -> None:
     other = {1: 4, 4: 1}
-    mixed = [replace(s, pose=other.get(s.pose, s.pose)) if s.device == "right" else s for s in sightings()]
-    found = calibrate_sightings(mixed, SIZES)
+    mixed = [replace(s, pose=other.get(s.pose, s.pose)) if s.device == "right" else s for s in cameras()]
+    found = calibrate_sightings(mixed, CAMERA_SIZES)
     assert found.poses[1].used == found.poses[4].used == ()
     assert "frames of another pose" in found.poses[1].reasons[0]
 
 
 def test_right_frames_in_reverse_order_are_an_error() -> None:
-    mixed = [replace(s, pose=6 - s.pose) if s.device == "right" else s for s in sightings()]
+    mixed = [replace(s, pose=6 - s.pose) if s.device == "right" else s for s in cameras()]
     with pytest.raises(CalibrationError, match="mixed up"):
-        calibrate_sightings(mixed, SIZES)
+        calibrate_sightings(mixed, CAMERA_SIZES)
 
 
 def test_a_board_that_moved_before_its_dots_were_taken_is_refused_in_part() -> None:

@@ -17,7 +17,7 @@ from metrology.seams.gap import floor, model, solver
 from metrology.seams.gap.fit import fit_gap
 from metrology.seams.gap.floor import Floor, possible_floors
 from metrology.seams.gap.levels import courses
-from metrology.seams.gap.piecewise import fit_pieces, paper_gap, side_of_section
+from metrology.seams.gap.piecewise import fit_pieces, project_onto, side_of_section
 from metrology.seams.gap.prior import Prior
 from metrology.seams.gap.width import GapEdge, gap_width
 from metrology.seams.skins.other_seams import beyond
@@ -51,11 +51,10 @@ def test_paper_s_procedure_on_exact_sections(width, step, chamfer):
     b = side_of_section(-x[::-1], y[::-1], 0.05, np.deg2rad(20))
     assert a is not None
     assert b is not None
-    mirrored = type(b)(-b.slope, b.intercept, (-b.inflection[0], b.inflection[1]), b.n)
-    height, gap = paper_gap(a, mirrored)
-    assert height == pytest.approx(abs(step), abs=0.01)
+    (x_a, height_a), (x_b, height_b) = project_onto(a), project_onto(b)
+    assert height_b - height_a == pytest.approx(step, abs=0.01)
     # Both corners are free within the tolerance: the method is that coarse, which is why it is not the default.
-    assert gap == pytest.approx(width, abs=3 * 0.05)
+    assert -x_b - x_a == pytest.approx(width, abs=3 * 0.05)
 
 
 def test_pieces_keep_to_the_tolerance():
@@ -236,16 +235,6 @@ def test_gap_is_measured_from_its_pictures(gap, rng):
     assert np.abs(widths - gap.width_mm).mean() < 0.03
     assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.8
     assert np.median(u95) < 0.15
-
-
-@pytest.mark.parametrize("gap", [Gap(0.3, 0.45), Gap(0.4, 0.2, 0.5), Gap(0.5, 0.0, -0.3), Gap(0.35, 0.1)])
-def test_narrow_gap_is_as_wide_as_stated(gap, rng):
-    fit = fit_gap(profiles(gap, 16, rng), possible_floors(None))
-    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
-    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
-    error = np.abs(widths - gap.width_mm)
-    assert error.mean() < 0.03
-    assert np.mean(error < u95) > 0.9
 
 
 @pytest.mark.parametrize("gap", [Gap(0.3, 0.0, sealed=True), Gap(0.06, 0.12)])

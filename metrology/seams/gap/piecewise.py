@@ -165,20 +165,3 @@ def project_onto(fit: SideFit) -> tuple[float, float]:
     px, py = fit.inflection
     t = (px + fit.slope * (py - fit.intercept)) / (1 + fit.slope**2)
     return t, fit.slope * t + fit.intercept
-
-
-def paper_gap(a: SideFit, b: SideFit) -> tuple[float, float]:
-    """H_gap and W_gap, eqs 6–11 as printed, both unsigned, from both sides in one frame."""
-    d_ideal, g_ideal = np.array(project_onto(a)), np.array(project_onto(b))
-    height = 0.5 * (_distance(d_ideal, b) + _distance(g_ideal, a))
-    d, g = np.array(a.inflection), np.array(b.inflection)
-    normal_a = np.array([1.0, a.slope]) / np.hypot(1.0, a.slope)
-    normal_b = np.array([1.0, b.slope]) / np.hypot(1.0, b.slope)
-    # Lines DD′ and GG′ are normal to L1 and L2, so distances from them are measured along L1 and L2.
-    width = 0.5 * (abs(float((d - g) @ normal_b)) + abs(float((g - d) @ normal_a)))
-    return height, width
-
-
-def _distance(point: Array, line: SideFit) -> float:
-    """Eqs 7, 8: |A x + B y + C| / √(A² + B²)."""
-    return float(abs(line.slope * point[0] - point[1] + line.intercept) / np.hypot(line.slope, 1.0))
