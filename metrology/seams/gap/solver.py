@@ -143,7 +143,7 @@ class State:
         alone = (inverse @ self.gradients[:, :2, None])[..., 0]
         right = self._trust @ (self.gradients[:, 2:] - (alone[:, None, :] @ cross)[:, 0])
         right += self.known.gradient(self.shared)
-        by_shape, free = np.zeros(len(self.shared)), self.known.free
+        by_shape, free = np.zeros(len(self.shared)), self.known.movable(self.shared, right)
         by_shape[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
         by_border = alone - (inverse @ (cross @ by_shape)[..., None])[..., 0]
         return np.clip(by_border, -_STRIDE_MM, _STRIDE_MM), by_shape
