@@ -11,7 +11,7 @@ from metrology.jit import kernel
 
 Array = NDArray[np.float64]
 
-_GRID = np.linspace(-1, 1, 5)
+_GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,7 @@ class LocalMap:
 
 def grid_offsets(half_x: float, half_z: float) -> Array:
     """(25, 2) x, z of a grid over ±half_x, ±half_z: project the points there and hand the pixels to `fit_map`."""
-    x, z = np.meshgrid(half_x * _GRID, half_z * _GRID)
-    return np.stack([x.ravel(), z.ravel()], axis=-1)
+    return np.asarray(_GRID * (half_x, half_z))
 
 
 def fit_map(offsets: Array, pixels: Array) -> LocalMap:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.jit import kernel
 from metrology.rig import Device
 from metrology.seams.gap.levels import LEVEL_SCATTER
 from metrology.seams.gap.model import LEVELS
@@ -177,16 +178,38 @@ def _profile(section: Section, half: float, view: View, half_length: float) -> _
     if len(x) == 0:
         return None
     x, grey, counts = binned(x, grey, _BIN_PX / px_mm)
-    skins = [side * x > half + BLUR_PX / px_mm for side in (-1.0, 1.0)]
-    if min(int(skin.sum()) for skin in skins) < _MIN_BINS or min(grey[skin].mean() for skin in skins) <= 0:
+    level, scatter = _skin(x, grey, counts, half + BLUR_PX / px_mm)
+    if not level > 0:
         return None
-    level = 0.5 * sum(float(grey[skin].mean()) for skin in skins)
-    grey = grey / level
-    # What bins scatter about a straight line is grain and noise, correlated within a bin as they are.
-    squares = freedom = 0.0
-    for skin in skins:
-        from_mean, level = x[skin] - x[skin].mean(), grey[skin] - grey[skin].mean()
-        residual = level - from_mean * (from_mean @ level) / (from_mean @ from_mean)
-        squares += float((residual**2 * counts[skin]).sum())
-        freedom += int(skin.sum()) - 2
-    return _Profile(x, grey, counts, px_mm, local.gradient, squares / freedom)
+    return _Profile(x, grey / level, counts, px_mm, local.gradient, scatter)
+
+
+@kernel
+def _skin(x, grey, counts, border):  # type: ignore[no-untyped-def]
+    """Brightness of the skin on both sides, and the variance of a bin times its pixels relative to it.
+
+    What bins scatter about each side's straight line is grain and noise, correlated within a bin as they are. The
+    brightness is NaN without enough bins on both sides, or where one of them is dark.
+    """
+    level = squares = 0.0
+    freedom = 0
+    for side in (-1.0, 1.0):
+        n, mean_x, mean, moment, spread = 0, 0.0, 0.0, 0.0, 0.0
+        for k in range(x.size):
+            if side * x[k] > border:
+                n += 1
+                mean_x += x[k]
+                mean += grey[k]
+        if n < _MIN_BINS or not mean > 0.0:
+            return np.nan, np.nan
+        mean_x, mean = mean_x / n, mean / n
+        for k in range(x.size):
+            if side * x[k] > border:
+                moment += (x[k] - mean_x) * (grey[k] - mean)
+                spread += (x[k] - mean_x) ** 2
+        for k in range(x.size):
+            if side * x[k] > border:
+                squares += (grey[k] - mean - (x[k] - mean_x) * moment / spread) ** 2 * counts[k]
+        level += 0.5 * mean
+        freedom += n - 2
+    return level, squares / freedom / level**2

@@ -7,6 +7,7 @@ each of n stations gets n times its variance: more stations do not make it small
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ _ALIKE_BINS = 7.5
 _USUAL_MISFIT = _ALIKE_BINS * (_RENDERING_FOUND / _RENDERING) ** 2
 # Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy).
 _DOUBTFUL = 3.0
-# An iteration that gains less than this, in squared standard deviations, is the last.
+# An iteration that gains less than this, in squared standard deviations, is the last where nothing else is said.
 _SETTLED = 0.002
 # No border moves farther in one iteration, mm.
 _STRIDE_MM = 0.3
@@ -78,7 +79,7 @@ class State:
         cameras = self.levels.shape[1]
         return self.shared[LENSES + cameras :].reshape(cameras, LEVELS)
 
-    @property
+    @cached_property
     def limit(self) -> float:
         """Cost from which a station is doubtful."""
         return _DOUBTFUL * float(np.median(self.costs))
@@ -112,7 +113,7 @@ class State:
             Of the borders' own blocks.
         """
         own = self.normals[:, :2, :2] * (1.0 + damping * np.eye(2)) + 1e-9 * np.eye(2)
-        cross, inverse = self.normals[:, :2, 2:], np.asarray(np.linalg.inv(own), float)
+        cross, inverse = self.normals[:, :2, 2:], _inverses(own)
         trust = self._trust[:, None, None]
         normal = (trust * self.normals[:, 2:, 2:]).sum(axis=0) + self.known.precision
         normal += damping * np.diag(np.diag(normal))
@@ -143,22 +144,30 @@ class State:
         alone = (inverse @ self.gradients[:, :2, None])[..., 0]
         right = self._trust @ (self.gradients[:, 2:] - (alone[:, None, :] @ cross)[:, 0])
         right += self.known.gradient(self.shared)
-        by_shape, free = np.zeros(len(self.shared)), self.known.free
+        by_shape, free = np.zeros(len(self.shared)), self.known.movable(self.shared, right)
         by_shape[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
         by_border = alone - (inverse @ (cross @ by_shape)[..., None])[..., 0]
         return np.clip(by_border, -_STRIDE_MM, _STRIDE_MM), by_shape
 
-    @property
+    @cached_property
     def _trust(self) -> Array:
         """(n,) stations' weights: one for those with usual costs."""
         return np.minimum(1.0, self.limit / np.maximum(self.costs, 1e-12))
 
 
+def _inverses(matrices: Array) -> Array:
+    """(n, 2, 2) inverses of (n, 2, 2) symmetric matrices."""
+    (a, b), (_, d) = matrices.transpose(1, 2, 0)
+    return np.asarray((np.array([[d, -b], [-b, a]]) / (a * d - b * b)).transpose(2, 0, 1))
+
+
 _OF_STATIONS = ("borders", "normals", "gradients", "levels", "costs")
 
 
-def fit_shape_from(profiles: Profiles, borders: Array, shared: Array, known: Prior, iterations: int) -> State:
-    """Borders and shape together, from a start."""
+def fit_shape_from(
+    profiles: Profiles, borders: Array, shared: Array, known: Prior, iterations: int, settled: float = _SETTLED
+) -> State:
+    """Borders and shape together, from a start; an iteration that gains less than `settled` is the last."""
     n = len(profiles.stations)
     cautious = replace(profiles, variance=profiles.variance + n * _RENDERING**2)
     state = _state_at(cautious, _apart(borders, shared), shared, known, with_shape=True)
@@ -170,7 +179,7 @@ def fit_shape_from(profiles: Profiles, borders: Array, shared: Array, known: Pri
         gain = state.cost(state.limit) - new.cost(state.limit)
         if gain > 0:
             state, damping = new, max(0.2 * damping, 1e-6)
-            if gain < _SETTLED:
+            if gain < settled:
                 break
         else:
             damping *= 8.0
