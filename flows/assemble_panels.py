@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from flows.cli import counted
+from flows.cli import counted, print_error
 from metrology.assembly.result import PanelResult
+from metrology.errors import FlushlineError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
 from storage.archive import Store
@@ -20,6 +21,29 @@ def assemble_and_publish(store: Store, keys: Iterable[PanelKey], spec: PanelSpec
         result = assemble(store, key, spec)
         store.publish_panel(result)
         print(describe(result))
+
+
+def assemble_after(store: Store, scene_ids: Iterable[str]) -> None:
+    """Assemble the panels that newly inspected scenes are of, where these have more than one station or a pattern.
+
+    The scenes are stored by then: what is wrong with a panel is said, and nothing else comes of it.
+    """
+    for key in sorted({PanelKey(*scene_id.split("~")[:2]) for scene_id in scene_ids}, key=str):
+        try:
+            if _is_worth_it(store, key):
+                assemble_and_publish(store, [key])
+        except FlushlineError as problem:
+            print_error(f"panel {key}: {problem}; the scenes are stored, 'flushline panel assemble' tries again")
+
+
+def _is_worth_it(store: Store, key: PanelKey) -> bool:
+    spec = store.panels.in_force(key.panel)
+    if spec and (spec.rules or not spec.layout.empty):
+        return True
+    stations = store.query(
+        "SELECT count(*) FROM latest_scenes WHERE aircraft_serial = ? AND panel = ?", [key.aircraft_serial, key.panel]
+    )
+    return bool(stations.column(0)[0].as_py() > 1)
 
 
 def describe(result: PanelResult) -> str:
