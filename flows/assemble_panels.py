@@ -11,6 +11,9 @@ from metrology.errors import FlushlineError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
 from storage.archive import Store
+from storage.archive.panel_bundle import panel_document
+from storage.archive.panel_judging import judged_again, stored_rows
+from storage.archive.schema import PANEL_VERDICTS
 from storage.panel_spec import PanelSpecification
 from tasks.panel import assemble
 
@@ -19,8 +22,16 @@ def assemble_and_publish(store: Store, keys: Iterable[PanelKey], spec: PanelSpec
     """Assemble panels one after the other, store them and say what they are."""
     for key in keys:
         result = assemble(store, key, spec)
-        store.publish_panel(result)
+        store.publish_panel(panel_document(result, stored_rows(store, key, PANEL_VERDICTS.name)))
         print(describe(result))
+
+
+def judge_again(store: Store, key: PanelKey, spec: PanelSpecification) -> None:
+    """Judge a stored panel by another specification, store it and say both verdicts."""
+    document = judged_again(store, key, spec)
+    store.publish_panel(document)
+    for row in document.rows[PANEL_VERDICTS.name][-2:]:
+        print(f"panel {key} by {row['panel_spec']}: {row['verdict']}: {row['reason']}")
 
 
 def assemble_after(store: Store, scene_ids: Iterable[str]) -> None:
