@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from flows.cli import counted
+from flows.cli import counted, print_error
 from metrology.assembly.result import PanelResult
+from metrology.errors import FlushlineError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
 from storage.archive import Store
+from storage.archive.panel_bundle import panel_document
+from storage.archive.panel_judging import judged_again, stored_rows
+from storage.archive.schema import PANEL_VERDICTS
 from storage.panel_spec import PanelSpecification
 from tasks.panel import assemble
 
@@ -18,8 +22,39 @@ def assemble_and_publish(store: Store, keys: Iterable[PanelKey], spec: PanelSpec
     """Assemble panels one after the other, store them and say what they are."""
     for key in keys:
         result = assemble(store, key, spec)
-        store.publish_panel(result)
+        store.publish_panel(panel_document(result, stored_rows(store, key, PANEL_VERDICTS.name)))
         print(describe(result))
+
+
+def judge_again(store: Store, key: PanelKey, spec: PanelSpecification) -> None:
+    """Judge a stored panel by another specification, store it and say both verdicts."""
+    document = judged_again(store, key, spec)
+    store.publish_panel(document)
+    for row in document.rows[PANEL_VERDICTS.name][-2:]:
+        print(f"panel {key} by {row['panel_spec']}: {row['verdict']}: {row['reason']}")
+
+
+def assemble_after(store: Store, scene_ids: Iterable[str]) -> None:
+    """Assemble the panels that newly inspected scenes are of, where these have more than one station or a pattern.
+
+    The scenes are stored by then: what is wrong with a panel is said, and nothing else comes of it.
+    """
+    for key in sorted({PanelKey(*scene_id.split("~")[:2]) for scene_id in scene_ids}, key=str):
+        try:
+            if _is_worth_it(store, key):
+                assemble_and_publish(store, [key])
+        except FlushlineError as problem:
+            print_error(f"panel {key}: {problem}; the scenes are stored, 'flushline panel assemble' tries again")
+
+
+def _is_worth_it(store: Store, key: PanelKey) -> bool:
+    spec = store.panels.in_force(key.panel)
+    if spec and (spec.rules or not spec.layout.empty):
+        return True
+    stations = store.query(
+        "SELECT count(*) FROM latest_scenes WHERE aircraft_serial = ? AND panel = ?", [key.aircraft_serial, key.panel]
+    )
+    return bool(stations.column(0)[0].as_py() > 1)
 
 
 def describe(result: PanelResult) -> str:

@@ -150,6 +150,11 @@ def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
     return Outcome(folder, "inspected", scene_id, found, time.perf_counter() - start)
 
 
+def inspected_scenes(outcomes: Iterable[Outcome]) -> list[str]:
+    """Ids of the scenes that were inspected just now."""
+    return [outcome.scene_id for outcome in outcomes if outcome.state == "inspected" and outcome.scene_id]
+
+
 def write_parquet(job: InboxJob, outcomes: Iterable[Outcome]) -> str | None:
     """Compact the store's tables if the job asks for it and something new is in them; returns where they lie."""
     if not job.compact or not any(outcome.state == "inspected" for outcome in outcomes):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from flows.assemble_panels import assemble_after
 from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
 from flows.deliver import deliver_after_run
-from flows.inbox import only_run, plan, run_here, write_parquet
+from flows.inbox import inspected_scenes, only_run, plan, run_here, write_parquet
 from flows.inbox_job import InboxJob, Outcome, Way
 from flows.inbox_report import summary
 from flows.prefect_server import runs_on_server
@@ -52,6 +53,7 @@ def _run_here(job: InboxJob, workers: int, outcomes: list[Outcome]) -> None:
             progress.advance(bar)
 
         run_here(job, planned.ready, workers, finish)
+        assemble_after(Store(job.store), inspected_scenes(outcomes))
         if place := write_parquet(job, outcomes):
             print(f"tables for other engines in {place}")
 

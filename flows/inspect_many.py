@@ -27,13 +27,14 @@ from tasks.settings import load_settings
 
 @dataclass(frozen=True)
 class Inputs:
-    """Paths that the command was given."""
+    """Paths that the command was given, and whether panels are put together in the end."""
 
     scenes: Sequence[Path]
     store: Path
     rig: Path | None = None
     panel_spec: Path | None = None
     settings: Path | None = None
+    panels: bool = True
 
 
 def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) -> int:
@@ -44,7 +45,7 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
     if not sound:
         return EXIT_BAD_INPUT
     run = _way_to_run(inputs, use_server)
-    done = 0
+    done, stored = 0, list[str]()
     with progress_bar() as progress:
         bar = progress.add_task("", total=len(sound))
 
@@ -52,11 +53,17 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
             def show(step: str) -> None:
                 progress.update(bar, description=f"{printable(job.folder.name)}: {PROGRESS[step]}")
 
-            print(describe(run(job, show)))
+            inspected = run(job, show)
+            print(describe(inspected))
+            stored.append(inspected.key.scene_id)
 
         for job in sound:
             done += _passes(partial(inspect, job), job, debug)
             progress.advance(bar)
+    if stored and inputs.panels:
+        from flows.assemble_panels import assemble_after
+
+        assemble_after(Store(inputs.store), stored)
     if done == len(jobs):
         return EXIT_DONE
     return EXIT_SOME_FAILED if done else EXIT_BAD_INPUT

@@ -15,8 +15,9 @@ from prefect.cache_policies import NO_CACHE
 from prefect.futures import PrefectFuture, as_completed
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
+from flows.assemble_panels import assemble_after
 from flows.deliver import deliver_after_run
-from flows.inbox import inspect_folder, inspect_in, only_run, plan, write_parquet
+from flows.inbox import inspect_folder, inspect_in, inspected_scenes, only_run, plan, write_parquet
 from flows.inbox_folders import put_aside
 from flows.inbox_job import InboxJob, Outcome, Runner, Way
 from flows.inbox_report import markdown
@@ -117,6 +118,7 @@ def inspect_inbox_flow(
                 outcomes.append(outcome_of(job, futures[future], future))
                 done = len(outcomes) - len(planned.settled)
                 update_progress_artifact(progress, 100.0 * done / len(futures))
+        assemble_after(Store(job.store), inspected_scenes(outcomes))
         if job.compact:
             compact_task(job, outcomes)
     for problem in deliver_task(job, outcomes):

@@ -25,6 +25,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument(
         "--server", action="store_true", help="run as a Prefect flow, starting a server where none is set up"
     )
+    parser.add_argument(
+        "--no-panel", action="store_true", help="do not put the panels of these scenes together in the end"
+    )
     parser.set_defaults(run=run)
 
 
@@ -33,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from flows.inspect_many import Inputs, inspect_many
 
     return inspect_many(
-        Inputs(options.scenes, options.store, options.rig, options.panel_spec, options.settings),
+        Inputs(options.scenes, options.store, options.rig, options.panel_spec, options.settings, not options.no_panel),
         use_server=options.server,
         debug=options.debug,
     )

@@ -44,6 +44,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     assembling.add_argument("--aircraft", metavar="SERIAL", help="without it the panels of every aircraft")
     assembling.add_argument("--panel", metavar="PANEL", help="without it all panels")
     assembling.add_argument("--panel-spec", type=Path, metavar="FILE", help="in place of the specification in force")
+    judging = add("judge", judge, "judge an assembled panel by another specification, without measuring again")
+    judging.add_argument("--store", type=Path, required=True, metavar="DIR")
+    judging.add_argument("--aircraft", required=True, metavar="SERIAL")
+    judging.add_argument("--panel", required=True, metavar="PANEL")
+    judging.add_argument("--panel-spec", type=Path, metavar="FILE", help="by default what is in force by now")
 
 
 def check(options: argparse.Namespace) -> int:
@@ -147,6 +152,22 @@ def assemble(options: argparse.Namespace) -> int:
         expected = ", ".join(map(str, known[:5])) or "an inspected scene"
         raise StoreError(f"{options.store}: found no scan of {asked}, expected one of: {expected}")
     assemble_and_publish(store, keys, load_panel_spec(options.panel_spec) if options.panel_spec else None)
+    return 0
+
+
+def judge(options: argparse.Namespace) -> int:
+    """Judge a stored panel again."""
+    from flows.assemble_panels import judge_again
+    from metrology.errors import StoreError
+    from metrology.results import PanelKey
+    from storage.archive import Store
+    from storage.panel_spec import load_panel_spec
+
+    store = Store(options.store)
+    spec = load_panel_spec(options.panel_spec) if options.panel_spec else store.panels.in_force(options.panel)
+    if spec is None:
+        raise StoreError(f"{options.store}: found no specification of {options.panel}, expected one or --panel-spec")
+    judge_again(store, PanelKey(options.aircraft, options.panel), spec)
     return 0
 
 

@@ -45,12 +45,17 @@ class Coverage:
     @property
     def gaps(self) -> list[str]:
         """What keeps the panel from being complete, in words."""
-        said = []
-        for state in ("not seen", "not measured"):
-            names = [row.feature_id for row in self.rows if row.state == state]
-            more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-            said += [f"{state}: {', '.join(names[:8])}{more}"] if names else []
-        return said
+        return gaps_said([(row.feature_id, row.state) for row in self.rows])
+
+
+def gaps_said(states: Sequence[tuple[str, str]]) -> list[str]:
+    """What was not seen and what was not measured, in words, from ids and states."""
+    said = []
+    for state in ("not seen", "not measured"):
+        names = [name for name, found in states if found == state]
+        more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+        said += [f"{state}: {', '.join(names[:8])}{more}"] if names else []
+    return said
 
 
 def coverage(assembly: Assembly, features: PanelFeatures, layout: PanelLayout) -> Coverage:

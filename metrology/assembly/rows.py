@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Annotated, Literal
 
 State = Literal["measured", "not measured", "not seen"]
@@ -95,3 +96,13 @@ class FindingRow:
     severity: Annotated[str | None, "green, blue or red, as in the tables of features"]
     decision: Annotated[str, "the gravest decision"]
     reason: Annotated[str | None, "what was found, and the limit"]
+
+
+@dataclass(frozen=True)
+class VerdictRow:
+    """One row of `panel_verdicts`: a judgement of the panel; earlier ones stay."""
+
+    judged_at: Annotated[datetime, "when it was judged (UTC)"]
+    panel_spec: Annotated[str, "panel and revision of the specification"]
+    verdict: Annotated[str, "accepted, accepted with conditions, rejected, incomplete, or no rules"]
+    reason: Annotated[str, "the rule that decided, or what is missing"]

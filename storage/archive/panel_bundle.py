@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,10 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from metrology.assembly.result import PanelResult
+from metrology.assembly.rows import VerdictRow
+from metrology.assembly.verdict import Judgement
 from metrology.kinds import KINDS, Count, Kind
+from metrology.results import PanelKey
 from storage.archive.bundle import PANEL_FORMAT, as_tables, document_hash, seal
 from storage.archive.schema import (
     PANEL_COVERAGE,
@@ -21,6 +24,7 @@ from storage.archive.schema import (
     PANEL_RULES,
     PANEL_STATIONS,
     PANEL_TABLES,
+    PANEL_VERDICTS,
     PANELS,
 )
 from storage.documents import utc_text
@@ -28,67 +32,117 @@ from storage.documents import utc_text
 Row = dict[str, Any]
 
 
+@dataclass(frozen=True)
+class PanelDocument:
+    """A panel as it is stored.
+
+    Attributes
+    ----------
+    key : PanelKey
+    captured_at : datetime
+        When the newest of its scans was taken.
+    rows : mapping
+        Of every table, without what only the run knows.
+    panel_spec : mapping
+        The specification that it was judged by.
+    scenes : mapping of str to str
+        The run of each scan that went in.
+    warnings : tuple of str
+    versions : mapping
+    """
+
+    key: PanelKey
+    captured_at: datetime
+    rows: Mapping[str, Sequence[Row]]
+    panel_spec: Mapping[str, Any]
+    scenes: Mapping[str, str]
+    warnings: tuple[str, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
 def write_panel_bundle(
-    folder: Path, run_id: str, final_path: str, result: PanelResult, review_head: str | None = None
+    folder: Path, run_id: str, final_path: str, document: PanelDocument, review_head: str | None = None
 ) -> None:
     """Write and sync a panel run's files into an empty folder; manifest.json comes last."""
-    tables = as_tables(PANEL_TABLES, panel_rows(result, run_id, final_path))
+    [panel] = document.rows[PANELS.name]
+    run = {"run_id": run_id, "processed_at": datetime.now(UTC), "bundle_path": final_path}
+    tables = as_tables(PANEL_TABLES, {**document.rows, PANELS.name: [panel | run]})
     for name, table in tables.items():
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
-    scenes = {key.scene_id: run for key, run in result.runs.items()}
     manifest = {
         "format": PANEL_FORMAT,
         "run_id": run_id,
-        "aircraft_serial": result.key.aircraft_serial,
-        "panel": result.key.panel,
-        "captured_at": utc_text(result.captured_at),
-        "scene_id": result.key.panel_id,
-        "config_hash": document_hash({"panel_spec": result.panel_spec, "scenes": scenes}),
+        "aircraft_serial": document.key.aircraft_serial,
+        "panel": document.key.panel,
+        "captured_at": utc_text(document.captured_at),
+        "scene_id": document.key.panel_id,
+        "config_hash": document_hash({"panel_spec": document.panel_spec, "scenes": document.scenes}),
         "review_head": review_head,
-        "panel_spec": result.panel_spec,
-        "scenes": scenes,
-        "versions": result.versions,
-        "warnings": list(result.warnings),
+        "panel_spec": document.panel_spec,
+        "scenes": document.scenes,
+        "versions": document.versions,
+        "warnings": list(document.warnings),
         "rows": {name: table.num_rows for name, table in tables.items()},
     }
     seal(folder, manifest)
 
 
-def panel_rows(result: PanelResult, run_id: str, bundle_path: str) -> dict[str, Sequence[Row]]:
-    """A panel's rows of every table."""
-    key: Row = {
-        **asdict(result.key),
-        "captured_at": result.captured_at,
-        "scene_id": result.key.panel_id,
-        "station": None,
-    }
-    rows: dict[str, Sequence[Row]] = {PANELS.name: [key | _panel_row(result, run_id, bundle_path)]}
+def panel_document(result: PanelResult, earlier: Sequence[Row] = ()) -> PanelDocument:
+    """An assembled panel as it is stored.
+
+    Parameters
+    ----------
+    earlier : sequence of mapping
+        The panel's rows of `panel_verdicts` so far; they stay.
+    """
+    scenes = {key.scene_id: run for key, run in result.runs.items()}
+    return PanelDocument(
+        result.key, result.captured_at, _panel_rows(result, earlier), result.panel_spec, scenes, result.warnings,
+        result.versions,
+    )  # fmt: skip
+
+
+def key_columns(key: PanelKey, captured_at: datetime) -> Row:
+    """What every row of a panel has."""
+    return {**asdict(key), "captured_at": captured_at, "scene_id": key.panel_id, "station": None}
+
+
+def _panel_rows(result: PanelResult, earlier: Sequence[Row]) -> dict[str, Sequence[Row]]:
+    key = key_columns(result.key, result.captured_at)
+    rows: dict[str, Sequence[Row]] = {PANELS.name: [key | _panel_row(result)]}
     for kind in KINDS:
         names = {column.name for column in PANEL_OF_KIND[kind.name].columns}
         found = zip(result.features[kind.name], result.feature_columns(kind.name), strict=True)
         rows[PANEL_OF_KIND[kind.name].name] = [key | _of_feature(feature.row, names) | more for feature, more in found]
-    rows[PANEL_STATIONS.name] = [key | _plain_row(row) for row in result.station_rows()]
-    rows[PANEL_DIFFERENCES.name] = [key | _plain_row(row) for row in result.difference_rows()]
-    rows[PANEL_COVERAGE.name] = [key | _plain_row(row) for row in result.coverage.rows]
-    rows[PANEL_RULES.name] = [key | _plain_row(row) for row in result.judgement.rules]
-    rows[PANEL_FINDINGS.name] = [key | _plain_row(row) for row in result.judgement.findings]
-    return rows
+    rows[PANEL_STATIONS.name] = [key | plain_row(row) for row in result.station_rows()]
+    rows[PANEL_DIFFERENCES.name] = [key | plain_row(row) for row in result.difference_rows()]
+    rows[PANEL_COVERAGE.name] = [key | plain_row(row) for row in result.coverage.rows]
+    return rows | judgement_rows(key, result.judgement, result.spec_name, earlier)
+
+
+def judgement_rows(key: Row, judged: Judgement, spec: str, earlier: Sequence[Row]) -> dict[str, Sequence[Row]]:
+    """The rows of a judgement; the verdicts before it stay beside it."""
+    verdict = VerdictRow(datetime.now(UTC), spec, judged.verdict, judged.reason)
+    return {
+        PANEL_RULES.name: [key | plain_row(row) for row in judged.rules],
+        PANEL_FINDINGS.name: [key | plain_row(row) for row in judged.findings],
+        PANEL_VERDICTS.name: [*({**row, **key} for row in earlier), key | plain_row(verdict)],
+    }
 
 
 def _of_feature(row: Any, names: set[str]) -> Row:
     return {name: getattr(row, name) for name in names if hasattr(row, name)}
 
 
-def _plain_row(row: Any) -> Row:
+def plain_row(row: Any) -> Row:
+    """A row's dataclass as a mapping."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(row).items()}
 
 
-def _panel_row(result: PanelResult, run_id: str, bundle_path: str) -> Row:
+def _panel_row(result: PanelResult) -> Row:
     stations, differences = result.station_rows(), result.difference_rows()
     states = [row.state for row in result.coverage.rows]
     return {
-        "run_id": run_id,
-        "processed_at": datetime.now(UTC),
         "software_version": result.versions.get("flushline"),
         "panel_spec": result.spec_name,
         "status": "warnings" if result.warnings else "ok",
@@ -108,7 +162,6 @@ def _panel_row(result: PanelResult, run_id: str, bundle_path: str) -> Row:
         "n_not_seen": states.count("not seen") if states else None,
         "next_station": result.coverage.next_station,
         **{count.column: _counted(kind, count, result) for kind in KINDS for count in kind.counts},
-        "bundle_path": bundle_path,
     }
 
 

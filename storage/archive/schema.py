@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import MISSING, dataclass, fields
+from datetime import datetime
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-from metrology.assembly.rows import CoverageRow, DifferenceRow, FindingRow, RuleRow, StationRow
+from metrology.assembly.rows import CoverageRow, DifferenceRow, FindingRow, RuleRow, StationRow, VerdictRow
 from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
 from metrology.steps import TIMED
@@ -155,6 +156,7 @@ _SQL_TYPES = {
     float: "DOUBLE",
     int: "INTEGER",
     bool: "BOOLEAN",
+    datetime: "TIMESTAMPTZ",
     tuple[float, ...]: "DOUBLE[]",
     tuple[str, ...]: "VARCHAR[]",
 }
@@ -248,6 +250,7 @@ PANEL_FINDINGS = _plain_table(
     "One row per feature of an assembled panel that does not simply pass; a stretch of a course is one",
     FindingRow,
 )
+PANEL_VERDICTS = _plain_table("panel_verdicts", "One row per judgement of each panel, the last one last", VerdictRow)
 PANEL_TABLES = (
     PANELS,
     *PANEL_OF_KIND.values(),
@@ -256,6 +259,7 @@ PANEL_TABLES = (
     PANEL_COVERAGE,
     PANEL_RULES,
     PANEL_FINDINGS,
+    PANEL_VERDICTS,
 )
 TABLES = (*SCENE_TABLES, *PANEL_TABLES)
 

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
 
-    from metrology.assembly.result import PanelResult
     from metrology.inspection import InspectionResult
     from metrology.results import SceneKey
     from metrology.rig import Rig
     from storage.archive.bundles import Bundles
     from storage.archive.known import KnownScene
+    from storage.archive.panel_bundle import PanelDocument
     from storage.archive.panels import Panels
     from storage.archive.staging import StagedRun
     from storage.cloud import StoredCloud
@@ -186,14 +186,14 @@ class Store:
         self._check_entered(run, taken, refused)
         return run.run_id
 
-    def publish_panel(self, result: PanelResult) -> str:
-        """Store an assembled panel, as `publish` does a scene; its newest assembly is shown. Returns the run's id."""
+    def publish_panel(self, document: PanelDocument) -> str:
+        """Store an assembled panel, as `publish` does a scene; its newest run is shown. Returns the run's id."""
         from storage.archive.panel_bundle import write_panel_bundle
 
         def write(run: StagedRun, place: str, head: str | None) -> None:
-            write_panel_bundle(run.folder, run.run_id, place, result, head)
+            write_panel_bundle(run.folder, run.run_id, place, document, head)
 
-        key = result.key
+        key = document.key
         # No panel run enrols a pattern: the path only says where one of this name would be.
         pattern = self.panels.pattern_path(key.panel, "assembled")
         run = self._store(self.layout.scene_folder(key.panel_id), pattern, write)

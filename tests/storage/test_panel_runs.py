@@ -1,0 +1,154 @@
+"""Assembled panels in a store: tables, judging again, checks, rebuilding and pruning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
+from metrology.assembly.scan import STRIDE, PanelScan
+from metrology.cloud import DecodedView, Reconstruction
+from metrology.inspection import InspectionResult
+from metrology.kinds import BY_NAME
+from metrology.results import PanelKey
+from metrology.tolerance import judge
+from storage.archive import Store, maintenance
+from storage.archive.bundle import check_bundle
+from storage.archive.schema import PANEL_TABLES
+from storage.panel_spec import load_panel_spec
+from storage.rig import rig_document
+from tests.metrology.panel_scans import RIG, SimulatedPanel, facing
+from tests.storage.results import copied, small_result
+
+KEY = PanelKey("MSN-1", "P")
+RULES = """
+format = "flushline-panel/1"
+panel = "P"
+revision = "{revision}"
+[zones.default.height_mm]
+lower = -{limit}
+upper = {limit}
+source = "DS-1"
+revision = "{revision}"
+[zones.default.step_mm]
+lower = -1
+upper = 1
+source = "DS-1"
+revision = "{revision}"
+[[acceptance]]
+id = "A1"
+measure = "share"
+kind = "rivet"
+quantity = "height"
+most = 0.1
+source = "DS-1"
+revision = "{revision}"
+"""
+
+
+def result_of(scan: PanelScan) -> InspectionResult:
+    """A scan as the inspection leaves it, its features judged by the example limits."""
+    points = scan.skin.points.repeat(STRIDE, 0).repeat(STRIDE, 1)
+    sigma = scan.skin.sigma.repeat(STRIDE, 0).repeat(STRIDE, 1)
+    grey = np.full(sigma.shape, 90, np.float32)
+    flags = np.zeros(sigma.shape, np.uint16)
+    view = DecodedView(grey, grey, grey, grey, flags)
+    spec = load_panel_spec()
+    features = {name: tuple(judge(BY_NAME[name], rows, spec.limits)) for name, rows in scan.features.items()}
+    return replace(
+        small_result(scan.key), reconstruction=Reconstruction(RIG, view, view, points, sigma, flags),
+        features=features, preview=np.full(sigma.shape, 90, np.uint8), rig_document=rig_document(RIG),
+        panel_spec=spec.document,
+    )  # fmt: skip
+
+
+def published(store: Store, scans: Sequence[PanelScan]) -> Store:
+    for scan in scans:
+        store.publish(result_of(scan))
+    return store
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """A panel of three stations, put together."""
+    rng = np.random.default_rng(0)
+    panel = SimulatedPanel.made(rng, 15, (-62.0, 74.0))
+    scans = [panel.seen(facing(x, 0.0, rng)[0], f"S{k}", rng) for k, x in enumerate((-220.0, 0.0, 220.0), 1)]
+    store = published(Store(tmp_path_factory.mktemp("panels") / "store"), scans)
+    assert main(["panel", "assemble", "--store", str(store.root)]) == EXIT_DONE
+    return store
+
+
+def one(store: Store, sql: str) -> object:
+    return store.query(sql).column(0)[0].as_py()
+
+
+def test_each_feature_is_in_the_tables_once(filled: Store) -> None:
+    assert one(filled, "SELECT count(*) FROM panel_rivets") == 30
+    assert one(filled, "SELECT count(DISTINCT rivet_id) FROM panel_rivets") == 30
+    assert one(filled, "SELECT count(DISTINCT seam_id) FROM panel_seam_stations") == 1
+    [panel] = filled.query("FROM panels").to_pylist()
+    assert (panel["scene_id"], panel["n_scenes"], panel["n_parts"], panel["n_rivets"]) == ("MSN-1~P", 3, 1, 30)
+    assert 1000 < panel["area_cm2"] < 3000
+    stations = filled.query("FROM panel_stations ORDER BY station").to_pylist()
+    assert [row["part"] for row in stations] == [1, 1, 1]
+    R = np.array(stations[1]["rotation"]).reshape(3, 3)
+    assert np.abs(R @ R.T - np.eye(3)).max() < 1e-5
+    assert one(filled, "SELECT count(*) FROM panel_differences WHERE quantity = 'height'") >= 4
+    assert one(filled, "SELECT count(*) FILTER (beyond) / count(*) FROM panel_differences") < 0.2  # type: ignore[operator]
+    assert one(filled, "SELECT count(*) FROM latest_scenes") == 3  # a panel is no scene
+
+
+def test_stored_values_are_judged_again_and_both_verdicts_stay(filled: Store, tmp_path: Path) -> None:
+    store, spec = copied(filled, tmp_path), tmp_path / "spec.toml"
+    before = store.query("SELECT rivet_id, height_mean_mm FROM panel_rivets ORDER BY ALL")
+    judging = ["panel", "judge", "--store", str(store.root), "--aircraft", "MSN-1", "--panel", "P", "--panel-spec"]
+    for revision, limit, expected in (("B", 1.0, "accepted"), ("C", 0.02, "rejected")):
+        spec.write_text(RULES.format(revision=revision, limit=limit), encoding="utf-8")
+        assert main([*judging, str(spec)]) == EXIT_DONE
+        assert one(store, "SELECT verdict FROM panels") == expected
+    assert store.query("SELECT rivet_id, height_mean_mm FROM panel_rivets ORDER BY ALL") == before
+    verdicts = store.query("SELECT panel_spec, verdict FROM panel_verdicts ORDER BY judged_at").to_pylist()
+    assert [(row["panel_spec"], row["verdict"]) for row in verdicts] == [
+        ("example 1", "no rules"), ("P B", "accepted"), ("P C", "rejected"),
+    ]  # fmt: skip
+    assert str(one(store, "SELECT verdict_reason FROM panels")).startswith("A1: ")
+    assert one(store, "SELECT count(*) FROM panel_findings WHERE reason LIKE '%example%'") == 0
+
+
+def test_check_rebuild_and_prune_know_panel_runs(filled: Store, tmp_path: Path) -> None:
+    store = copied(filled, tmp_path)
+    assert main(["panel", "assemble", "--store", str(store.root)]) == EXIT_DONE  # again: the same scans
+    before = [store.query(f"FROM {table.name} ORDER BY ALL") for table in PANEL_TABLES]
+    assert maintenance.check(store.layout).problems == ()
+    assert maintenance.rebuild(store.layout) == []
+    assert [store.query(f"FROM {table.name} ORDER BY ALL") for table in PANEL_TABLES] == before
+    assert len(maintenance.prune(store.layout)) == 1
+    assert maintenance.check(store.layout).problems == ()
+    assert maintenance.export(store.layout, str(tmp_path / "copy"), panel="P") == (4, 0)
+
+
+def test_a_damaged_panel_run_is_named_and_gives_way_to_the_one_before(filled: Store, tmp_path: Path) -> None:
+    store = copied(filled, tmp_path)
+    first = one(store, "SELECT run_id FROM panels")
+    assert main(["panel", "assemble", "--store", str(store.root)]) == EXIT_DONE
+    run = store.root / str(one(store, "SELECT bundle_path FROM panels"))
+    check_bundle(run)
+    (run / "panel_rivets.parquet").chmod(0o644)
+    (run / "panel_rivets.parquet").write_bytes(b"no longer")
+    assert any("panel_rivets.parquet" in problem for problem in maintenance.check(store.layout).problems)
+    assert any("panel_rivets.parquet" in problem for problem in maintenance.rebuild(store.layout))
+    assert one(store, "SELECT run_id FROM panels") == first
+
+
+def test_what_is_not_there_is_said(filled: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    store = str(filled.root)
+    assert main(["panel", "assemble", "--store", store, "--aircraft", "MSN-9"]) == EXIT_BAD_INPUT
+    assert "found no scan of MSN-9, expected one of: MSN-1 P" in capsys.readouterr().err
+    judging = ["panel", "judge", "--store", store, "--aircraft", "MSN-1", "--panel", "P"]
+    assert main(judging) == EXIT_BAD_INPUT
+    assert "found no specification of P" in capsys.readouterr().err
