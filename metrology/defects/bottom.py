@@ -17,6 +17,7 @@ _LEAST_STEPS = 2.3
 _FEWEST = 12
 _AGREE = 2.0  # standard deviations by which a narrower paraboloid may lie deeper
 _CORRELATED = 1.3  # standard deviation of means over areas against that of the grid's cells alone
+_POINT, _POINT_SD = 0.6, 0.25  # of what a perfect point would lie deeper: bottoms are rounded
 _FLATTEST = 1e-6  # 1/mm
 _SUPPORT_PX = 1.4  # standard deviation of the area that a point is an average of
 
@@ -54,6 +55,7 @@ class _Vertex:
     sd: float
     curvature: float
     curvature_sd: float
+    reach: float
 
 
 def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[float, float, float]) -> Bottom | None:
@@ -80,6 +82,7 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
         if vertex is None:
             continue
         if chosen is not None and vertex.depth < chosen.depth - _AGREE * max(chosen.sd, 1e-6):
+            chosen = _sharpened(chosen, vertex)
             break
         if chosen is not None:
             doubt = 0.5 * max(0.0, abs(vertex.depth - chosen.depth) - chosen.sd)
@@ -92,6 +95,15 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
     curvature = max(chosen.curvature, _FLATTEST)
     radius_sd = chosen.curvature_sd / curvature**2
     return Bottom(chosen.x, chosen.y, chosen.depth, chosen.sd, 1 / curvature, radius_sd, hidden)
+
+
+def _sharpened(narrow: _Vertex, wide: _Vertex) -> _Vertex:
+    """The narrow paraboloid's top, lowered: a point lies below every paraboloid, the less the narrower that is."""
+    if wide.reach <= narrow.reach:
+        return narrow
+    lost = (narrow.depth - wide.depth) * narrow.reach / (wide.reach - narrow.reach)
+    sd = float(np.hypot(narrow.sd, _POINT_SD * lost))
+    return replace(narrow, depth=narrow.depth + _POINT * lost, sd=sd)
 
 
 def _vertex(
@@ -137,4 +149,5 @@ def _vertex(
         float(np.sqrt(row @ covariance @ row)),
         max(-float(by_mm[0]), 0.0),
         2 * float(np.sqrt(max(covariance[3, 3] / a**4, covariance[5, 5] / b**4))),
+        float(np.sqrt(a * b)),
     )

@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 
 _MARGIN = 0.4  # of the region's size round it
 _MARGIN_CELLS = 6
-_RADIUS = 7.0  # grid steps that a defect's radius at half depth should have
+_RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_STEPS = (0.6, 2.0)
 
