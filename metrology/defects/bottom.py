@@ -13,11 +13,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _SHARES = (0.4, 0.25, 0.15, 0.1)  # of the radius at half depth: paraboloids through so much of the bottom
-_LEAST_STEPS = 2.3
+_LEAST_STEPS, _LEAST_PX = 2.3, 5.0
 _FEWEST = 12
-_AGREE = 2.0  # standard deviations by which a narrower paraboloid may lie deeper
+_DEEPER = 2.5  # standard deviations by which a narrower paraboloid must lie deeper
 _CORRELATED = 1.3  # standard deviation of means over areas against that of the grid's cells alone
+_POINT, _POINT_SD = 0.6, 0.25  # of what a perfect point would lie deeper: bottoms are rounded
 _FLATTEST = 1e-6  # 1/mm
+_MOST_BENT = 3.0  # times depth over radius² is a bottom bent: 1.23 in a cos² bowl
 _SUPPORT_PX = 1.4  # standard deviation of the area that a point is an average of
 
 
@@ -54,6 +56,7 @@ class _Vertex:
     sd: float
     curvature: float
     curvature_sd: float
+    reach: float
 
 
 def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[float, float, float]) -> Bottom | None:
@@ -75,16 +78,18 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
     noise = patch.reference.noise * _CORRELATED
     chosen: _Vertex | None = None
     centre = float(patch.x[at]), float(patch.y[at])
-    for share in _SHARES[::-1]:
+    for share in _SHARES:
         vertex = _vertex(patch, inside, centre, radii, share, noise)
-        if vertex is None:
+        if vertex is None or (chosen is not None and vertex.reach >= chosen.reach):
             continue
-        if chosen is not None and vertex.depth < chosen.depth - _AGREE * max(chosen.sd, 1e-6):
+        if chosen is None:
+            chosen = vertex
+        elif vertex.depth - chosen.depth > _DEEPER * float(np.hypot(vertex.sd, chosen.sd)):
+            chosen = _sharpened(vertex, chosen)
+        else:
+            doubt = 0.5 * max(0.0, abs(vertex.depth - chosen.depth) - vertex.sd)
+            chosen = replace(chosen, sd=float(np.hypot(chosen.sd, doubt)))
             break
-        if chosen is not None:
-            doubt = 0.5 * max(0.0, abs(vertex.depth - chosen.depth) - chosen.sd)
-            vertex = replace(vertex, sd=float(np.hypot(vertex.sd, doubt)))
-        chosen = vertex
     if chosen is None:
         return None
     near = np.hypot(patch.x - chosen.x, patch.y - chosen.y) < max(2.5 * patch.step_mm, 0.15 * radii[1])
@@ -94,13 +99,20 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
     return Bottom(chosen.x, chosen.y, chosen.depth, chosen.sd, 1 / curvature, radius_sd, hidden)
 
 
+def _sharpened(narrow: _Vertex, wide: _Vertex) -> _Vertex:
+    """The narrow paraboloid's top, lowered: a point lies below every paraboloid, the less the narrower that is."""
+    lost = (narrow.depth - wide.depth) * narrow.reach / (wide.reach - narrow.reach)
+    sd = float(np.hypot(narrow.sd, _POINT_SD * lost))
+    return replace(narrow, depth=narrow.depth + _POINT * lost, sd=sd)
+
+
 def _vertex(
     patch: Patch, inside: Mask, centre: tuple[float, float], radii: tuple[float, float, float], share: float,
     noise: float,
 ) -> _Vertex | None:  # fmt: skip
     """Top of a paraboloid through the points near the bottom; None of too few, or of one that has no top there."""
     half_length, half_width, turn = radii
-    least = _LEAST_STEPS * patch.step_mm
+    least = max(_LEAST_STEPS, _LEAST_PX / patch.step_px) * patch.step_mm
     a, b = max(share * half_length, least), max(share * half_width, least)
     c, s = np.cos(turn), np.sin(turn)
     dx, dy = patch.x - centre[0], patch.y - centre[1]
@@ -129,7 +141,8 @@ def _vertex(
     # Points and grid cells are means over an area, which a bent bottom lies below.
     area = (patch.step_mm**2 - (patch.step_mm / patch.step_px) ** 2) / 12
     area += (_SUPPORT_PX * patch.step_mm / patch.step_px) ** 2
-    lost = -0.5 * float(by_mm.sum()) * area
+    most = _MOST_BENT * float(f[0]) * (half_length**-2 + half_width**-2)
+    lost = 0.5 * min(max(-float(by_mm.sum()), 0.0), most) * area
     return _Vertex(
         centre[0] + c * a * top[0] - s * b * top[1],
         centre[1] + s * a * top[0] + c * b * top[1],
@@ -137,4 +150,5 @@ def _vertex(
         float(np.sqrt(row @ covariance @ row)),
         max(-float(by_mm[0]), 0.0),
         2 * float(np.sqrt(max(covariance[3, 3] / a**4, covariance[5, 5] / b**4))),
+        float(np.sqrt(a * b)),
     )

@@ -25,7 +25,8 @@ BAD = np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)
 _GUARD_PX = 6  # round heads, holes and seams: mixed phase, and the matching's support
 _SHARE = 0.5  # of a cell's pixels that must be sound
 _BORDER = 2  # cells
-_BEYOND_PX = 40.0  # a seam's line may end before the seam does
+_BEYOND_PX = 120  # a seam's line may end before the seam does
+_GONE_PX = 8  # without points on a line is where the skin ends
 _LEAST_PLATE = 0.03  # of all cells with skin: smaller pieces bear no reference
 _LEAST_CELLS = 400
 
@@ -67,7 +68,7 @@ def cell_map(sighted: Sighted) -> CellMap:
     rows, columns = height // SIZE, width // SIZE
     points, sigma = np.empty((rows, columns, 3)), np.empty((rows, columns))
     means(reconstruction.points, reconstruction.sigma_z, reconstruction.flags, BAD, SIZE, _SHARE, points, sigma)
-    seam = _coarse(_seam_mask(sighted.lines, (height, width)), rows, columns)
+    seam = _coarse(_seam_mask(sighted.lines, reconstruction.valid), rows, columns)
     plate = _plates(_coarse(reconstruction.valid, rows, columns) & ~seam)
     covered = _coarse(_covered(sighted, (height, width)), rows, columns)
     # Half a matching window is missing at the border of the image.
@@ -120,19 +121,31 @@ def _coarse(mask: NDArray[np.generic], rows: int, columns: int) -> Mask:
     return np.asarray(share > 0)
 
 
-def _seam_mask(lines: Sequence[SeamLine], shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """Pixels of seams, a little beyond the ends of their lines too."""
-    mask = np.zeros(shape, np.uint8)
+def _seam_mask(lines: Sequence[SeamLine], valid: Mask) -> NDArray[np.uint8]:
+    """Pixels of seams; where the skin ends soon behind a line's end, on to there."""
+    mask = np.zeros(valid.shape, np.uint8)
     for line in lines:
         if not line.relief:
             continue
         course = line.centre_px
         reach = min(len(course) - 1, 60)
-        ends = [(course[0], course[0] - course[reach]), (course[-1], course[-1] - course[-1 - reach])]
-        head, tail = (at + _BEYOND_PX * way / max(float(np.linalg.norm(way)), 1e-9) for at, way in ends)
+        head = _beyond(course[0], course[0] - course[reach], valid)
+        tail = _beyond(course[-1], course[-1] - course[-1 - reach], valid)
         width = int(np.nanmax(line.width_px)) + 2 * _GUARD_PX
-        cv2.polylines(mask, [np.rint([head, *course, tail]).astype(np.int32)], False, 1, width)
+        cv2.polylines(mask, [np.rint([*head, *course, *tail]).astype(np.int32)], False, 1, width)
     return mask
+
+
+def _beyond(end: Array, way: Array, valid: Mask) -> list[Array]:
+    """Where the skin ends on the way on from a line's end; nothing if that is far."""
+    steps = end + np.arange(1, _BEYOND_PX)[:, None] * way / max(float(np.linalg.norm(way)), 1e-9)
+    u, v = np.rint(steps).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < valid.shape[1]) & (v < valid.shape[0])
+    on_skin = np.zeros(len(steps), bool)
+    on_skin[inside] = valid[v[inside], u[inside]]
+    # Single pixels without a point are no end.
+    off = np.convolve(~on_skin, np.ones(_GONE_PX), "valid") >= _GONE_PX
+    return [steps[int(off.argmax()) + _GONE_PX - 1]] if off.any() else []
 
 
 def _covered(sighted: Sighted, shape: tuple[int, int]) -> NDArray[np.uint8]:

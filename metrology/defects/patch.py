@@ -19,9 +19,9 @@ Mask = NDArray[np.bool_]
 
 _MARGIN = 0.4  # of the region's size round it
 _MARGIN_CELLS = 6
-_RADIUS = 7.0  # grid steps that a defect's radius at half depth should have
+_RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
-_SMOOTH_STEPS = (0.6, 2.0)
+_SMOOTH_PX = (2.4, 8.0)
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,8 @@ class Patch:
 
     def smoothed(self, radius_mm: float) -> Array:
         """Depth as its outline is taken from."""
-        sigma = float(np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm, *_SMOOTH_STEPS))
+        pixels = np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * self.step_px, *_SMOOTH_PX)
+        sigma = float(pixels / self.step_px)
         both = np.dstack([np.where(self.plate, self.depth, 0.0), self.plate.astype(float)])
         total = cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-3))

@@ -1,0 +1,322 @@
+"""Defects on simulated panels: how many are found, how well they are measured, and what is found where there are none.
+
+python benchmarks/study_defects.py [--panels 30] [--bare 40] [--repeats 10] [--rendered]
+
+Dents, bumps and creases 0.02–2 mm deep and 5–80 mm long among rivets and seams, on skins from flat to 0.4 m radius:
+recall, errors of depth and extents, and how often U95 covers the error; the same panels without defects; one panel
+scanned again and again; and depths by what people do otherwise: a plane, and a cylinder, fitted by least squares.
+
+Clouds are traced with the noise of a scan (0.012 mm a point, correlated over two pixels), heads and seams are where
+they are: a few seconds for each panel. With --rendered fringes are rendered, decoded and matched, and heads and seams
+are looked for: a minute or two for each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from metrology.cloud import DecodedView, Reconstruction
+from metrology.defects.measure import measure_defects
+from metrology.defects.row import Defect
+from metrology.defects.settings import DefectSettings
+from metrology.defects.skin_map import skin_map
+from metrology.fastening import detect_fasteners
+from metrology.reconstruct import reconstruct
+from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
+from metrology.rig import Rig
+from metrology.rivets import measure_rivets
+from metrology.seams import detect_seams, measure_seams
+from metrology.sighted import Sighted
+from simulator.defects import Dent
+from simulator.lens import moved
+from simulator.pack import pack
+from simulator.panel import Panel, Seam
+from simulator.random_panel import SeamVariety, Variety, random_panel, random_placement, random_seam
+from simulator.scene import expose, fringe_light, make_rig, place, set_up
+from simulator.spec import Camera, RigSpec, SceneKeys, SimulationSpec
+from simulator.survey import meet
+from simulator.true_dents import TrueDent
+from simulator.truth import Truth
+from simulator.truth import truth as true_of
+
+PER_PANEL = 4
+NOISE_MM, CORRELATED_PX = 0.012, 0.8
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A simulated scan as a kind of features gets it, and its true defects."""
+
+    sighted: Sighted
+    truth: tuple[TrueDent, ...]
+
+
+def dents(rng: np.random.Generator, number: int, panel: Panel) -> tuple[Dent, ...]:
+    """Defects clear of each other, anywhere on a panel: beside seams and under rivets too."""
+    found: list[Dent] = []
+    for _ in range(400):
+        if len(found) == number:
+            break
+        length = math.exp(rng.uniform(math.log(5.0), math.log(80.0)))
+        width = length * rng.uniform(0.5, 1.0)
+        shape = rng.choice(["smooth", "smooth", "sharp", "crease"])
+        depth = math.exp(rng.uniform(math.log(0.02), math.log(min(2.0, 0.15 * width))))
+        room = [0.5 * size - 0.7 * length - 5 for size in (panel.width_mm, panel.height_mm)]
+        if min(room) <= 0:
+            continue
+        x, y = (float(rng.uniform(-r, r)) for r in room)
+        if all(math.hypot(x - d.x_mm, y - d.y_mm) > 1.1 * (length + d.axes_mm[0]) for d in found):
+            sign = -1 if rng.random() < 0.2 else 1
+            found.append(Dent(f"D{len(found)}", x, y, sign * depth, (length, width), rng.uniform(0, 180), str(shape)))
+    return tuple(found)
+
+
+def specification(number: int, with_dents: bool, samples: int = 24) -> SimulationSpec:
+    """A panel of the study; the same number is the same panel, with defects or without."""
+    rng = np.random.default_rng([22, number])
+    seams: tuple[Seam, ...] = ()
+    if number % 3:
+        seams = (random_seam(rng, SeamVariety(direction_deg=rng.uniform(0, 180), width_mm=(0.8, 2.5))),)
+    variety = Variety(rivets=(6, 14), radius_mm=(400.0, math.inf), scratches=(0, 20), stickers=0, smudges=2)
+    panel = random_panel(rng, variety, seams)
+    placement = random_placement(rng)
+    if with_dents:
+        panel = replace(panel, dents=dents(np.random.default_rng([23, number]), PER_PANEL, panel))
+    return SimulationSpec(
+        "flushline-simulation/1",
+        SceneKeys("SIM", "DEFECTS", "S1", "2026-11-20T09:00:00Z"),
+        panel,
+        RigSpec(seed=300 + number),
+        (placement,),
+        camera=Camera(samples=samples),
+        seed=int(rng.integers(1, 10000)),
+    )
+
+
+def scans(spec: SimulationSpec, repeats: int, rendered: bool) -> list[Scan]:
+    """Scans of a panel that does not move, each with noise of its own."""
+    rng = np.random.default_rng(spec.seed)
+    return _rendered(spec, repeats, rng) if rendered else _traced(spec, repeats, rng)
+
+
+def _rendered(spec: SimulationSpec, repeats: int, rng: np.random.Generator) -> list[Scan]:
+    rig = make_rig(spec)
+    stage = set_up(spec, rig, spec.placements[0])
+    light = fringe_light(spec, stage, rng)
+    found = []
+    for _ in range(repeats):
+        left, right = (expose(spec, light[side], rng) for side in ("left", "right"))
+        cloud = reconstruct(left, right, rig, spec.fringe, spec.camera.exposures)
+        fasteners = detect_fasteners(cloud)
+        lines = detect_seams(cloud, fasteners.rivets)
+        features = {
+            "rivet": measure_rivets(fasteners.rivets, cloud, lines),
+            "seam station": measure_seams(lines, cloud, fasteners.rivets),
+        }
+        found.append(Scan(Sighted(cloud, fasteners.rivets, lines, features, fasteners.openings), stage.truth.dents))
+    return found
+
+
+def _traced(spec: SimulationSpec, repeats: int, rng: np.random.Generator) -> list[Scan]:
+    rig = make_rig(spec)
+    pose, relief = place(rig, spec.placements[0]), pack(spec.panel)
+    known = true_of(spec.panel, relief, rig, pose)
+    camera = moved(rig.left, pose.R, pose.t)
+    rays = camera.rays(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float))
+    points, kinds = meet(relief, camera.centre, rays.reshape(-1, 3))
+    half = 0.5 * np.array([spec.panel.width_mm, spec.panel.height_mm])
+    points[(np.abs(points[:, :2]) > half).any(axis=1) | (kinds < 0)] = np.nan
+    exact = pose.to_rig(points).reshape(camera.height, camera.width, 3)
+    return [Scan(_sighted(exact, known, rig, rng), known.dents) for _ in range(repeats)]
+
+
+def _sighted(exact: np.ndarray, known: Truth, rig: Rig, rng: np.random.Generator) -> Sighted:
+    """A cloud with the noise of a scan, and what is on it where it is."""
+    size = exact.shape[:2]
+    noise = cv2.GaussianBlur(rng.normal(size=size), (0, 0), CORRELATED_PX)
+    points = exact * (1 + NOISE_MM * noise / noise.std() / exact[..., 2])[..., None]
+    flags, plain = np.zeros(size, np.uint16), np.zeros(size, np.float32)
+    view = DecodedView(plain, plain, plain, plain, flags)
+    sigma = np.full(size, NOISE_MM, np.float32)
+    cloud = Reconstruction(rig, view, view, points.astype(np.float32), sigma, flags)
+    scale = rig.left.K[0, 0]
+    rivets, detections, lines, stations = [], [], [], []
+    for k, head in enumerate(known.rivets):
+        (u, v), (x, y, z) = head.uv_px, head.xyz_mm
+        across = head.diameter_mm * scale / z
+        detections.append(RivetDetection(u, v, across, across, 0.0, 1.0))
+        rivets.append(
+            Rivet(f"R{k}", x_mm=x, y_mm=y, z_mm=z, u_px=u, v_px=v, u_right_px=None, v_right_px=None, confidence=1.0,
+                  diameter_mm=head.diameter_mm, major_px=across, minor_px=across, angle_deg=0.0)
+        )  # fmt: skip
+    for seam in known.seams:
+        course = np.array(seam.uv_px)
+        inside = ((course >= 0) & (course < size[::-1])).all(axis=1)
+        if inside.sum() < 10:
+            continue
+        wide = np.array(seam.width_mm) + 2 * seam.chamfer_mm
+        lines.append(SeamLine(seam.id, course[inside], (wide * scale / 700.0)[inside], 1.0, relief=True))
+        stations += [
+            SeamStation(seam.id, float(k), x_mm=x, y_mm=y, z_mm=z, u_px=u, v_px=v, width_mm=width)
+            for k, ((x, y, z), (u, v), width) in enumerate(zip(seam.xyz_mm, seam.uv_px, seam.width_mm, strict=True))
+            if inside[k]
+        ]
+    return Sighted(cloud, detections, lines, {"rivet": rivets, "seam station": stations})
+
+
+def paired(truth: TrueDent, rows: list[Defect]) -> Defect | None:
+    """The row that is a true defect."""
+    here = np.array(truth.xyz_mm)
+    near = [(float(np.linalg.norm(here - (row.x_mm, row.y_mm, row.z_mm))), row) for row in rows]
+    away, row = min(near, key=lambda pair: pair[0], default=(math.inf, None))
+    return row if away < 0.5 * max(truth.half_depth_axes_mm) else None
+
+
+def local_u95(scan: Scan, truth: TrueDent) -> float:
+    """U95 of a depth of nothing at a place."""
+    sd = skin_map(scan.sighted, DefectSettings()).sd
+    u, v = truth.uv_px
+    around = sd[max(0, int(v / 4) - 3) : int(v / 4) + 4, max(0, int(u / 4) - 3) : int(u / 4) + 4]
+    return 1.96 * float(np.nanmedian(around)) if np.isfinite(around).any() else math.inf
+
+
+def depth_by_plane(cloud: Reconstruction, truth: TrueDent, everything: bool) -> float:
+    """Depth against a plane fitted to all points by least squares, or to those within three lengths."""
+    return depth_by(cloud, truth, everything, _plane)
+
+
+def depth_by_cylinder(cloud: Reconstruction, truth: TrueDent, everything: bool) -> float:
+    """The same against a cylinder."""
+    return depth_by(cloud, truth, everything, _cylinder)
+
+
+def depth_by(cloud: Reconstruction, truth: TrueDent, everything: bool, fit) -> float:  # type: ignore[no-untyped-def]
+    points = cloud.points[::6, ::6].reshape(-1, 3).astype(float)
+    points = points[np.isfinite(points[:, 2])]
+    away = np.linalg.norm(points - truth.xyz_mm, axis=1)
+    if not everything:
+        points, away = points[away < 3 * truth.half_depth_axes_mm[0]], away[away < 3 * truth.half_depth_axes_mm[0]]
+    below = fit(points)
+    bottom = below[away < max(1.5, 0.1 * truth.half_depth_axes_mm[1])]
+    return float(np.median(bottom)) if len(bottom) else math.nan
+
+
+def _plane(points: np.ndarray) -> np.ndarray:
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    return (points - middle) @ (normal * np.sign(normal[2]))
+
+
+def _cylinder(points: np.ndarray) -> np.ndarray:
+    middle = points.mean(axis=0)
+    axes = np.linalg.svd(points - middle, full_matrices=False)[2]
+    local = (points - middle) @ axes.T
+    local[:, 2] *= np.sign(axes[2][2])
+
+    def distance(parameters: np.ndarray, p: np.ndarray) -> np.ndarray:
+        turn, lean, offset, height, bend = parameters
+        along = np.array([np.cos(turn), np.sin(turn), lean])
+        along /= np.linalg.norm(along)
+        out = np.array([-np.sin(turn), np.cos(turn), 0.0])
+        up = np.cross(along, out)
+        side, rise = p @ out - offset, p @ up - height
+        # Of a circle through its top with curvature `bend`: exact, and a plane at 0.
+        return 2 * (rise + 0.5 * bend * (side**2 + rise**2)) / (1 + np.sqrt((1 + bend * rise) ** 2 + (bend * side) ** 2))
+
+    part = local[:: max(1, len(local) // 4000)]
+    fits = [least_squares(distance, [turn, 0, 0, 0, 1e-4], args=(part,)) for turn in (0.0, 0.8, 1.6, 2.4)]
+    return distance(min(fits, key=lambda f: f.cost).x, local)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--panels", type=int, default=30)
+    parser.add_argument("--bare", type=int, default=40)
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--rendered", action="store_true")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    study_dents(arguments.panels, arguments.rendered)
+    study_bare(arguments.bare, arguments.rendered)
+    study_repeats(arguments.repeats, arguments.rendered)
+
+
+def study_dents(panels: int, rendered: bool) -> None:
+    errors, covered, lost, false, wide, seconds = [], [], [], 0, [], []
+    peers: dict[str, list[float]] = {"plane, whole view": [], "plane, near": [], "cylinder, whole view": [], "cylinder, near": []}
+    for number in range(panels):
+        (scan,) = scans(specification(number, True), 1, rendered)
+        measure_defects(scan.sighted)
+        start = time.process_time()
+        rows = measure_defects(scan.sighted)
+        seconds.append(time.process_time() - start)
+        seen = [t for t in scan.truth if t.visible]
+        pairs = [(t, paired(t, rows)) for t in seen]
+        # What is partly out of view is no false finding.
+        false += sum(all(paired(t, [row]) is None for t in scan.truth) for row in rows)
+        for t, row in pairs:
+            if row is None or row.depth_mm is None or row.hidden_by:
+                lost.append((number, t.id, t.depth_mm, t.half_depth_axes_mm, local_u95(scan, t), row and row.reason))
+                continue
+            e = row.depth_mm - t.depth_mm
+            errors.append((abs(e), abs(e / t.depth_mm)))
+            covered.append(abs(e) <= row.depth_u95_mm)
+            wide += [row.length_mm / max(t.half_depth_axes_mm) - 1, row.width_mm / min(t.half_depth_axes_mm) - 1]
+            print(
+                f"  {number:3d} {t.id} {t.shape:7s} {t.depth_mm:+.3f} mm, {t.half_depth_axes_mm[0]:.0f} × "
+                f"{t.half_depth_axes_mm[1]:.0f} mm: {row.kind} {e:+.4f} ± {row.depth_u95_mm:.4f}, extents "
+                f"{wide[-2]:+.3f} {wide[-1]:+.3f}",
+                flush=True,
+            )
+            for name, everything, by in (
+                ("plane, whole view", True, depth_by_plane),
+                ("plane, near", False, depth_by_plane),
+                ("cylinder, whole view", True, depth_by_cylinder),
+                ("cylinder, near", False, depth_by_cylinder),
+            ):
+                peers[name].append(abs(by(scan.sighted.reconstruction, t, everything) - t.depth_mm))
+    sure = [entry for entry in lost if abs(entry[2]) > 5 * entry[4]]
+    print(f"{len(errors) + len(lost)} defects: {len(errors)} measured, {len(lost)} not, of these {len(sure)} above 5 U95")
+    for entry in lost:
+        print(f"  not measured: panel {entry[0]} {entry[1]} {entry[2]:+.3f} mm, {entry[3]}, U95 {entry[4]:.4f}; {entry[5]}")
+    absolute, relative = np.array(errors).T
+    within = np.mean((absolute <= 0.005) | (relative <= 0.03))
+    print(f"depth: median error {np.median(absolute):.4f} mm, within 0.005 mm or 3 % {within:.1%}, worst {absolute.max():.4f}")
+    print(f"U95 covers {np.mean(covered):.1%}; extents: median error {np.median(np.abs(wide)):.1%}, 95 % {np.quantile(np.abs(wide), 0.95):.1%}")
+    print(f"false {false}; CPU {np.median(seconds):.3f} s, worst {max(seconds):.3f}")
+    for name, depths in peers.items():
+        print(f"{name}: median error {np.nanmedian(depths):.3f} mm")
+
+
+def study_bare(panels: int, rendered: bool) -> None:
+    found = 0
+    for number in range(100, 100 + panels):
+        (scan,) = scans(specification(number, False), 1, rendered)
+        rows = measure_defects(scan.sighted)
+        found += len(rows)
+        for row in rows:
+            print(f"  {number}: {row.kind} {row.depth_mm} ± {row.depth_u95_mm} mm, {row.length_mm} mm at {row.u_px:.0f} {row.v_px:.0f}; {row.reason}")
+    print(f"{panels} panels without defects: {found} found", flush=True)
+
+
+def study_repeats(repeats: int, rendered: bool) -> None:
+    spec = specification(3, False)
+    dent = Dent("D0", 20.0, 15.0, 0.2, (30.0, 24.0), 30.0)
+    spec = replace(spec, panel=replace(spec.panel, dents=(dent,)))
+    depths = []
+    for scan in scans(spec, repeats, rendered) if repeats else []:
+        row = paired(scan.truth[0], measure_defects(scan.sighted))
+        depths.append(math.nan if row is None else row.depth_mm)
+    if repeats > 1:
+        print(f"{repeats} scans of a 30 mm dent: mean {np.mean(depths):.4f} mm, sd {np.std(depths, ddof=1):.5f} mm (true {dent.depth_mm})")
+
+
+if __name__ == "__main__":
+    main()
