@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metrology.cloud import Reconstruction
+from metrology.cloud import PixelFlag, Reconstruction
 from metrology.fastening import detect_fasteners
 from metrology.holes import measure_holes
 from metrology.kinds import HOLE
-from metrology.limits import PanelSpec
+from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet
 from metrology.registration.openings import explained, missing_fasteners
 from metrology.results import Hole, Rivet
@@ -102,6 +102,34 @@ def test_a_temporary_fastener_is_named_and_not_measured(rng: np.random.Generator
     assert found.rivets == []
     (hole,) = judge(HOLE, measure_holes(found.openings, proud), PanelSpec("P", "A"))
     assert (hole.kind, hole.decision, hole.diameter_mm) == ("temporary fastener", "not measured", None)
+
+
+def test_a_temporary_fastener_is_named_where_its_shadow_lies_beside_it(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    body = np.hypot(x, y) < 4.0
+    shadowed = moved(moved(reconstruction, body, 8.0), (np.abs(y) < 4.0) & (x > 0) & (x < 9.0) & ~body, np.nan)
+    (opening,) = detect_fasteners(shadowed).openings
+    assert opening.inside_mm == pytest.approx(8.0, abs=0.5)
+    middle = reconstruction.rig.left.project(SKIN.frame.rig([0.0, 0.0, 0.0]))
+    assert [opening.ellipse.u, opening.ellipse.v] == pytest.approx(middle, abs=3.0)
+
+
+def test_saturated_skin_is_no_hole(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    bright = np.hypot(x, y) < 4.0
+    flags = np.where(bright, np.uint16(PixelFlag.SATURATED), reconstruction.flags)
+    assert detect_fasteners(replace(moved(reconstruction, bright, np.nan), flags=flags)).openings == []
+
+
+def test_an_open_hole_is_a_finding_unless_a_limit_asks_for_it() -> None:
+    hole = Hole("H01", x_mm=0.0, y_mm=0.0, z_mm=700.0, u_px=1.0, v_px=2.0, kind="open hole", diameter_mm=8.02,
+                diameter_u95_mm=0.06)  # fmt: skip
+    (found,) = judge(HOLE, [hole], PanelSpec("P", "A"))
+    assert (found.decision, found.reason) == ("conditional fail", "open hole of 8.0 mm where no limit asks for one")
+    asked = PanelSpec("P", "A", {"default": {"hole_diameter_mm": Limit(lower=7.9, upper=8.2)}})
+    assert judge(HOLE, [hole], asked)[0].decision == "pass"
 
 
 def test_a_hole_where_the_pattern_has_a_rivet_is_a_missing_fastener() -> None:

@@ -59,6 +59,26 @@ def test_a_painted_ring_of_another_size_between_the_rows_is_in_doubt(rng: np.ran
     assert "without a step" in doubtful[0].doubt
 
 
+@pytest.mark.parametrize(("width_mm", "contrast"), [(0.24, 30.0), (0.12, 90.0), (0.12, -30.0)])
+def test_a_painted_ring_of_the_usual_size_is_told_by_its_line(
+    rng: np.random.Generator, width_mm: float, contrast: float
+) -> None:
+    """Wider, of far more contrast, or bright where gaps are dark."""
+    ring = replace(ROWS[0], x=0.0, y=0.0, contrast=contrast)
+    skin = Skin()
+    detections = detect_rivets(painted(scan(skin, ROWS, rng), ring, skin, width_mm))
+    doubtful = [d for d in detections if d.doubt]
+    assert len(detections) - len(doubtful) == len(ROWS)
+    assert len(doubtful) == 1
+
+
+def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:
+    detections = detect_rivets(scan(Skin(), (*ROWS, Head(-32, 6, diameter=3.4, height=0.5)), rng))
+    (doubtful,) = (d for d in detections if d.doubt)
+    assert "chip" in doubtful.doubt
+    assert len(detections) == len(ROWS) + 1
+
+
 def test_a_flush_head_in_its_row_or_of_the_usual_size_is_not_in_doubt(rng: np.random.Generator) -> None:
     heads = (*ROWS, Head(-15, -20, diameter=5.0, height=0.0), Head(-2, 3, height=0.0))
     detections = detect_rivets(scan(Skin(), heads, rng))
