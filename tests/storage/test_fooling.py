@@ -216,11 +216,17 @@ FORGERIES = {
 
 @pytest.mark.parametrize("forgery", FORGERIES)
 def test_a_forged_index_is_found(store: Store, forgery: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["archive", "check", "--fast", "--store", str(store.root)]) == 0
     forge(store, FORGERIES[forgery])
     for arguments in ([], ["--fast"]):
         assert main(["archive", "check", *arguments, "--store", str(store.root)]) == 1
         assert "error: " in capsys.readouterr().err
+
+
+def test_a_forged_index_is_made_again_from_the_bundles(store: Store) -> None:
+    assert main(["archive", "check", "--fast", "--store", str(store.root)]) == 0
+    for forgery in FORGERIES.values():
+        forge(store, forgery)
+    assert main(["archive", "check", "--fast", "--store", str(store.root)]) == 1
     maintenance.rebuild(store.layout)
     assert maintenance.check(store.layout).problems == ()
     assert maintenance.check_fast(store.layout).problems == ()
