@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 from scipy.optimize import least_squares
-from seam_textures import Band, paint
 
 from metrology.ridges import RidgeMap, gaussian_kernels, ridge_points
 from metrology.seams.blur import EdgeResponse, PixelBlur
@@ -21,6 +20,7 @@ from metrology.seams.finding.band_kernel import (
 from metrology.seams.finding.bands import fit_bands
 from metrology.seams.finding.linking import link
 from metrology.seams.finding.medians import row_medians
+from tests.support.seam_textures import Band, paint
 
 
 def test_line_points(rng):

@@ -6,12 +6,9 @@ import itertools
 import json
 from dataclasses import replace
 
-import gap_render
 import numpy as np
 import pytest
-from gap_render import Gap, profiles, seen
 from scipy.ndimage import gaussian_filter1d
-from seam_scan import SHAPE, seam_scan
 
 from metrology.errors import UsageError
 from metrology.seams import SeamSettings, detect_seams, measure_seams
@@ -29,6 +26,9 @@ from metrology.seams.skins.skin_lines import fit_skin_lines
 from metrology.seams.skins.step import step_height
 from metrology.seams.skins.track import lay_on_skin
 from metrology.surfaces import Frame
+from tests.support import gap_render
+from tests.support.gap_render import Gap, profiles, seen
+from tests.support.seam_scan import SHAPE, seam_scan
 
 # Columns of the basis that change a region's brightness and are none.
 CHANGES = [model.SLOPE_A, model.SLOPE_B, model.SKY]

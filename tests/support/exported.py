@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from storage.archive import Store
+from storage.export.deliveries import CONFIGURATION
 from storage.export.formats import Place, format_named, writer_of
 from storage.export.subject import Subject, panel_subject
 from storage.panel_spec import load_panel_spec
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 AIRCRAFT, PANEL = "MSN-1", "LH-F12"
 HOSTILE = ("=SUM(A1:A9)", "+1-1", "@x", "<b>&\"'</b>", "Nietkopf Ä ö ß €", "N" * 64, "a;b,c\td", "-0.5 mm")
@@ -58,3 +59,11 @@ def exported(store: Store, folder: Path, *names: str, decimal: str = "point") ->
     for name in names:
         files += writer_of(format_named(name).writer)(subject, Place(folder, "out", store, decimal))  # type: ignore[arg-type]
     return subject, {path.name.removeprefix("out"): path for path in files}
+
+
+def deliver_panels(store: Store, place: str, *formats: str) -> None:
+    """Have a store's panels delivered to a folder or a URI."""
+    (store.root / CONFIGURATION).write_text(
+        'format = "flushline-deliveries/1"\n[[targets]]\nname = "spc"\nsince = 2020-01-01T00:00:00Z\n'
+        f'place = "{place}"\nformats = {list(formats)}\n'
+    )

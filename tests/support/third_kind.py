@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from metrology import kinds
-from tests.flows.marks import KIND
+from tests.support.marks import KIND
 
 kinds.KINDS = (*kinds.KINDS, KIND)
 kinds.BY_NAME[KIND.name] = KIND
@@ -40,8 +40,8 @@ from storage.report import scene_page, scene_record  # noqa: E402
 from storage.review import Feature, Review, ReviewLog  # noqa: E402
 from storage.rig import save_rig  # noqa: E402
 from tasks.settings import InspectionSettings  # noqa: E402
-from tests.flows.conftest import fake_metrology_in, write_small_scene  # noqa: E402
-from tests.storage.results import small_key, small_rig  # noqa: E402
+from tests.support.results import small_key, small_rig  # noqa: E402
+from tests.support.small_scene import fake_metrology_in, write_small_scene  # noqa: E402
 
 SPEC = """
 format = "flushline-panel/1"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -11,11 +10,9 @@ from streamlit.testing.v1 import AppTest
 
 from metrology.results import SceneKey
 from storage.archive.store import Store
+from tests.support.synthetic_scene import Recipe, synthetic_result
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
-from synthetic_scene import Recipe, synthetic_result  # noqa: E402
 
 FIRST_NIGHT = datetime(2026, 11, 14, 21, 15, tzinfo=UTC)
 AIRCRAFT = [f"MSN-042{i}" for i in range(6)]

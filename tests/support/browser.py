@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from week import ROOT
 
 from dashboard.confinement import die_with
 from dashboard.launch import command
 from storage.review import Entry, ReviewLog
+from tests.support.week import ROOT
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = [

@@ -23,7 +23,7 @@ class TestMark(Feature):
 KIND = Kind(
     name="test mark",
     table="test_marks",
-    row="tests.flows.marks:TestMark",
+    row="tests.support.marks:TestMark",
     one="test mark",
     many="test marks",
     id_columns=("mark_id",),
@@ -37,7 +37,7 @@ KIND = Kind(
     counts=(Count("n_test_marks", "test marks found"),),
     subject="mark",
     parameter="mark",
-    measure="tests.flows.marks:measure",
+    measure="tests.support.marks:measure",
 )  # fmt: skip
 
 
