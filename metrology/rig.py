@@ -95,6 +95,11 @@ class Device:
         padded[: self.distortion.size] = self.distortion
         return padded
 
+    @cached_property
+    def _turn(self) -> Array:
+        """(3, 1) R as OpenCV wants it: a vector along its axis."""
+        return np.asarray(cv2.Rodrigues(self.R)[0], float)
+
     def project(self, points: ArrayLike) -> Array:
         """Raw pixels of points: R x + t into the device's frame (for the projector paper eq 14), then through the lens.
 
@@ -111,9 +116,7 @@ class Device:
         points = np.asarray(points, float)
         if points.size == 0:
             return np.empty((*points.shape[:-1], 2))
-        pixels, _ = cv2.projectPoints(
-            points.reshape(-1, 1, 3), cv2.Rodrigues(self.R)[0], self.t, self.K, self.distortion8
-        )
+        pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), self._turn, self.t, self.K, self.distortion8)
         return np.asarray(pixels, float).reshape(*points.shape[:-1], 2)
 
     def normalized(self, pixels: ArrayLike) -> Array:

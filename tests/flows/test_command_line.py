@@ -185,6 +185,27 @@ def test_help_and_query_import_nothing_heavy(tmp_path: Path) -> None:
     assert said.stdout.splitlines()[-1] == "[]"
 
 
+# Modules that a command may load before it begins, some tenth more than it does: a new one that brings a hundred others
+# along is to be noticed. What loads them, `python -X importtime -m flows.cli …` tells.
+@pytest.mark.parametrize(
+    ("command", "most", "never"),
+    [
+        (["--help"], 160, HEAVY),
+        (["inspect", "nowhere", "--store", "none"], 1480, ("prefect", "open3d", "streamlit", "pandas", "scipy.stats")),
+    ],
+)
+def test_commands_start_with_few_modules(command: list[str], most: int, never: tuple[str, ...], tmp_path: Path) -> None:
+    code = (
+        "import sys; from flows.cli import main\n"
+        f"try: main({command!r})\nexcept SystemExit: pass\n"
+        f"print(len(sys.modules), [name for name in {never!r} if name in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    count, loaded = said.stdout.splitlines()[-1].split(" ", 1)
+    assert loaded == "[]"
+    assert int(count) <= most
+
+
 def test_the_overlay_is_copied_out(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     store.publish(small_result())

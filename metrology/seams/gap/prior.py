@@ -101,10 +101,6 @@ class Prior:
                 self._alike(first + chamfer, second + chamfer, _ALIKE_VIEWS)
         held = (*fixed, *(_OF_OPEN_GAPS if floor.sealed else ()))
         self.free = np.setdiff1d(np.arange(len(sigma)), held)
-        self._bounds = np.tile([[-np.inf], [np.inf]], len(sigma))
-        self._bounds[:, :LENSES] = _LOWEST, _HIGHEST
-        self._bounds[:, SLOPE] = _SLOPE_BOUNDS * slope
-        self._bounds[:, self.lenses] = np.array(_LENS_BOUNDS_PX)[:, None]
 
     def _alike(self, i: int, j: int, sigma: float) -> None:
         difference = np.zeros(len(self.mean))
@@ -134,16 +130,12 @@ class Prior:
 
     def within_bounds(self, shared: Array) -> Array:
         """What is shared, no value beyond what can be."""
-        return np.clip(shared, *self._bounds)
-
-    def movable(self, shared: Array, downhill: Array) -> NDArray[np.int64]:
-        """What is free to move `downhill`: not what stands at a bound and would go beyond it.
-
-        If it took part in a step and was then held back, the others would have moved for nothing.
-        """
-        lowest, highest = self._bounds
-        stopped = ((shared <= lowest) & (downhill < 0)) | ((shared >= highest) & (downhill > 0))
-        return self.free[~stopped[self.free]]
+        lenses = slice(self.lenses.start, self.lenses.stop)
+        bounded = shared.copy()
+        bounded[:LENSES] = np.clip(shared[:LENSES], _LOWEST, _HIGHEST)
+        bounded[SLOPE] = np.clip(shared[SLOPE], *(_SLOPE_BOUNDS * self.mean[SLOPE]))
+        bounded[lenses] = np.clip(shared[lenses], *_LENS_BOUNDS_PX)
+        return bounded
 
 
 def _depth(floor: Floor) -> tuple[float, float]:

@@ -22,9 +22,7 @@ _SHAPE_STATIONS = 24
 _START_STATIONS = 6
 _START_CHAMFERS_MM = (0.05, 0.35, 0.7, 1.05)
 _START_DEPTHS_MM = (1.0, 3.0)
-# Most iterations. A start only shows the way: its last one gains less than this, in squared standard deviations, where
-# starts differ by whole ones.
-_ITERATIONS, _START = 30, (10, 0.05)
+_START_ITERATIONS, _ITERATIONS = 10, 30
 # In a band as narrow as the blur (its width at half height) two broken edges look like anything, px.
 _RESOLVED_PX = 2.0
 
@@ -56,7 +54,7 @@ def sealant_doubt(profiles: Profiles, found: State) -> float:
         return width / COVERAGE_95
     chosen = _evenly(len(profiles.stations), _START_STATIONS)
     some = profiles.at(chosen)
-    sealed = fit_shape_from(some, found.borders[chosen], found.shared, found.known, *_START)
+    sealed = fit_shape_from(some, found.borders[chosen], found.shared, found.known, _START_ITERATIONS)
     return doubt_of_sealant(sealed, some)
 
 
@@ -85,10 +83,10 @@ def _first_look(few: Profiles, floor: Floor) -> State:
             shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
             # What is detected as the band's border lies on the chamfer.
             borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
-            starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), *_START))
+            starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
         best = min(starts, key=_cost)
         for freer in (known.of_square_walls(), known):
-            best = fit_shape_from(few, best.borders, best.shared, freer, *_START)
+            best = fit_shape_from(few, best.borders, best.shared, freer, _START_ITERATIONS)
         looks.append(best)
     return min(looks, key=_cost)
 

@@ -29,7 +29,7 @@ _ALIKE_BINS = 7.5
 _USUAL_MISFIT = _ALIKE_BINS * (_RENDERING_FOUND / _RENDERING) ** 2
 # Stations whose squared residuals exceed the usual ones so many times tell less about the shape (Cauchy).
 _DOUBTFUL = 3.0
-# An iteration that gains less than this, in squared standard deviations, is the last where nothing else is said.
+# An iteration that gains less than this, in squared standard deviations, is the last.
 _SETTLED = 0.002
 # No border moves farther in one iteration, mm.
 _STRIDE_MM = 0.3
@@ -144,7 +144,7 @@ class State:
         alone = (inverse @ self.gradients[:, :2, None])[..., 0]
         right = self._trust @ (self.gradients[:, 2:] - (alone[:, None, :] @ cross)[:, 0])
         right += self.known.gradient(self.shared)
-        by_shape, free = np.zeros(len(self.shared)), self.known.movable(self.shared, right)
+        by_shape, free = np.zeros(len(self.shared)), self.known.free
         by_shape[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
         by_border = alone - (inverse @ (cross @ by_shape)[..., None])[..., 0]
         return np.clip(by_border, -_STRIDE_MM, _STRIDE_MM), by_shape
@@ -164,10 +164,8 @@ def _inverses(matrices: Array) -> Array:
 _OF_STATIONS = ("borders", "normals", "gradients", "levels", "costs")
 
 
-def fit_shape_from(
-    profiles: Profiles, borders: Array, shared: Array, known: Prior, iterations: int, settled: float = _SETTLED
-) -> State:
-    """Borders and shape together, from a start; an iteration that gains less than `settled` is the last."""
+def fit_shape_from(profiles: Profiles, borders: Array, shared: Array, known: Prior, iterations: int) -> State:
+    """Borders and shape together, from a start."""
     n = len(profiles.stations)
     cautious = replace(profiles, variance=profiles.variance + n * _RENDERING**2)
     state = _state_at(cautious, _apart(borders, shared), shared, known, with_shape=True)
@@ -179,7 +177,7 @@ def fit_shape_from(
         gain = state.cost(state.limit) - new.cost(state.limit)
         if gain > 0:
             state, damping = new, max(0.2 * damping, 1e-6)
-            if gain < settled:
+            if gain < _SETTLED:
                 break
         else:
             damping *= 8.0
