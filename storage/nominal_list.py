@@ -72,7 +72,7 @@ def _rows(path: Path, names: Mapping[str, str]) -> list[tuple[str, Row]]:
         raise SpecError(
             f"{path}: found columns {found}, expected one for {missing[0]!r}: name it by --column {missing[0]}=NAME"
         )
-    rows = []
+    rows: list[tuple[str, Row]] = []
     for number, cells in enumerate(lines[1:], 2):
         if any(str(cell or "").strip() for cell in cells):
             rows.append((f"{path}: row {number}", {name: cells[k] for name, k in where.items() if k < len(cells)}))

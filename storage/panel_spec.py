@@ -208,7 +208,7 @@ def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: 
         f"revision = {_toml(revision)}",
         *([f"enrolled_from = {_toml(enrolled_from)}"] if enrolled_from else []),
     ]
-    zones = {feature.zone for feature in (*layout.rivets, *layout.seams)} - {DEFAULT_ZONE}
+    zones = ({rivet.zone for rivet in layout.rivets} | {seam.zone for seam in layout.seams}) - {DEFAULT_ZONE}
     lines += [line for zone in sorted(zones if not enrolled_from else ()) for line in ("", f"[zones.{_toml(zone)}]")]
     for name, placement in layout.stations.items():
         lines += ["", f"[stations.{_toml(name)}]", f"R = {_toml(placement.R, 10)}", f"t_mm = {_toml(placement.t)}"]
