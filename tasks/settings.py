@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from metrology.defects.settings import DefectSettings
 from metrology.errors import FlushlineError, UsageError
 from metrology.overlay import OverlaySettings
 from metrology.reconstruction_settings import ReconstructionSettings
@@ -59,6 +60,7 @@ class InspectionSettings:
     rig_health: HealthSettings = field(default_factory=HealthSettings)
     rivets: RivetSettings = field(default_factory=RivetSettings)
     seams: SeamSettings = field(default_factory=SeamSettings)
+    defects: DefectSettings = field(default_factory=DefectSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     overlay: OverlaySettings = field(default_factory=OverlaySettings)
 

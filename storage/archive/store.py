@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from storage.archive.panels import Panels
     from storage.archive.staging import StagedRun
     from storage.cloud import StoredCloud
+    from storage.evidence.verifications import VerificationModel, Verifications
 
 _log = logging.getLogger("flushline.archive")
 
@@ -83,6 +84,13 @@ class Store:
         from storage.archive.panels import Panels
 
         return Panels(self.layout.panels)
+
+    @property
+    def verifications(self) -> Verifications:
+        """Verifications of rigs."""
+        from storage.evidence.verifications import Verifications
+
+        return Verifications(self.layout)
 
     @property
     def bundles(self) -> Bundles:
@@ -296,10 +304,10 @@ class Store:
         """
         import duckdb
 
-        from storage.archive.decision_tables import register_decisions
+        from storage.archive.tables_beside import register_tables
 
         with contextlib.closing(self.connect()) as connection:
-            register_decisions(connection, self.root, sql)
+            register_tables(connection, self.root, sql)
             try:
                 rows = connection.sql(sql, params=list(parameters) or None)
                 if rows is None:
@@ -388,6 +396,12 @@ class Store:
             self.prepare()
             save_rig(rig, path)
         return True
+
+    def keep_verification(self, model: VerificationModel, report: str) -> Path:
+        """Keep a verification of a rig for good, with its report (HTML); returns its file."""
+        with disk_trouble(self.root, "the verification is not kept"):
+            self.prepare()
+            return self.verifications.keep(model, report)
 
     def prepare(self) -> None:
         """Make what every store has."""

@@ -15,7 +15,7 @@ from metrology.assembly.scan import PanelScan
 from metrology.kinds import RIVET, SEAM_STATION
 from metrology.limits import PanelSpec
 from metrology.panel import Placement
-from tests.metrology.panel_scans import SimulatedPanel, facing, rigid_rms
+from tests.support.panel_scans import SimulatedPanel, facing, rigid_rms
 
 Array = NDArray[np.float64]
 SPEC = PanelSpec("P", "1")
