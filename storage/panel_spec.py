@@ -191,15 +191,25 @@ def judged_by(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:
     return None
 
 
-def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: str) -> str:
-    """A panel's pattern as a specification without limits, to be kept or to be completed by hand."""
+def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: str | None = None) -> str:
+    """A panel's pattern as a specification without limits, to be kept or to be completed by hand.
+
+    Parameters
+    ----------
+    enrolled_from : str, optional
+        The scan that it was taken from; without one it comes from a list.
+    """
+    enrolled = "enrolled from a scan; positions in mm, z outward, x to the right and y up for a viewer outside"
+    said = enrolled if enrolled_from else "imported from a list; positions in mm; limits are still to be written"
     lines = [
-        "# Pattern enrolled from a scan; positions in mm, z outward, x to the right and y up for a viewer outside.",
+        f"# Pattern {said}.",
         f"format = {_toml(FORMAT)}",
         f"panel = {_toml(panel)}",
         f"revision = {_toml(revision)}",
-        f"enrolled_from = {_toml(enrolled_from)}",
+        *([f"enrolled_from = {_toml(enrolled_from)}"] if enrolled_from else []),
     ]
+    zones = ({rivet.zone for rivet in layout.rivets} | {seam.zone for seam in layout.seams}) - {DEFAULT_ZONE}
+    lines += [line for zone in sorted(zones if not enrolled_from else ()) for line in ("", f"[zones.{_toml(zone)}]")]
     for name, placement in layout.stations.items():
         lines += ["", f"[stations.{_toml(name)}]", f"R = {_toml(placement.R, 10)}", f"t_mm = {_toml(placement.t)}"]
     for rivet in layout.rivets:

@@ -49,6 +49,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     judging.add_argument("--aircraft", required=True, metavar="SERIAL")
     judging.add_argument("--panel", required=True, metavar="PANEL")
     judging.add_argument("--panel-spec", type=Path, metavar="FILE", help="by default what is in force by now")
+    importing = add("import", import_list, "a specification's pattern from a list of fasteners, CSV or XLSX")
+    importing.add_argument("list", type=Path, metavar="FILE", help="one row per fastener: id, x, y, z in mm, and more")
+    importing.add_argument("--seams", type=Path, metavar="FILE", help="one row per corner of a seam: id, x, y, z")
+    importing.add_argument("--panel", required=True, metavar="PANEL")
+    importing.add_argument("--revision", required=True, metavar="REVISION")
+    importing.add_argument(
+        "--column", action="append", default=[], metavar="NAME=COLUMN",
+        help="what the list calls id, x, y, z, nx, ny, nz (normal), diameter, zone or row; may be given again",
+    )  # fmt: skip
+    importing.add_argument("--out", type=Path, required=True, metavar="FILE", help="specification (TOML) to complete")
 
 
 def check(options: argparse.Namespace) -> int:
@@ -168,6 +178,24 @@ def judge(options: argparse.Namespace) -> int:
     if spec is None:
         raise StoreError(f"{options.store}: found no specification of {options.panel}, expected one or --panel-spec")
     judge_again(store, PanelKey(options.aircraft, options.panel), spec)
+    return 0
+
+
+def import_list(options: argparse.Namespace) -> int:
+    """Write a specification with the pattern of a list."""
+    from metrology.errors import UsageError
+    from metrology.panel import PanelLayout
+    from storage.nominal_list import read_rivets, read_seams
+    from storage.panel_spec import load_panel_spec, pattern_toml
+
+    if wrong := [text for text in options.column if "=" not in text]:
+        raise UsageError(f"--column: found {wrong[0]!r}, expected NAME=COLUMN such as x='X (mm)'")
+    names = dict(text.split("=", 1) for text in options.column)
+    rivets = read_rivets(options.list, names)
+    layout = PanelLayout(rivets, read_seams(options.seams, names) if options.seams else ())
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(pattern_toml(layout, options.panel, options.revision), encoding="utf-8")
+    print("\n".join([str(options.out), *_described(load_panel_spec(options.out))]))
     return 0
 
 

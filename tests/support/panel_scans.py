@@ -32,7 +32,7 @@ def _device(width: int, height: int, f: float, yaw: float, centre: tuple[float, 
 
 
 RIG = Rig(
-    "r", "", _device(*SIZE, 2490.0, 0.0, (0, 0, 0)), _device(*SIZE, 2490.0, 0.40, (290, 0, 60)),
+    "r", "2026-11-02T07:30:00Z", _device(*SIZE, 2490.0, 0.0, (0, 0, 0)), _device(*SIZE, 2490.0, 0.40, (290, 0, 60)),
     _device(1280, 800, 2500.0, 0.21, (150, -20, 20)),
 )  # fmt: skip
 _GRID = np.stack(np.meshgrid(np.arange(0, SIZE[0], STRIDE), np.arange(0, SIZE[1], STRIDE)), -1).astype(float)
