@@ -58,11 +58,11 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | No
     import pyarrow as pa
 
     from metrology.errors import UsageError
-    from storage.archive.decision_tables import register_decisions
     from storage.archive.store import Store, query_problem
+    from storage.archive.tables_beside import register_tables
 
     connection = Store(root).connect(spill)
-    register_decisions(connection, root, sql)
+    register_tables(connection, root, sql)
     try:
         rows = connection.sql(sql)
     except duckdb.InvalidInputException as problem:

@@ -17,6 +17,7 @@ from metrology.calibration.epipolar_residuals import epipolar_residuals
 from metrology.calibration.observations import DeviceName
 from metrology.calibration.prediction import FieldUncertainty
 from metrology.rig import Device, Rig
+from storage.evidence.rig_facts import rig_facts
 from storage.report.markup import table
 from storage.templates import rendered
 
@@ -34,6 +35,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
         rig=rig,
         calibration=calibration,
         plotly=plotly_page.script(),
+        board=_board(rig),
         board_drawn=_BOARDS[calibration.board_layout],
         reprojection=_reprojection_table(calibration),
         residuals=inline(_residuals(calibration)),
@@ -50,6 +52,12 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(document, encoding="utf-8")
     partial.replace(path)
+
+
+def _board(rig: Rig) -> str:
+    facts = rig_facts(rig.extra)
+    certificate = f"certificate {facts.certificate}" if facts.certificate else "no certificate stated"
+    return f"{facts.board or 'not stated'}; {certificate}"
 
 
 def _devices(calibration: Calibration) -> dict[DeviceName, Device]:

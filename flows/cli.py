@@ -25,6 +25,8 @@ COMMANDS = (
     "patterns",
     "overlay",
     "report",
+    "trace",
+    "verify",
     "panel",
     "query",
     "export",

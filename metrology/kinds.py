@@ -154,6 +154,8 @@ class Kind:
         Name of that block; "" for the name of the table.
     cells : tuple of Cell
         What reports have in a row between its name and its zone; its quantities where nothing is given.
+    size : tuple of str
+        Columns of its extent, mm: rows of two scans nearer than half of it are of one feature of the panel.
     """
 
     name: str
@@ -174,6 +176,7 @@ class Kind:
     measure: str = ""
     settings: str = ""
     cells: tuple[Cell, ...] = ()
+    size: tuple[str, ...] = ()
 
     @property
     def is_course(self) -> bool:
@@ -245,6 +248,7 @@ RIVET = Kind(
     parameter="rivet",
     verdict="metrology.fastener:size_finding",
     note="metrology.fastener:size_note",
+    size=("diameter_mm",),
     cells=(
         Cell("diameter mm", ("diameter_mm",), 2),
         Cell("height mm", ("height_mean_mm", "height_u95_mm"), 4, signed=True),
@@ -312,6 +316,7 @@ HOLE = Kind(
     note="metrology.holes.verdict:hole_note",
     measure="metrology.holes.measure:measure_sighted",
     settings="rivets",
+    size=("diameter_mm", "countersink_diameter_mm"),
     cells=(
         Cell("kind", ("kind",)),
         Cell("diameter mm", ("diameter_mm", "diameter_u95_mm"), 2),

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from metrology.fringe import FringeCode
 from metrology.moments import moment_of
 from metrology.rig import Rig
+from simulator.balls import trace_balls
 from simulator.lens import moved
 from simulator.pack import pack
 from simulator.paint import paint
@@ -120,6 +121,9 @@ def _view(
         spec.light.wall_reflectance,
     )  # fmt: skip
     camera, projector = moved(getattr(rig, side), pose.R, pose.t), moved(lamp, pose.R, pose.t)
+    if spec.spheres:
+        surface = spec.panel.surface.reflectance
+        return trace_balls(spec.spheres, surface, spec.behind_mm, light, camera, projector, spec.camera.blur_px)
     return trace(relief, reflectance, light, camera, projector, spec.camera.blur_px, spec.camera.samples, progress)
 
 
@@ -181,6 +185,15 @@ def look_at_image(stage: Stage, spec: SimulationSpec, image: NDArray[np.generic]
     return seen
 
 
+def _truth(spec: SimulationSpec, stage: Stage) -> dict[str, Any]:
+    """The panel's truth; of spheres their centres in the rig frame and diameters."""
+    if not spec.spheres:
+        return stage.truth.as_dict()
+    places = {ball.id: (stage.pose.R @ ball.centre + stage.pose.t).tolist() for ball in spec.spheres}
+    spheres = [{"id": b.id, "xyz_mm": places[b.id], "diameter_mm": b.diameter_mm} for b in spec.spheres]
+    return {"spheres": spheres}
+
+
 def make_rig(spec: SimulationSpec) -> Rig:
     """The rig of a specification, as calibrated."""
     return virtual_rig(np.random.default_rng(spec.rig.seed), spec.rig.design, spec.rig.id, spec.rig.calibrated_at)
@@ -226,5 +239,5 @@ def simulate(
                 name=f"{station}-{at:%Y%m%dT%H%M%SZ}", aircraft_serial=spec.scene.aircraft_serial,
                 panel=spec.scene.panel, station=station, captured_at=f"{at:%Y-%m-%dT%H:%M:%SZ}",
                 operator=spec.scene.operator, rig=rig, fringe=spec.fringe, exposures=spec.camera.exposures,
-                left=frames["left"], right=frames["right"], pose=stage.pose, truth=stage.truth.as_dict(),
+                left=frames["left"], right=frames["right"], pose=stage.pose, truth=_truth(spec, stage),
             )  # fmt: skip

@@ -11,6 +11,7 @@ from typing import Literal
 from metrology.errors import SpecError
 from metrology.fringe import FringeCode
 from metrology.moments import moment_of
+from simulator.balls import Ball
 from simulator.board import PrintedBoard
 from simulator.panel import Panel
 from simulator.projection import Beamer
@@ -196,12 +197,15 @@ class SimulationSpec:
     """Everything that determines a series of scans.
 
     `seed` governs texture and noise, `rig.seed` the rig; `repeats` is the number of scans of each placement.
-    `calibration` asks for a calibration capture beside them.
+    `calibration` asks for a calibration capture beside them. `spheres` stand before the rig in place of the panel, in
+    its frame, `behind_mm` before a dark plate; their reflectance is that of the panel's surface.
     """
 
     format: Literal["flushline-simulation/1"]
     scene: SceneKeys
     panel: Panel = field(default_factory=Panel)
+    spheres: tuple[Ball, ...] = ()
+    behind_mm: float = 40.0
     rig: RigSpec = field(default_factory=RigSpec)
     placements: tuple[Placement, ...] = (Placement(),)
     fringe: FringeCode = field(default_factory=lambda: FringeCode("x", 4, (70, 64, 59)))

@@ -18,6 +18,7 @@ from metrology.calibration.board import Board, BoardKind
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.errors import CalibrationError
 from metrology.fringe import Axis, FringeCode
+from storage.certificate import CertificateModel
 from storage.documents import check_format, read_json, utc_text
 from storage.frames import FrameHeader, read_frame, read_header, read_stack, write_frame
 from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
@@ -29,7 +30,7 @@ GreyFrame = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class BoardModel(StrictModel):
-    """`board`: what is printed on the plate, in mm."""
+    """`board`: what is printed on the plate, in mm, and the certificate of its sizes."""
 
     type: BoardKind
     cols: WholeNumber
@@ -38,6 +39,7 @@ class BoardModel(StrictModel):
     dot_diameter_mm: float | None = None
     marker_mm: float | None = None
     dictionary: str | None = None
+    certificate: CertificateModel | None = None
 
 
 class DotsModel(StrictModel):
@@ -105,6 +107,7 @@ class CaptureModel(StrictModel):
     format: Literal["flushline-calibration/1"]
     units: Literal["mm"] = "mm"
     captured_at: UtcTime | None = None
+    due_at: UtcTime | None = None
     rig: Identifier | None = None
     board: BoardModel
     projector: ProjectorModel
@@ -210,7 +213,7 @@ def load_capture(folder: Path) -> CalibrationCapture:
     try:
         return CalibrationCapture(
             folder=folder,
-            board=Board(kind=board.type, **board.model_dump(exclude={"type"})),
+            board=Board(kind=board.type, **board.model_dump(exclude={"type", "certificate"})),
             projector_size=(model.projector.width, model.projector.height),
             dots=ProjectedDots(**dots.model_dump(exclude={"type"})) if dots else None,
             codes=_codes(fringe) if fringe else {},

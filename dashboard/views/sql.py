@@ -13,6 +13,7 @@ from metrology.errors import FlushlineError, UsageError
 from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
+from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 from storage.saved_queries import SavedQueries
 
 TITLE = "SQL"
@@ -122,6 +123,8 @@ def _describe_tables() -> None:
         for name, what, columns in (
             ("decisions", "Everything that people decided, from the first entry on", DECISIONS_COLUMNS),
             ("dispositions", "The last disposition of each feature that has one", DISPOSITIONS_COLUMNS),
+            ("rigs", "Each calibration with its last verification, and what is due when", RIGS_COLUMNS),
+            ("verifications", "Each measure of each verification of a rig", VERIFICATIONS_COLUMNS),
         ):
             with st.expander(f"`{name}`"):
                 st.caption(what)

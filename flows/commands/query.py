@@ -34,8 +34,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the query and print its rows."""
     from flows.rows import run_query, write_rows
     from metrology.errors import UsageError
-    from storage.archive.decision_tables import register_decisions
     from storage.archive.store import Store
+    from storage.archive.tables_beside import register_tables
 
     row_format: Format = options.format or _format_of(options.out)
     if row_format == "parquet" and options.out is None and sys.stdout.isatty():
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
             pq.write_table(table, output)
         return 0
     with contextlib.closing(store.connect()) as connection:
-        register_decisions(connection, store.root, options.sql)
+        register_tables(connection, store.root, options.sql)
         result = run_query(connection, options.sql)
         with _output(options.out) as output:
             write_rows(result, row_format, output, to_file=options.out is not None)

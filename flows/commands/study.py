@@ -48,6 +48,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     real.add_argument("--planes", type=Path, metavar="FILE", help="parts of the image that show a plane (TOML)")
     _add_common(real)
     real.set_defaults(run=run_captured)
+    gage = kinds.add_parser(
+        "gage",
+        parents=[common],
+        help="gage R&R, bias, linearity and stability from scans in the archive",
+        description="Analyses scans by several operators as a plan says, and lists what is still to be scanned. "
+        "Exit code 1: the plan is not complete yet.",
+    )
+    gage.add_argument("--plan", type=Path, required=True, metavar="FILE", help="operators, stations, trials (TOML)")
+    gage.add_argument("--store", type=Path, required=True, metavar="DIR")
+    gage.add_argument("--out", type=Path, required=True, metavar="DIR", help="report and tables")
+    gage.set_defaults(run=run_gage)
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -108,7 +119,18 @@ def run_captured(options: argparse.Namespace) -> int:
     return _tell(finished)
 
 
-def _tell(finished: Finished) -> int:
+def run_gage(options: argparse.Namespace) -> int:
+    """Analyse scans of the archive."""
+    from flows.study.archived_gage import run_archived
+    from flows.study.gage_plan import read_plan
+    from storage.archive import Store
+
+    store = Store(options.store)
+    store.existing()
+    return _tell(run_archived(store, read_plan(options.plan), options.out), store.root)
+
+
+def _tell(finished: Finished, store: Path | None = None) -> int:
     from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
 
     for problem in finished.problems:
@@ -118,5 +140,5 @@ def _tell(finished: Finished) -> int:
         verdict = "met" if bar.met else "not met"
         print(f"{bar.name}: {bar.found:.4f} {bar.unit} (limit {bar.limit:g}{theirs}): {verdict}")
     print(f"report: {finished.report}")
-    print(f'ask: flushline query "SELECT * FROM panel_summary" --store {finished.report.parent / "store"}')
+    print(f'ask: flushline query "SELECT * FROM panel_summary" --store {store or finished.report.parent / "store"}')
     return EXIT_SOME_FAILED if finished.problems else EXIT_DONE

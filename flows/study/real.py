@@ -15,7 +15,7 @@ from flows.study.document import Cell, Column, Section, Table
 from flows.study.folder import Finished, claim
 from flows.study.planes import planes_section, read_planes
 from flows.study.report import write_report
-from flows.study.values import Quantity, between
+from flows.study.values import Quantity, between, shared_places
 from metrology.errors import FlushlineError, UsageError
 from storage.archive import Store
 from storage.archive.bundle import document_hash
@@ -26,7 +26,6 @@ from tasks import steps
 from tasks.settings import InspectionSettings
 
 _POSITIONS = 10
-_SAME_PLACE_MM = 1.0  # seams end where a scan shows no more of them; this far within all scans see them
 _QUANTITIES: tuple[Quantity, ...] = ("step", "width")
 
 
@@ -142,12 +141,10 @@ def _seams(store: Store, place: tuple[str, str, str], name: str) -> Table:
     for seam, scans in sorted(seams.items()):
         for stations in scans.values():
             stations.sort(key=lambda pair: pair[1])
-        first = max(stations[0][1] for stations in scans.values()) + _SAME_PLACE_MM
-        last = min(stations[-1][1] for stations in scans.values()) - _SAME_PLACE_MM
-        for at in first + (np.arange(_POSITIONS) + 0.5) / _POSITIONS * (last - first) if last > first else ():
+        for at in shared_places(list(scans.values()), _POSITIONS):
             for quantity in _QUANTITIES:
-                values = [between(stations, float(at), quantity) for stations in scans.values()]
-                body.append([seam, float(at), quantity, *_figures(values)])
+                values = [between(stations, at, quantity) for stations in scans.values()]
+                body.append([seam, at, quantity, *_figures(values)])
     columns = (Column("seam"), Column("s, mm", 1), Column("quantity"), *_COLUMNS)
     return Table(f"seams-{name}", "Steps and widths of seams", columns, body)
 

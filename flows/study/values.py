@@ -17,6 +17,7 @@ Quantity = Literal["height", "step", "width"]
 Array = NDArray[np.float64]
 
 _SAME_SEAM_MM = 4.0  # a station farther than that from a seam's course is not of this seam
+_SAME_PLACE_MM = 1.0  # seams end where a scan shows no more of them; this far within all scans see them
 _REACH_MM = 4.0  # a position is measured where stations lie within that on both sides of it
 
 
@@ -164,7 +165,14 @@ class _Course:
 def between(
     stations: list[tuple[dict[str, Any], float]], at: float, quantity: Quantity
 ) -> tuple[float | None, float | None]:
-    """Step or width at a place, linear between the measured stations beside it, with the larger U95 of the two.
+    """Step or width at a place; see `interpolated`."""
+    return interpolated(stations, at, f"{quantity}_mm", f"{quantity}_u95_mm")
+
+
+def interpolated(
+    stations: list[tuple[dict[str, Any], float]], at: float, column: str, u95_column: str
+) -> tuple[float | None, float | None]:
+    """A value at a place, linear between the measured stations beside it, with the larger U95 of the two.
 
     Parameters
     ----------
@@ -173,16 +181,30 @@ def between(
     at : float
         Arc length, mm.
     """
-    there = [(s, row) for row, s in stations if row[f"{quantity}_mm"] is not None and abs(s - at) <= _REACH_MM]
+    there = [(s, row) for row, s in stations if row[column] is not None and abs(s - at) <= _REACH_MM]
     before = [(s, row) for s, row in there if s <= at]
     after = [(s, row) for s, row in there if s > at]
     if not (before and after):
         return None, None
     (s0, row0), (s1, row1) = before[-1], after[0]
     share = (at - s0) / (s1 - s0)
-    measured = (1 - share) * row0[f"{quantity}_mm"] + share * row1[f"{quantity}_mm"]
-    spans = [row[f"{quantity}_u95_mm"] for row in (row0, row1)]
+    measured = (1 - share) * row0[column] + share * row1[column]
+    spans = [row[u95_column] for row in (row0, row1)]
     return measured, None if None in spans else max(spans)
+
+
+def shared_places(scans: Sequence[list[tuple[dict[str, Any], float]]], number: int) -> list[float]:
+    """Arc lengths of evenly spaced places along what all scans show of a course; none where that is nothing.
+
+    Parameters
+    ----------
+    scans : sequence of list of (row, arc length in mm)
+        In their order along the course.
+    number : int
+    """
+    first = max(stations[0][1] for stations in scans) + _SAME_PLACE_MM
+    last = min(stations[-1][1] for stations in scans) - _SAME_PLACE_MM
+    return [first + (k + 0.5) / number * (last - first) for k in range(number)] if last > first else []
 
 
 def grid(values: Sequence[Value], quantity: Quantity) -> tuple[list[str], Array, Array]:

@@ -4,6 +4,7 @@ flushline-store.json           marks the folder as a store
 archive.duckdb                 link to the published index: what people, the dashboard and SQL open
 bundles/AIRCRAFT/PANEL/SCENE_ID/RUN_ID/   one immutable folder per scene run: the truth (see `bundles`)
 rigs/RIG.json                  calibrations, found by the id that a scene names
+verifications/RIG/             verifications of rigs (see `storage.evidence.verifications`)
 panels/PANEL/                  panel specifications in all their versions, and patterns enrolled from scans
 reviews/                       what people decided (see `storage.review_keeping`), and saved queries
 signed-off/SCENE_ID/RUN_ID     marks of runs that were signed off
@@ -49,6 +50,11 @@ class Layout:
     def rigs(self) -> Path:
         """Calibrations."""
         return self.root / "rigs"
+
+    @property
+    def verifications(self) -> Path:
+        """Verifications of rigs."""
+        return self.root / "verifications"
 
     @property
     def panels(self) -> Path:

@@ -45,6 +45,11 @@ def code(text: str) -> Markup:
     return _part("code", text)
 
 
+def missing(text: str) -> Markup:
+    """A link of a chain that is not there, and what would close it."""
+    return _part("missing", text)
+
+
 def number(value: float | None, digits: int, sign: bool = False) -> str:
     """A number, or a dash."""
     return "–" if value is None else f"{value:{'+' if sign else ''}.{digits}f}"

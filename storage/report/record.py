@@ -16,11 +16,9 @@ from metrology.errors import StoreError
 from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
-from storage.archive.bundle import MANIFEST
 from storage.archive.decisions import same_place
 from storage.archive.work import Standing, open_work, standings
-from storage.documents import read_json
-from storage.panel_spec import judged_by
+from storage.evidence.chain import Link, scene_links, sign_off_link, sources
 from storage.review import Entry, ReviewLog
 
 Row = Mapping[str, Any]
@@ -48,6 +46,8 @@ class SceneRecord:
         How its findings stand.
     review_head : str
         Number and checksum of the last entry of the review log.
+    chain : tuple of Link
+        What its values rest on.
     """
 
     scene: Row
@@ -59,6 +59,7 @@ class SceneRecord:
     decisions: tuple[Entry, ...] = ()
     standings: tuple[Standing, ...] = ()
     review_head: str = ""
+    chain: tuple[Link, ...] = ()
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -96,14 +97,13 @@ class PanelRecord:
 def scene_record(store: Store, scene_id: str) -> SceneRecord:
     """A scene's current run."""
     paths = store.paths(scene_id)
-    scenes = _rows(store, "SELECT * FROM scenes WHERE scene_id = ?", scene_id)
     found = {
         kind.name: _rows(
             store, f"SELECT * FROM {kind.table} WHERE scene_id = ? ORDER BY {', '.join(kind.id_columns)}", scene_id
         )
         for kind in KINDS
     }
-    manifest = read_json(paths.bundle / MANIFEST, StoreError)
+    rests_on = sources(store, scene_id)
     preview = cv2.imdecode(np.frombuffer(_bytes(paths.preview), np.uint8), cv2.IMREAD_GRAYSCALE)
     if preview is None:
         raise StoreError(
@@ -114,8 +114,9 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         decisions = tuple(entry for entry in review.entries if entry.scene_id == scene_id)
         how_they_stand = standings(connection, review, scene_id)
     return SceneRecord(
-        scenes[0], found, manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
-        judged_by(manifest, paths.bundle / MANIFEST), decisions, how_they_stand, str(ReviewLog(store.root).head()),
+        rests_on.scene, found, rests_on.manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
+        rests_on.limits, decisions, how_they_stand, str(ReviewLog(store.root).head()),
+        (*scene_links(rests_on), sign_off_link(rests_on)),
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from metrology.requirements import downstream_of, limit_of
 from metrology.tolerance import RULE, Limit, PanelSpec
 from storage.archive.work import OPEN_WORK, said
 from storage.report.drawings import course_chart, values_chart
-from storage.report.markup import badge, code, facts, figure, moment, number, section, table, with_u95
+from storage.report.markup import badge, code, facts, figure, missing, moment, number, section, table, with_u95
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
 from storage.review import Entry
@@ -149,25 +149,16 @@ def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
 
 
 def traceability(record: SceneRecord) -> Markup:
-    """What a result rests on: rig, limits, versions, settings, registration."""
+    """What a result rests on, link by link; a missing one is marked."""
     scene, manifest = record.scene, record.manifest
-    versions = ", ".join(f"{name} {version}" for name, version in manifest.get("versions", {}).items())
     shown = facts(
         [
-            ("scene", code(scene["scene_id"])),
-            ("run", code(scene["run_id"]) + f", {moment(scene['processed_at'])}"),
-            ("captured", moment(scene["captured_at"]) + (f" by {scene['operator']}" if scene["operator"] else "")),
-            ("rig", Markup("{} (content {})").format(scene["rig_id"], code(scene["rig_hash"]))),
-            ("specification", scene["panel_spec"] or "–"),
-            ("settings and specification", code(scene["config_hash"])),
+            *((link.name, missing(link.said) if link.missing else link.said) for link in record.chain),
             ("registration", _registration(record)),
             ("points", _points(scene)),
-            ("rig fits", scene["rig_verdict"] or "–"),
-            ("epipolar distance", _epipolar(scene)),
-            ("versions", versions),
             ("review log ends with", code(record.review_head)),
         ]
-    )
+    )  # fmt: skip
     return section("traceability", shown, json.dumps(manifest.get("settings", {}), indent=1, ensure_ascii=False))
 
 
@@ -175,11 +166,6 @@ def _points(scene: Row) -> str:
     sigma = scene["sigma_z_median_mm"]
     depth = "–" if sigma is None else f"{1000 * sigma:.1f} µm"
     return f"{scene['n_points']:,} ({scene['valid_fraction']:.1%} of the picture), median σ of depth {depth}"
-
-
-def _epipolar(scene: Row) -> str:
-    rms = scene["epipolar_rms_px"]
-    return "–" if rms is None else f"{rms:.3f} px RMS"
 
 
 def _registration(record: SceneRecord) -> str:

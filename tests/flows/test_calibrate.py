@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from flows.cli import main
+from storage.evidence.rig_facts import rig_facts
 from storage.rig import load_rig
 
 POSES = (0, 2, 4, 6, 8)
@@ -31,13 +33,19 @@ def capture_of(shared: Path, folder: Path, poses: tuple[int, ...] = POSES) -> di
 
 @pytest.mark.slow
 def test_a_capture_becomes_a_rig_and_a_report(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    capture_of(shared, tmp_path / "capture")
+    document = capture_of(shared, tmp_path / "capture")
+    document["board"]["certificate"] = {"number": "B-77", "laboratory": "D-K-1", "due_at": "2026-10-01T00:00:00Z"}
+    (tmp_path / "capture" / "calibration.json").write_text(json.dumps(document | {"due_at": "2027-05-02T00:00:00Z"}))
     out = tmp_path / "new" / "rig.json"
     assert main(["calibrate", str(tmp_path / "capture"), "--out", str(out), "--id", "rig-test"]) == 0
     said = capsys.readouterr().out
     assert "5 of 5 poses" in said
     assert "warning: few poses" in said
+    assert "certificate B-77 of D-K-1, due 2026-10-01 did not hold any more on 2026-11-02" in said
 
+    facts = rig_facts(json.loads(out.read_text()))
+    assert str(facts.certificate) == "B-77 of D-K-1, due 2026-10-01"
+    assert facts.due_at == datetime(2027, 5, 2, tzinfo=UTC)
     rig, truth = load_rig(out), load_rig(shared / "scenes" / "rig.json")
     assert rig.id == "rig-test"
     assert rig.calibrated_at == "2026-11-02T07:05:00Z"
@@ -51,6 +59,7 @@ def test_a_capture_becomes_a_rig_and_a_report(shared: Path, tmp_path: Path, caps
 
     report = out.with_suffix(".html").read_text()
     assert "Epipolar residuals" in report
+    assert "certificate B-77" in report
     assert "<script src" not in report  # needs no network
 
 

@@ -22,7 +22,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         [
             sys.executable,
             "-m",
-            "tests.flows.third_kind",
+            "tests.support.third_kind",
             str(ROOT / "tests/data"),
             str(tmp_path_factory.mktemp("marks")),
         ],

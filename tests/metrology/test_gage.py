@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from metrology.errors import UsageError
@@ -41,6 +42,25 @@ def test_the_manuals_example() -> None:
     assert study.parts == pytest.approx(1.042327, abs=1e-5)
     assert study.percent_of_variation == pytest.approx(27.9, abs=0.05)
     assert study.distinct_categories == 4
+
+
+@pytest.mark.parametrize("shape", [(5, 2, 3), (10, 3, 3), (3, 4, 2)])
+def test_the_analysis_of_variance_is_that_of_statsmodels(shape: tuple[int, int, int]) -> None:
+    formula, anova = pytest.importorskip("statsmodels.formula.api"), pytest.importorskip("statsmodels.stats.anova")
+    rng = np.random.default_rng(sum(shape))
+    n, k, _ = shape
+    values = rng.normal(0, 1, (n, 1, 1)) + rng.normal(0, 1, (n, k, 1)) + rng.normal(0, 0.1, shape)
+    part, operator, _ = (index.ravel() for index in np.indices(shape))
+    frame = pd.DataFrame({"y": values.ravel(), "part": part.astype(str), "operator": operator.astype(str)})
+    theirs = anova.anova_lm(formula.ols("y ~ C(part) * C(operator)", frame).fit())
+    study = gage_study(values)
+    assert not study.pooled
+    for ours, (_, row) in zip(study.effects, theirs.iterrows(), strict=True):
+        assert ours.freedom == row["df"]
+        assert ours.sum_of_squares == pytest.approx(row["sum_sq"], rel=1e-9)
+    # Operators and parts are random: theirs are tested against the error, ours against the interaction.
+    assert study.effects[2].f == pytest.approx(theirs["F"].iloc[2], rel=1e-9)
+    assert study.effects[2].p_value == pytest.approx(theirs["PR(>F)"].iloc[2], rel=1e-6)
 
 
 def test_known_variances_are_found_with_an_interaction() -> None:

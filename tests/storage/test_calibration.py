@@ -14,6 +14,7 @@ import pytest
 from metrology.errors import CalibrationError
 from storage.calibration import load_capture, write_capture
 from storage.frames import write_frame
+from tasks.calibration import certificate_warnings
 
 DOTS = {
     "type": "asymmetric_circles",
@@ -73,6 +74,18 @@ def test_dots_and_fringes_are_loaded(capture: Path) -> None:
     assert second.dots is None
     assert second.fringes["y"].shape == (6, 48, 64)
     assert load_capture(capture / "calibration.json").board == loaded.board
+
+
+def test_the_boards_certificate_is_read_and_its_due_date_watched(capture: Path) -> None:
+    document = json.loads((capture / "calibration.json").read_text())
+
+    def warned(due: str) -> list[str]:
+        document["board"] = {**BOARD, "certificate": {"number": "B-77", "due_at": due}}
+        (capture / "calibration.json").write_text(json.dumps(document))
+        return certificate_warnings(load_capture(capture).model)
+
+    assert warned("2026-11-03T00:00:00Z") == []
+    assert "B-77, due 2026-11-01 did not hold any more on 2026-11-02" in warned("2026-11-01T00:00:00Z")[0]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,227 @@
+"""Verifications of rigs, kept for good: one file per verification, and beside it its report.
+
+    verifications/RIG/20261128T101500Z-1.json     flushline-verification/1
+    verifications/RIG/20261128T101500Z-1.html     the report
+
+Files are written once and protected; a verification is never changed nor taken back, a later one counts in its place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from metrology.errors import StoreError
+from metrology.results import Decision
+from metrology.verdicts import gravity
+from storage.archive.files import make_folders, write_first
+from storage.archive.layout import Layout
+from storage.certificate import CertificateModel
+from storage.documents import read_json, utc_text
+from storage.models import Identifier, UtcTime, validate
+
+HELD: tuple[Decision, ...] = ("pass", "conditional pass")
+"""Verdicts of a verification that a rig passed."""
+
+
+class _Kept(BaseModel):
+    """A part of a verification; newer versions may say more."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class MeasureModel(_Kept):
+    """A measure: what was found of the artefact, less what its certificate says where it says something.
+
+    Attributes
+    ----------
+    name, of : str
+        Such as "sphere spacing" of "S1-S2".
+    unit : str
+    value, u95 : float or None
+        The deviation, or the error of form, with its expanded uncertainty; None where it was not measured.
+    measured, certified, certified_u95 : float or None
+    limit : float or None
+        The maximum permissible amount; None where nothing is asked of it.
+    decision : str
+        After ISO 14253-1.
+    n : int
+        Values or points that it rests on.
+    note : str
+    """
+
+    name: str
+    of: str
+    unit: str
+    value: float | None
+    u95: float | None
+    measured: float | None = None
+    certified: float | None = None
+    certified_u95: float | None = None
+    limit: float | None = None
+    decision: Decision
+    n: int = 0
+    note: str = ""
+
+
+class ArtefactModel(_Kept):
+    """The artefact as it was described."""
+
+    id: str
+    kind: str
+    certificate: CertificateModel | None = None
+
+
+class ScanModel(_Kept):
+    """A scan that a verification rests on."""
+
+    name: str
+    captured_at: UtcTime
+    frames_digest: str | None = None
+    operator: str | None = None
+
+
+class VerificationModel(_Kept):
+    """A verification: rig, artefact, scans, measures and the verdict."""
+
+    format: Literal["flushline-verification/1"] = "flushline-verification/1"
+    rig_id: Identifier
+    rig_hash: str
+    verified_at: UtcTime
+    processed_at: UtcTime
+    due_at: UtcTime | None = None
+    operator: str | None = None
+    software_version: str
+    config_hash: str
+    artefact: ArtefactModel
+    scans: tuple[ScanModel, ...]
+    measures: tuple[MeasureModel, ...]
+    warnings: tuple[str, ...] = ()
+    document: Annotated[dict[str, Any], Field(default_factory=dict)]
+
+    @property
+    def verdict(self) -> Decision:
+        """The gravest decision of what a limit was stated for; "no limit" where none was."""
+        return min((measure.decision for measure in self.measures), key=gravity, default="no limit")
+
+    @property
+    def held(self) -> bool:
+        """Whether the rig passed."""
+        return self.verdict in HELD
+
+    @property
+    def reason(self) -> str:
+        """The gravest measure in words; "" where the rig passed."""
+        if self.held or not self.measures:
+            return ""
+        worst = min(self.measures, key=lambda measure: gravity(measure.decision))
+        if worst.value is None or worst.limit is None:
+            return f"{worst.name} of {worst.of}: {worst.note or worst.decision}"
+        return (
+            f"{worst.name} of {worst.of}: {worst.value:+.4f} ± {worst.u95 or 0:.4f} {worst.unit}, "
+            f"permitted {worst.limit:.4f}"
+        )
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A verification and its name in the store, such as ``rig-a/20261128T101500Z-1``."""
+
+    name: str
+    model: VerificationModel
+
+    @property
+    def said(self) -> str:
+        """Verdict, when and with what, in one line."""
+        m = self.model
+        artefact = f"{m.artefact.kind} {m.artefact.id}"
+        certificate = f"certificate {m.artefact.certificate}" if m.artefact.certificate else "without a certificate"
+        due = f", next due {m.due_at:%Y-%m-%d}" if m.due_at else ""
+        return f"{m.verdict} on {m.verified_at:%Y-%m-%d} by {artefact} ({certificate}){due}; {self.name}"
+
+
+class Verifications:
+    """The verifications of a store.
+
+    Parameters
+    ----------
+    layout : Layout
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+
+    def keep(self, model: VerificationModel, report: str) -> Path:
+        """Keep a verification with its report (HTML); returns its file."""
+        folder = self._layout.verifications / model.rig_id
+        content = json.dumps(model.model_dump(mode="json"), indent=1, ensure_ascii=False, default=utc_text).encode()
+        make_folders(folder, self._layout.root)
+        for number in count(1):
+            path = folder / f"{model.verified_at:%Y%m%dT%H%M%SZ}-{number}.json"
+            # The report comes first, so that a verification has one; its name is taken with it.
+            if write_first(path.with_suffix(".html"), report.encode()) and write_first(path, content):
+                break
+        return path
+
+    def of_rig(self, rig_id: str) -> tuple[Verification, ...]:
+        """Of one rig, the earliest first."""
+        return tuple(self._read(path) for path in sorted((self._layout.verifications / rig_id).glob("[!.]*.json")))
+
+    def all(self) -> tuple[Verification, ...]:
+        """Of every rig, rig by rig, the earliest first."""
+        return tuple(self._read(path) for path in sorted(self._layout.verifications.glob("[!.]*/[!.]*.json")))
+
+    def _read(self, path: Path) -> Verification:
+        model = validate(VerificationModel, read_json(path, StoreError), path, StoreError)
+        return Verification(f"{path.parent.name}/{path.stem}", model)
+
+
+@dataclass(frozen=True)
+class Verified:
+    """How a rig stood at a moment.
+
+    Attributes
+    ----------
+    last : Verification or None
+        The newest one of this calibration that was made before.
+    later : Verification or None
+        The first one after it.
+    other_calibration : bool
+        Whether the rig was verified before, but with another calibration of the same id.
+    """
+
+    last: Verification | None
+    later: Verification | None = None
+    other_calibration: bool = False
+
+    def problem(self, moment: datetime) -> str | None:
+        """Why a measurement at that moment rests on no verification that was passed and held; None where it does."""
+        if self.last is None:
+            if self.other_calibration:
+                return "verified with another calibration of the same id only"
+            return "not verified before" if self.later else "never verified"
+        if not self.last.model.held:
+            return f"failed its last verification ({self.last.name}: {self.last.model.reason})"
+        due = self.last.model.due_at
+        if due and moment > due:
+            return f"overdue: its last verification held until {due:%Y-%m-%d} ({self.last.name})"
+        if self.later and not self.later.model.held:
+            return f"failed the verification that followed ({self.later.name}: {self.later.model.reason})"
+        return None
+
+
+def verified(verifications: Sequence[Verification], rig_hash: str, moment: datetime) -> Verified:
+    """How a rig stood at a moment, from its verifications."""
+    own = [v for v in verifications if v.model.rig_hash == rig_hash]
+    before = [v for v in own if v.model.verified_at <= moment]
+    after = [v for v in own if v.model.verified_at > moment]
+    last = max(before, key=lambda v: (v.model.verified_at, v.model.processed_at), default=None)
+    later = min(after, key=lambda v: (v.model.verified_at, v.model.processed_at), default=None)
+    return Verified(last, later, not own and bool(verifications))
