@@ -7,15 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rivet_scan import Head, Skin, scan
 
 from metrology.cloud import Reconstruction
 from metrology.defects.measure import measure_defects
+from metrology.defects.row import Defect
 from metrology.kinds import DEFECT
 from metrology.limits import Limit, PanelSpec
+from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
+from metrology.registration import Registration, with_others
 from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
 from metrology.sighted import Sighted
 from metrology.tolerance import judge
+from tests.support.rivet_scan import Head, Skin, scan
 
 CURVED = Skin(radius_x=400.0, radius_y=900.0, sigma_z=0.012, correlated_px=0.8)
 FLAT = replace(CURVED, radius_x=np.inf, radius_y=np.inf)
@@ -152,3 +155,17 @@ def test_points_matched_by_chance_do_not_lower_a_small_dent(rng: np.random.Gener
     (found,) = measure_defects(sighted(replace(cloud, points=points), FLAT))
     assert found.depth_mm == pytest.approx(0.08, abs=0.008)
     assert found.length_mm == pytest.approx(10.0, rel=0.1)
+
+
+def test_a_defect_is_judged_by_the_zone_of_what_is_nearest() -> None:
+    layout = PanelLayout(
+        rivets=(NominalRivet("R01", (0.0, 0.0, 0.0), zone="row"),),
+        seams=(NominalSeam("S01", ((50.0, 0.0, 0.0), (50.0, 80.0, 0.0)), "edge", stretches=((40.0, 80.0, "corner"),)),),
+    )
+    place = Placement(np.eye(3), np.zeros(3))
+    rows = [
+        Defect(f"D{k}", x_mm=x, y_mm=y, z_mm=0.0, u_px=0.0, v_px=0.0, kind="dent")
+        for k, (x, y) in enumerate([(10.0, 0.0), (45.0, 10.0), (52.0, 70.0)])
+    ]
+    found = with_others(Registration("recognised", place, (), ()), {DEFECT.name: rows}, layout)
+    assert [row.zone for row in found.others[DEFECT.name]] == ["row", "edge", "corner"]
