@@ -228,7 +228,9 @@ def _cylinder(points: np.ndarray) -> np.ndarray:
         up = np.cross(along, out)
         side, rise = p @ out - offset, p @ up - height
         # Of a circle through its top with curvature `bend`: exact, and a plane at 0.
-        return 2 * (rise + 0.5 * bend * (side**2 + rise**2)) / (1 + np.sqrt((1 + bend * rise) ** 2 + (bend * side) ** 2))
+        return (
+            2 * (rise + 0.5 * bend * (side**2 + rise**2)) / (1 + np.sqrt((1 + bend * rise) ** 2 + (bend * side) ** 2))
+        )
 
     part = local[:: max(1, len(local) // 4000)]
     fits = [least_squares(distance, [turn, 0, 0, 0, 1e-4], args=(part,)) for turn in (0.0, 0.8, 1.6, 2.4)]
@@ -250,7 +252,12 @@ def main() -> None:
 
 def study_dents(panels: int, rendered: bool) -> None:
     errors, covered, lost, false, wide, seconds = [], [], [], 0, [], []
-    peers: dict[str, list[float]] = {"plane, whole view": [], "plane, near": [], "cylinder, whole view": [], "cylinder, near": []}
+    peers: dict[str, list[float]] = {
+        "plane, whole view": [],
+        "plane, near": [],
+        "cylinder, whole view": [],
+        "cylinder, near": [],
+    }
     for number in range(panels):
         (scan,) = scans(specification(number, True), 1, rendered)
         measure_defects(scan.sighted)
@@ -283,13 +290,17 @@ def study_dents(panels: int, rendered: bool) -> None:
             ):
                 peers[name].append(abs(by(scan.sighted.reconstruction, t, everything) - t.depth_mm))
     sure = [entry for entry in lost if abs(entry[2]) > 5 * entry[4]]
-    print(f"{len(errors) + len(lost)} defects: {len(errors)} measured, {len(lost)} not, of these {len(sure)} above 5 U95")
+    print(
+        f"{len(errors) + len(lost)} defects: {len(errors)} measured, {len(lost)} not, of these {len(sure)} above 5 U95"
+    )
     for entry in lost:
-        print(f"  not measured: panel {entry[0]} {entry[1]} {entry[2]:+.3f} mm, {entry[3]}, U95 {entry[4]:.4f}; {entry[5]}")
+        panel, name, depth, axes, u95, reason = entry
+        print(f"  not measured: panel {panel} {name} {depth:+.3f} mm, {axes}, U95 {u95:.4f}; {reason}")
     absolute, relative = np.array(errors).T
     within = np.mean((absolute <= 0.005) | (relative <= 0.03))
-    print(f"depth: median error {np.median(absolute):.4f} mm, within 0.005 mm or 3 % {within:.1%}, worst {absolute.max():.4f}")
-    print(f"U95 covers {np.mean(covered):.1%}; extents: median error {np.median(np.abs(wide)):.1%}, 95 % {np.quantile(np.abs(wide), 0.95):.1%}")
+    print(f"depth: median error {np.median(absolute):.4f} mm, worst {absolute.max():.4f}")
+    print(f"within 0.005 mm or 3 %: {within:.1%}; U95 covers {np.mean(covered):.1%}")
+    print(f"extents: median error {np.median(np.abs(wide)):.1%}, 95 % {np.quantile(np.abs(wide), 0.95):.1%}")
     print(f"false {false}; CPU {np.median(seconds):.3f} s, worst {max(seconds):.3f}")
     for name, depths in peers.items():
         print(f"{name}: median error {np.nanmedian(depths):.3f} mm")
@@ -302,7 +313,8 @@ def study_bare(panels: int, rendered: bool) -> None:
         rows = measure_defects(scan.sighted)
         found += len(rows)
         for row in rows:
-            print(f"  {number}: {row.kind} {row.depth_mm} ± {row.depth_u95_mm} mm, {row.length_mm} mm at {row.u_px:.0f} {row.v_px:.0f}; {row.reason}")
+            place = f"at {row.u_px:.0f} {row.v_px:.0f}"
+            print(f"  {number}: {row.kind} {row.depth_mm} ± {row.depth_u95_mm} mm {place}; {row.reason}")
     print(f"{panels} panels without defects: {found} found", flush=True)
 
 
@@ -315,7 +327,8 @@ def study_repeats(repeats: int, rendered: bool) -> None:
         row = paired(scan.truth[0], measure_defects(scan.sighted))
         depths.append(math.nan if row is None else row.depth_mm)
     if repeats > 1:
-        print(f"{repeats} scans of a 30 mm dent: mean {np.mean(depths):.4f} mm, sd {np.std(depths, ddof=1):.5f} mm (true {dent.depth_mm})")
+        print(f"{repeats} scans of a 30 mm dent {dent.depth_mm} mm deep: mean {np.mean(depths):.4f} mm")
+        print(f"standard deviation {np.std(depths, ddof=1):.5f} mm")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ Mask = NDArray[np.bool_]
 
 _MARGIN = 0.4  # of the region's size round it
 _MARGIN_CELLS = 6
+_SPIKE, _SPIKE_SHARE = 8.0, 0.15  # standard deviations of a point, and share of the depth
 _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_PX = (2.4, 8.0)
@@ -129,6 +130,7 @@ def _patch(
     reference.depths(points, known, depth)
     smooth = np.asarray(finer(np.nan_to_num(skin.smoothed[window])), float)
     smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), 0.5 * fine)) if fine > 1 else smooth
+    known &= ~_spikes(np.where(known, depth, smooth), sigma * reference.noise, smooth)
     depth = region.sign * np.where(known, depth, smooth)
     frame = _tangent(region, skin, reference)
     local = frame.local(points)
@@ -151,6 +153,13 @@ def _patch(
         step_px=step,
         step_mm=float(np.sqrt(across * down)),
     )
+
+
+def _spikes(depth: Array, sigma: Array, smooth: Array) -> Mask:
+    """Points that stand out from their neighbours as no bottom does: matched by chance."""
+    around = cv2.medianBlur(depth.astype(np.float32), 5)
+    most = np.maximum(_SPIKE * np.nan_to_num(sigma), _SPIKE_SHARE * float(np.abs(smooth).max()))
+    return np.asarray(np.abs(depth - around) > most)
 
 
 def _tangent(region: Region, skin: SkinMap, reference: Reference) -> Frame:

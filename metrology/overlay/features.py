@@ -113,6 +113,7 @@ def _ring(row: Feature, reconstruction: Reconstruction) -> Array | None:
         return None
     size: float = getattr(row, "major_px", None) or _RING_PX
     own = getattr(row, "countersink_diameter_mm", None) or getattr(row, "diameter_mm", None)
+    own = own or getattr(row, "length_mm", None)
     diameter: float = own or size * row.z_mm / reconstruction.rig.left.K[0, 0]
     normal = skin_normal(reconstruction.points, row.u_px, row.v_px, size)
     towards_rig = np.array([0.0, 0.0, -1.0])

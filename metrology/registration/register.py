@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.fastener import size_verdict
-from metrology.kinds import HOLE, RIVET, SEAM_STATION
+from metrology.kinds import DEFECT, HOLE, RIVET, SEAM_STATION
 from metrology.panel import NominalRivet, PanelLayout, Placement
 from metrology.registration.hypothesis import Hypothesis, Matcher, Scan
 from metrology.registration.openings import explained, missing_fasteners
@@ -26,6 +26,7 @@ from metrology.registration.relabel import Recognised, relabel_rivets, relabel_s
 from metrology.registration.rows import has_position, placed, positions
 from metrology.registration.search import PointPattern, estimated_normals, motion
 from metrology.registration.settings import RegistrationSettings
+from metrology.registration.zones import in_nearest_zone
 from metrology.results import Features, Hole, Rivet, SeamStation, of_type
 from metrology.skin_normal import skin_normal
 
@@ -159,12 +160,15 @@ def register(
 def with_others(registered: Registration, found: Features, layout: PanelLayout | None = None) -> Registration:
     """The registration with features of kinds that no pattern names, placed in the panel's frame where it is known.
 
-    A hole where the pattern has a rivet that was not found is a missing fastener.
+    A hole where the pattern has a rivet that was not found is a missing fastener. A defect is judged by the zone of the
+    rivet or seam that is nearest to it.
     """
     placement = registered.placement
     others = {
         name: rows if placement is None else [placed(row, placement) for row in rows] for name, rows in found.items()
     }
+    if layout and DEFECT.name in others:
+        others[DEFECT.name] = [in_nearest_zone(row, layout) for row in others[DEFECT.name]]
     missing = [rivet for rivet in layout.rivets if rivet.rivet_id in registered.missing] if layout else []
     holes = missing_fasteners(of_type(others, Hole), missing)
     rivets = explained(registered.rivets, holes)

@@ -1,0 +1,171 @@
+"""Dents, bumps and steps on clouds of known truth: what is found, how deep it is, and what is no defect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metrology.cloud import Reconstruction
+from metrology.defects.measure import measure_defects
+from metrology.defects.row import Defect
+from metrology.kinds import DEFECT
+from metrology.limits import Limit, PanelSpec
+from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
+from metrology.registration import Registration, with_others
+from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
+from metrology.sighted import Sighted
+from metrology.tolerance import judge
+from tests.support.rivet_scan import Head, Skin, scan
+
+CURVED = Skin(radius_x=400.0, radius_y=900.0, sigma_z=0.012, correlated_px=0.8)
+FLAT = replace(CURVED, radius_x=np.inf, radius_y=np.inf)
+Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def bowl(x: float, y: float, depth: float, length: float, width: float, turn_deg: float = 0.0) -> Heights:
+    """A cos² bowl with its axes at half depth."""
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+
+    def height(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        dx, dy = px - x, py - y
+        r = np.hypot((c * dx + s * dy) / (0.5 * length), (c * dy - s * dx) / (0.5 * width))
+        return np.asarray(-depth * np.cos(0.25 * np.pi * np.minimum(r, 2.0)) ** 2)
+
+    return height
+
+
+def bent(cloud: Reconstruction, skin: Skin, *heights: Heights) -> Reconstruction:
+    """The cloud with heights added."""
+    local = skin.frame.local(np.asarray(cloud.points, float))
+    x, y = local[..., 0].copy(), local[..., 1].copy()
+    for height in heights:
+        local[..., 2] += height(x, y)
+    return replace(cloud, points=skin.frame.rig(local).astype(np.float32))
+
+
+def sighted(cloud: Reconstruction, skin: Skin, heads: tuple[Head, ...] = (), seam_x: float | None = None) -> Sighted:
+    """The scan with its heads and a straight seam where they are."""
+    detections, rivets, lines, stations = [], [], [], []
+    for k, head in enumerate(heads):
+        place = skin.frame.rig([head.x, head.y, skin.height(np.array(head.x), np.array(head.y))])
+        u, v = (float(c) for c in cloud.rig.left.project(place))
+        across = head.diameter * 5.0
+        detections.append(RivetDetection(u, v, across, across, 0.0, 1.0))
+        x, y, z = (float(c) for c in place)
+        rivets.append(
+            Rivet(f"R{k}", x_mm=x, y_mm=y, z_mm=z, u_px=u, v_px=v, u_right_px=None, v_right_px=None, confidence=1.0,
+                  diameter_mm=head.diameter, major_px=across, minor_px=across, angle_deg=0.0)
+        )  # fmt: skip
+    if seam_x is not None:
+        y = np.linspace(-60, 60, 121)
+        places = skin.frame.rig(np.stack([np.full_like(y, seam_x), y, skin.height(np.full_like(y, seam_x), y)], axis=1))
+        course = cloud.rig.left.project(places)
+        inside = cloud.rig.left.inside(course)
+        lines.append(SeamLine("S01", course[inside], np.full(inside.sum(), 8.0), 1.0, relief=True))
+        stations = [
+            SeamStation("S01", float(k), x_mm=p[0], y_mm=p[1], z_mm=p[2], u_px=q[0], v_px=q[1], width_mm=1.0)
+            for k, (p, q) in enumerate(zip(places[inside].tolist(), course[inside].tolist(), strict=True))
+        ]
+    return Sighted(cloud, detections, lines, {"rivet": rivets, "seam station": stations})
+
+
+@pytest.mark.parametrize("skin", [FLAT, CURVED], ids=["flat", "0.4 m"])
+@pytest.mark.parametrize(("depth", "length", "width"), [(0.05, 18.0, 15.0), (-0.1, 14.0, 14.0), (0.6, 24.0, 16.0)])
+def test_depth_and_extents_are_true(
+    rng: np.random.Generator, skin: Skin, depth: float, length: float, width: float
+) -> None:
+    cloud = bent(scan(skin, (), rng), skin, bowl(5.0, -4.0, depth, length, width, 30.0))
+    (found,) = measure_defects(sighted(cloud, skin))
+    assert found.kind == ("dent" if depth > 0 else "bump")
+    assert found.depth_mm is not None
+    assert found.depth_u95_mm is not None
+    assert abs(found.depth_mm - depth) < max(0.005, 0.03 * abs(depth))
+    assert abs(found.depth_mm - depth) < 1.5 * found.depth_u95_mm < 0.02
+    assert found.length_mm == pytest.approx(length, rel=0.05)
+    assert found.width_mm == pytest.approx(width, rel=0.06)
+    volume = np.pi * length * width / 4 * depth * 4 * (0.5 - 2 / np.pi**2)
+    assert found.volume_mm3 == pytest.approx(volume, rel=0.1)
+    assert found.hidden_by is None
+    assert found.reason is None
+    assert (found.straight_edge_depth_mm is None) == (depth < 0)
+
+
+@pytest.mark.parametrize("skin", [FLAT, CURVED], ids=["flat", "0.4 m"])
+def test_bare_skin_with_heads_has_none(rng: np.random.Generator, skin: Skin) -> None:
+    heads = (Head(-30, 10), Head(30, 10, height=-0.15), Head(0, -20, height=0.3))
+    assert measure_defects(sighted(scan(skin, heads, rng), skin, heads)) == []
+
+
+def test_a_step_that_changes_along_a_seam_is_no_dent_and_hides_none(rng: np.random.Generator) -> None:
+    def step(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where(x > -10, 0.1 * np.interp(y, [-60, -30, -10, 12, 30, 60], [0, 1, -1, 2, 0, 1]), 0.0)
+
+    bare = bent(scan(CURVED, (), rng), CURVED, step)
+    assert measure_defects(sighted(bare, CURVED, seam_x=-10.0)) == []
+    cloud = bent(bare, CURVED, bowl(25.0, 5.0, 0.12, 16.0, 14.0))
+    (found,) = measure_defects(sighted(cloud, CURVED, seam_x=-10.0))
+    assert found.depth_mm == pytest.approx(0.12, abs=0.006)
+    assert found.seam_distance_mm == pytest.approx(35.0 - 8.0 - 0.5, abs=1.5)
+
+
+def test_what_runs_out_of_view_is_at_least_that_deep(rng: np.random.Generator) -> None:
+    skin = FLAT
+    cloud = bent(scan(skin, (), rng), skin, bowl(62.0, 0.0, 0.4, 30.0, 30.0))
+    (found,) = measure_defects(sighted(cloud, skin))
+    assert found.hidden_by == "view"
+    assert "at least" in (found.reason or "")
+    (judged,) = judge(DEFECT, [found], PanelSpec("P", "1", {"default": {"defect_depth_mm": Limit(upper=2.0)}}))
+    assert judged.decision == "not measured"
+    (judged,) = judge(DEFECT, [found], PanelSpec("P", "1", {"default": {"defect_depth_mm": Limit(upper=0.05)}}))
+    assert judged.decision == "fail"
+
+
+def test_a_fasteners_own_pull_in_is_no_dent_unless_it_stands_out(rng: np.random.Generator) -> None:
+    heads = tuple(Head(x, y) for x in (-35.0, 0.0, 35.0) for y in (-20.0, 20.0))
+    usual = [bowl(head.x, head.y, 0.05, 12.0, 12.0) for head in heads]
+    cloud = bent(scan(FLAT, heads, rng), FLAT, *usual)
+    assert measure_defects(sighted(cloud, FLAT, heads)) == []
+    deeper = bent(cloud, FLAT, bowl(heads[2].x, heads[2].y, 0.4, 16.0, 16.0))
+    (found,) = measure_defects(sighted(deeper, FLAT, heads))
+    assert found.fastener_distance_mm == 0.0
+
+
+def test_limits_judge_depth_ratio_and_distance(rng: np.random.Generator) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, bowl(0.0, 0.0, 0.3, 20.0, 15.0))
+    (found,) = measure_defects(sighted(cloud, FLAT))
+
+    def decision(**limits: Limit) -> str:
+        return judge(DEFECT, [found], PanelSpec("P", "1", {"default": limits}))[0].decision
+
+    assert decision(defect_depth_mm=Limit(upper=0.5, lower=-0.5)) == "pass"
+    assert decision(defect_depth_mm=Limit(upper=0.2, lower=-0.2)) == "fail"
+    assert decision(defect_width_to_depth=Limit(lower=30.0)) == "pass"
+    assert decision(defect_width_to_depth=Limit(lower=100.0)) == "fail"
+    assert decision(defect_fastener_distance_mm=Limit(lower=10.0)) == "no limit"
+
+
+def test_points_matched_by_chance_do_not_lower_a_small_dent(rng: np.random.Generator) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, bowl(0.0, 0.0, 0.08, 10.0, 9.0))
+    points = cloud.points.copy()
+    u, v = np.rint(cloud.rig.left.project(FLAT.frame.rig([1.0, 1.0, 0.0]))).astype(int)
+    points[v, u] *= 1 + 3.0 / 700
+    (found,) = measure_defects(sighted(replace(cloud, points=points), FLAT))
+    assert found.depth_mm == pytest.approx(0.08, abs=0.008)
+    assert found.length_mm == pytest.approx(10.0, rel=0.1)
+
+
+def test_a_defect_is_judged_by_the_zone_of_what_is_nearest() -> None:
+    layout = PanelLayout(
+        rivets=(NominalRivet("R01", (0.0, 0.0, 0.0), zone="row"),),
+        seams=(NominalSeam("S01", ((50.0, 0.0, 0.0), (50.0, 80.0, 0.0)), "edge", stretches=((40.0, 80.0, "corner"),)),),
+    )
+    place = Placement(np.eye(3), np.zeros(3))
+    rows = [
+        Defect(f"D{k}", x_mm=x, y_mm=y, z_mm=0.0, u_px=0.0, v_px=0.0, kind="dent")
+        for k, (x, y) in enumerate([(10.0, 0.0), (45.0, 10.0), (52.0, 70.0)])
+    ]
+    found = with_others(Registration("recognised", place, (), ()), {DEFECT.name: rows}, layout)
+    assert [row.zone for row in found.others[DEFECT.name]] == ["row", "edge", "corner"]
