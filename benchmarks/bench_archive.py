@@ -20,7 +20,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from storage.archive import Store
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 QUERIES = {
     "rivets of one panel": "SELECT * FROM rivets WHERE aircraft_serial = 'MSN-0100' AND panel = 'LH-F13'",

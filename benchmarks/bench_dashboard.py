@@ -17,9 +17,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "dashboard"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from browser import browser, new_page, served
+from tests.support.browser import browser, new_page, served
 
 START = "SQL"
 PAGES = ("Overview", "Archive", "Scene", "Tolerance review", "Trends", "Runs and rigs")

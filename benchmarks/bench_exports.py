@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from storage.export.formats import Place, format_named, writer_of
 from storage.export.subject import panel_subject
-from tests.storage.exported import AIRCRAFT, PANEL, publish_hostile
+from tests.support.exported import AIRCRAFT, PANEL, publish_hostile
 
 
 def main() -> None:

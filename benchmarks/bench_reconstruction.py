@@ -20,15 +20,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "metrology")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from rendered_fringes import USUAL, clean_frames, plane_scan, ramp, small_rig  # noqa: E402
-
-from metrology.decode import decode_phase  # noqa: E402
-from metrology.reconstruct import reconstruct  # noqa: E402
-from metrology.reconstruction_settings import ReconstructionSettings  # noqa: E402
-from metrology.rig import Device, Rig  # noqa: E402
+from metrology.decode import decode_phase
+from metrology.reconstruct import reconstruct
+from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.rig import Device, Rig
+from tests.support.rendered_fringes import USUAL, clean_frames, plane_scan, ramp, small_rig
 
 HEIGHT, WIDTH, SIZE = 1234, 1624, 1280
 ONE_THREAD = ReconstructionSettings(threads=1)

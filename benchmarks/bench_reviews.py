@@ -23,7 +23,7 @@ from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding, sign_off
 from storage.archive.work import reviewed_features
 from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 ROUNDS = 7
 _BATCH = 5000

@@ -20,12 +20,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "metrology"))
-
-from reference_scans import reference_scan
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from metrology.rivets import detect_ellipses, detect_rivets, measure_rivets
 from simulator.texture import RimTruth, Texture, TextureSpec, paint_texture
+from tests.support.reference_scans import reference_scan
 
 RADII = (8.0, 46.0)  # px, looked for by all
 CLASSES = ((2.5, 4), (4, 6), (6, 8), (8, 15), (15, 31))

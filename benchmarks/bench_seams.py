@@ -20,11 +20,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "metrology"))
-
-from seam_textures import Band, paint, random_bands
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from metrology.seams import detect_lines
+from tests.support.seam_textures import Band, paint, random_bands
 
 SHAPE = (1234, 1624)
 # A point farther than this from every centre line belongs to none, px.

@@ -29,7 +29,7 @@ from flows.inbox_job import InboxJob, Outcome, Way
 from flows.prefect_inbox import run_on_server
 from metrology.errors import StoreError
 from storage.archive import Store, maintenance
-from tests.storage.s3 import bundles_uri, emulated_s3
+from tests.support.s3 import bundles_uri, emulated_s3
 
 
 def copies(scene: Path, inbox: Path, count: int) -> None:

@@ -12,18 +12,20 @@ that pictures and clouds can be opened too. `archive rebuild` of such a store wo
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
 import duckdb
-from synthetic_scene import Recipe, synthetic_result
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from metrology.results import SceneKey
 from storage.archive import bookkeeping, generations
 from storage.archive.files import locked
 from storage.archive.store import Store
+from tests.support.synthetic_scene import Recipe, synthetic_result
 
 SEAMS_PER_SCENE, STATIONS_PER_SEAM = 2, 52
 FULL_SIZE = (1624, 1234)

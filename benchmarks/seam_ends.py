@@ -15,11 +15,10 @@ import numpy as np
 from scipy.optimize import fsolve
 from scipy.spatial import cKDTree
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "metrology"))
-
-from seam_textures import Band, paint
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from metrology.seams import ImageLine, detect_lines
+from tests.support.seam_textures import Band, paint
 
 SHAPE = (900, 1200)
 

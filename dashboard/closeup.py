@@ -162,7 +162,8 @@ class SeamSection:
 
 def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> SeamSection | str:
     """The section at a row of `seam_stations` from the fit that its run kept, or why there is none."""
-    from metrology.seams.gap import GapEdge, gap_width, inflection, step_height
+    from metrology.seams.gap.width import GapEdge, gap_width, inflection
+    from metrology.seams.skins.step import step_height
 
     numbers = [station.u_px, station.v_px, station.step_mm]
     if fit is None:

@@ -2,8 +2,8 @@
 
 Kernels release the interpreter lock and run over bands of rows, so plain threads share the work: no threading layer of
 numba's is involved (its default one must not be entered by two threads at once), and compiling takes a fraction of the
-time that ``parallel=True`` takes. A cached kernel does not notice when a kernel that it calls changes: kernels that
-call each other stay in one file.
+time that ``parallel=True`` takes. A kernel's code on disk is good as long as its own file and all that it takes from
+others by name stay as they are: kernels and constants.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ import sys
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from hashlib import blake2b
+from types import CodeType
 from typing import Any
 
 import numba
+import numpy
 
 # NaN marks missing values throughout, so "nnan" and "ninf" stay off.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -38,7 +41,7 @@ def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     neither: kernels then go into a folder of this user's under the system's folder for temporary files.
     """
     try:
-        return _saved_in_turn(compiler(function))
+        return _saved_in_turn(_stamped(compiler(function)))
     except RuntimeError as problem:
         if "cannot cache" not in str(problem):
             raise
@@ -51,7 +54,42 @@ def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     # Processes that are started from here find it, and need not say it again.
     os.environ["NUMBA_CACHE_DIR"] = folder
     numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
-    return _saved_in_turn(compiler(function))
+    return _saved_in_turn(_stamped(compiler(function)))
+
+
+def _stamped(dispatcher: Any) -> Any:
+    """Let code on disk go out of date with the kernels that it calls and the constants that it holds.
+
+    Numba compares the stamp of the kernel's own file alone; what other files lend is compiled into the kernel.
+    """
+    file, function = _cache_file(dispatcher), getattr(dispatcher, "py_func", None)
+    if file is None or function is None:
+        return dispatcher
+    lent = {name: _stamp(function.__globals__.get(name)) for name in sorted(_names(function.__code__))}
+    digest = blake2b(repr([(name, stamp) for name, stamp in lent.items() if stamp]).encode(), digest_size=8)
+    file._source_stamp = (file._source_stamp, digest.hexdigest())
+    return dispatcher
+
+
+def _cache_file(dispatcher: Any) -> Any:
+    """Numba's index of a kernel's code on disk."""
+    return getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+
+
+def _names(code: CodeType) -> set[str]:
+    """Names that a function and those inside it look up."""
+    inner = [_names(value) for value in code.co_consts if isinstance(value, CodeType)]
+    return set(code.co_names).union(*inner)
+
+
+def _stamp(value: Any) -> str | None:
+    """What changes with a kernel or a constant; None for anything else."""
+    if isinstance(value, bool | int | float | str | tuple | frozenset):
+        return repr(value)
+    if isinstance(value, numpy.ndarray):
+        return blake2b(value.tobytes(), digest_size=8).hexdigest()
+    file = _cache_file(value)
+    return None if file is None else repr(file._source_stamp)
 
 
 def _saved_in_turn(dispatcher: Any) -> Any:
@@ -60,7 +98,7 @@ def _saved_in_turn(dispatcher: Any) -> Any:
     Numba reads the kernel's index, chooses the next file name and writes both: two processes that compile for
     different types would choose the same name, and one type's code would be taken for the other's.
     """
-    file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    file = _cache_file(dispatcher)
     if file is None:
         return dispatcher
     save = file.save

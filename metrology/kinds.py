@@ -60,7 +60,7 @@ class Quantity:
     into_wind : str
         Column of the value as the air meets it, where that is what two of the limits are of: the second of what rises
         in the air's way, the third of what falls.
-    not_of : tuple of (str, str)
+    not_of : tuple of (str, str or None)
         Columns and values of rows that have no such quantity: the edge of one sheet on another has no gap.
     """
 
@@ -75,7 +75,7 @@ class Quantity:
     projected: bool = True
     rests_on_it: tuple[str, ...] = ()
     into_wind: str = ""
-    not_of: tuple[tuple[str, str], ...] = ()
+    not_of: tuple[tuple[str, str | None], ...] = ()
 
     def lacking(self, row: Feature) -> bool:
         """Whether a row has no such quantity."""
@@ -154,6 +154,8 @@ class Kind:
         Name of that block; "" for the name of the table.
     cells : tuple of Cell
         What reports have in a row between its name and its zone; its quantities where nothing is given.
+    size : tuple of str
+        Columns of its extent, mm: rows of two scans nearer than half of it are of one feature of the panel.
     """
 
     name: str
@@ -174,6 +176,7 @@ class Kind:
     measure: str = ""
     settings: str = ""
     cells: tuple[Cell, ...] = ()
+    size: tuple[str, ...] = ()
 
     @property
     def is_course(self) -> bool:
@@ -245,6 +248,7 @@ RIVET = Kind(
     parameter="rivet",
     verdict="metrology.fastener:size_finding",
     note="metrology.fastener:size_note",
+    size=("diameter_mm",),
     cells=(
         Cell("diameter mm", ("diameter_mm",), 2),
         Cell("height mm", ("height_mean_mm", "height_u95_mm"), 4, signed=True),
@@ -312,6 +316,7 @@ HOLE = Kind(
     note="metrology.holes.verdict:hole_note",
     measure="metrology.holes.measure:measure_sighted",
     settings="rivets",
+    size=("diameter_mm", "countersink_diameter_mm"),
     cells=(
         Cell("kind", ("kind",)),
         Cell("diameter mm", ("diameter_mm", "diameter_u95_mm"), 2),
@@ -319,7 +324,68 @@ HOLE = Kind(
     ),
 )  # fmt: skip
 
-KINDS = (RIVET, SEAM_STATION, HOLE)
+DEFECT = Kind(
+    name="defect",
+    table="defects",
+    row="metrology.defects.row:Defect",
+    one="defect of the skin",
+    many="defects of the skin",
+    id_columns=("defect_id",),
+    point="deepest (of a bump, highest) point",
+    quantities=(
+        Quantity(
+            "defect depth", "depth_mm", "depth_u95_mm", "mm", "Depth of a dent (bump: negative)",
+            (LimitName("defect_depth_mm", "depth of a defect, mm (bump: negative)"),), signed=True, word="depth",
+            rests_on_it=("width_to_depth", "width_to_depth_u95", "length_to_depth", "volume_mm3"),
+        ),
+        Quantity(
+            "defect length", "length_mm", "length_u95_mm", "mm", "Length of a defect",
+            (LimitName("defect_length_mm", "length of a defect at half depth, mm"),), word="length", projected=False,
+        ),
+        Quantity(
+            "defect width", "width_mm", "width_u95_mm", "mm", "Width of a defect",
+            (LimitName("defect_width_mm", "width of a defect at half depth, mm"),), word="width", projected=False,
+        ),
+        Quantity(
+            "width over depth", "width_to_depth", "width_to_depth_u95", "", "Width of a defect over its depth",
+            (LimitName("defect_width_to_depth", "width of a defect over its depth"),), projected=False,
+            not_of=(("width_to_depth", None),),
+        ),
+        Quantity(
+            "bottom radius", "bottom_radius_mm", "bottom_radius_u95_mm", "mm", "Least radius at a defect's bottom",
+            (LimitName("defect_bottom_radius_mm", "least radius at the bottom of a defect, mm"),), projected=False,
+            not_of=(("bottom_radius_mm", None),),
+        ),
+        Quantity(
+            "fastener distance", "fastener_distance_mm", "distance_u95_mm", "mm", "Defect to the nearest fastener",
+            (LimitName("defect_fastener_distance_mm", "distance of a defect from the nearest fastener, mm"),),
+            projected=False, not_of=(("fastener_distance_mm", None),),
+        ),
+        Quantity(
+            "seam distance", "seam_distance_mm", "distance_u95_mm", "mm", "Defect to the nearest seam",
+            (LimitName("defect_seam_distance_mm", "distance of a defect from the nearest seam, mm"),),
+            projected=False, not_of=(("seam_distance_mm", None),),
+        ),
+    ),
+    counts=(Count("n_defects", "dents, bumps, creases and scratches found"),),
+    per_panel=("max(abs(depth_mm)) AS depth_worst_mm",),
+    subject="defect",
+    parameter="defect",
+    verdict="metrology.defects.verdict:defect_finding",
+    note="metrology.defects.verdict:defect_note",
+    measure="metrology.defects.measure:measure_defects",
+    cells=(
+        Cell("kind", ("kind",)),
+        Cell("depth mm", ("depth_mm", "depth_u95_mm"), 3, signed=True),
+        Cell("straight-edge mm", ("straight_edge_depth_mm",), 3),
+        Cell("length mm", ("length_mm", "length_u95_mm"), 1),
+        Cell("width mm", ("width_mm", "width_u95_mm"), 1),
+        Cell("width/depth", ("width_to_depth",), 0),
+        Cell("radius mm", ("bottom_radius_mm",), 0),
+    ),
+)  # fmt: skip
+
+KINDS = (RIVET, SEAM_STATION, HOLE, DEFECT)
 """In the order in which tables, reports and pages show them."""
 
 BY_NAME = {kind.name: kind for kind in KINDS}

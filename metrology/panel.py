@@ -63,6 +63,8 @@ class NominalRivet:
         Tolerance zone.
     normal : (x, y, z) or None
         Outward direction of the skin there; helps where rivets stand in one row.
+    row : str or None
+        Row that acceptance rules count it in.
     """
 
     rivet_id: str
@@ -70,6 +72,7 @@ class NominalRivet:
     diameter_mm: float | None = None
     zone: str = "default"
     normal: tuple[float, float, float] | None = None
+    row: str | None = None
 
 
 @dataclass(frozen=True)
@@ -85,12 +88,19 @@ class NominalSeam:
         Tolerance zone.
     airflow : (x, y, z) or None
         Direction in which the air flows over the seam, panel frame; tells steps into the wind from those out of it.
+    stretches : tuple of (from, to, zone)
+        Where along the seam, mm, another zone's limits hold.
     """
 
     seam_id: str
     course: tuple[tuple[float, float, float], ...]
     zone: str = "default"
     airflow: tuple[float, float, float] | None = None
+    stretches: tuple[tuple[float, float, str], ...] = ()
+
+    def zone_at(self, s_mm: float) -> str:
+        """The tolerance zone at a position along the seam."""
+        return next((zone for start, end, zone in self.stretches if start <= s_mm <= end), self.zone)
 
     def __post_init__(self) -> None:
         corners = np.array(self.course, float)

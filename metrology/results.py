@@ -257,3 +257,19 @@ class SceneKey:
         return (
             f"{self.aircraft_serial} {self.panel} {self.station} {self.captured_at.astimezone(UTC):%Y-%m-%d %H:%M:%SZ}"
         )
+
+
+@dataclass(frozen=True)
+class PanelKey:
+    """What names an assembled panel."""
+
+    aircraft_serial: str
+    panel: str
+
+    @property
+    def panel_id(self) -> str:
+        """The key as one word, such as ``MSN-0421~LH-F12``: the first two parts of its scenes' ids."""
+        return f"{self.aircraft_serial}~{self.panel}"
+
+    def __str__(self) -> str:
+        return f"{self.aircraft_serial} {self.panel}"

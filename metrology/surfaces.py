@@ -12,19 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from metrology.robust import TUKEY_COVARIANCE, TUKEY_VARIANCE, reweighted
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-# Tukey's limit in standard deviations: 95 % efficient on normal noise.
-_TUKEY = 4.685
-# E ψ² / (E ψ')² · E w of that weight: variance against that of least squares with the weights taken for exact.
-_TUKEY_COVARIANCE = 0.956
-_TUKEY_VARIANCE = 1.217
-_MAD = 1.4826
 _JUDGES = 1000  # points on which RANSAC compares samples
 _ENOUGH = 1500  # points for all but the last steps
-_CONVERGED = 0.01  # change of the surface, standard deviations of a point
 
 
 @dataclass(frozen=True)
@@ -171,17 +166,15 @@ def fit_surface(
         return None
     # Most of the way on a part of the points, the last steps on all.
     part = slice(None, None, max(1, len(x) // _ENOUGH))
-    near = _reweighted(design[part], target[part], start, 8, scale)
-    if near is None:
-        return None
-    last = _reweighted(design, target, near[0], 3, scale)
+    near = reweighted(design[part], target[part], start, 8, scale)
+    last = near and reweighted(design, target, near.values, 3, scale)
     if last is None:
         return None
-    solution, weights, normal = last
+    solution, weights = last.values, last.weights
     residual = target - design @ solution
-    chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * _TUKEY_VARIANCE
+    chi2 = float((weights * residual**2).sum() / max(weights.sum() - unknowns, 1.0)) * TUKEY_VARIANCE
     back = np.concatenate([np.full(d + 1, size**-d) for d in range(order + 1)])
-    covariance = np.asarray(np.linalg.inv(normal), float) * chi2 * _TUKEY_COVARIANCE
+    covariance = np.asarray(np.linalg.inv(last.normal), float) * chi2 * TUKEY_COVARIANCE
     real = (h - (design * sigma[:, None]) @ solution)[weights > 0]
     return Polynomial(
         order=order,
@@ -191,34 +184,6 @@ def fit_surface(
         chi=float(np.sqrt(chi2)),
         weights=weights,
     )
-
-
-def _reweighted(
-    design: Array, target: Array, start: Array, iterations: int, scale: float | None
-) -> tuple[Array, Array, Array] | None:
-    """Iteratively reweighted least squares: solution, Tukey's weights, normal matrix; None where it is singular."""
-    solution = start
-    for iteration in range(iterations):
-        residual = target - design @ solution
-        t = residual / (_TUKEY * (scale or _MAD * _median(np.abs(residual)) + 1e-12))
-        weights = np.where(np.abs(t) < 1, (1 - t**2) ** 2, 0.0)
-        weighted = weights[:, None] * design
-        normal = design.T @ weighted
-        try:
-            updated = np.asarray(np.linalg.solve(normal, weighted.T @ target), float)
-        except np.linalg.LinAlgError:
-            return None
-        change = np.abs(design @ (updated - solution)).max()
-        solution = updated
-        if iteration > 0 and change < _CONVERGED:
-            break
-    return solution, weights, normal
-
-
-def _median(values: Array) -> float:
-    """The middle value, the upper one of two: np.median's check for NaN costs more than the rest of it."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle])
 
 
 def _consensus(

@@ -18,6 +18,7 @@ air's direction across the seam is not known, the step must meet both.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -26,10 +27,10 @@ from metrology.kinds import Kind, load
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
 from metrology.plausibility import unjudged, without
 from metrology.requirements import Requirement, downstream_of, limit_of, requirements
-from metrology.results import Feature, Severity
+from metrology.results import Decision, Feature, Severity
 from metrology.verdicts import DECISIONS, SEVERITIES, Verdict
 
-__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "judge"]
+__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "as_measured", "judge"]
 
 Row = TypeVar("Row", bound=Feature)
 RULE = "ISO 14253-1, guard band U95"
@@ -84,6 +85,19 @@ def _too_vague(name: str, unit: str, u95: float | None, limit: Limit | None) -> 
 def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
     """Features of one kind with severity, decision and the reason for anything short of a pass."""
     return [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
+
+
+def as_measured(kind: Kind, row: Row) -> Row:
+    """A judged row as it was before, so that another specification can judge it: without what `judge` said of it."""
+    names = "|".join(re.escape(quantity.name) for quantity in kind.quantities)
+    reason = re.sub(rf"(?:^|; )(?:{names})(?: [^;±]*)? ± .*?; {re.escape(RULE)}", "", row.reason or "")
+    parts = [rf"(?:{names})(?: [^;]*)? not measured"]
+    otherwise: Verdict | None = load(kind.verdict)(row) if kind.verdict else None
+    parts += [re.escape(otherwise.reason)] if otherwise and otherwise.reason else []
+    for part in parts:
+        reason = re.sub(rf"(?:^|; ){part}(?=$|; )", "", reason)
+    decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "no limit"
+    return replace(row, severity=None, decision=decision, reason=reason.removeprefix("; ") or None)
 
 
 def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:

@@ -18,6 +18,7 @@ from pydantic import Field, create_model, model_validator
 from metrology.errors import SpecError
 from metrology.kinds import LIMITS
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
+from metrology.rules import Rule
 from metrology.tolerance import DEFAULT_ZONE, Limit, PanelSpec
 from storage.documents import check_format, read_toml
 from storage.models import Identifier, Line, StrictModel, validate
@@ -56,6 +57,15 @@ class RivetModel(StrictModel):
     diameter_mm: Annotated[float, Field(gt=0)] | None = None
     zone: str = DEFAULT_ZONE
     normal: Vector3 | None = None
+    row: FeatureName | None = None
+
+
+class StretchModel(StrictModel):
+    """A stretch of a seam, from and to in mm along it, where another zone's limits hold."""
+
+    from_mm: float
+    to_mm: float
+    zone: FeatureName
 
 
 class SeamModel(StrictModel):
@@ -65,6 +75,23 @@ class SeamModel(StrictModel):
     course_mm: tuple[Vector3, ...]
     zone: str = DEFAULT_ZONE
     airflow: Vector3 | None = None
+    stretches: tuple[StretchModel, ...] = ()
+
+
+class RuleModel(StrictModel):
+    """An acceptance rule of the panel (`metrology.rules.Rule`); like every limit it says where it comes from."""
+
+    id: FeatureName
+    measure: Literal["share", "number", "adjacent", "run", "length", "mean", "density"]
+    kind: str
+    most: Annotated[float, Field(ge=0)] = 0.0
+    quantity: str = ""
+    beyond: Literal["limit", "serious", "any"] = "limit"
+    zone: FeatureName | None = None
+    per: Literal["panel", "zone", "row", "course"] = "panel"
+    over_mm: Annotated[float, Field(gt=0)] | None = None
+    source: Annotated[str, Field(min_length=1)]
+    revision: Annotated[str, Field(min_length=1)]
 
 
 class StationModel(StrictModel):
@@ -89,6 +116,7 @@ class PanelSpecModel(StrictModel):
     rivets: tuple[RivetModel, ...] = ()
     seams: tuple[SeamModel, ...] = ()
     stations: dict[Identifier, StationModel] = Field(default_factory=dict)
+    acceptance: tuple[RuleModel, ...] = ()
 
     @model_validator(mode="after")
     def _zones_exist(self) -> PanelSpecModel:
@@ -98,6 +126,13 @@ class PanelSpecModel(StrictModel):
                     raise ValueError(
                         f"found zone {feature.zone!r} in {kind} {feature.id}, expected one of {', '.join(self.zones)}"
                     )
+        named = [(f"seam {seam.id}", part.zone) for seam in self.seams for part in seam.stretches]
+        named += [(f"acceptance {rule.id}", rule.zone) for rule in self.acceptance if rule.zone]
+        for place, zone in named:
+            if zone not in self.zones and zone != DEFAULT_ZONE:
+                raise ValueError(f"found zone {zone!r} in {place}, expected one of {', '.join(self.zones)}")
+        if any(rule.per == "row" for rule in self.acceptance) and not any(rivet.row for rivet in self.rivets):
+            raise ValueError("found a rule per row and no rivet with a row, expected `row` in the rivets")
         return self
 
 
@@ -112,6 +147,8 @@ class PanelSpecification:
         Empty where the file gives no pattern.
     document : mapping
         The file's content, for traceability.
+    rules : tuple of Rule
+        What the panel as a whole must meet.
     example : bool
         Whether its limits are an example and nobody's requirement.
     """
@@ -120,6 +157,7 @@ class PanelSpecification:
     layout: PanelLayout
     document: Mapping[str, Any]
     example: bool = False
+    rules: tuple[Rule, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.limits.panel} {self.limits.revision}"
@@ -141,7 +179,7 @@ def panel_spec_from(document: Mapping[str, Any], path: Path) -> PanelSpecificati
             for name, zone in model.zones.items()
         }
         limits = PanelSpec(model.panel, model.revision, zones)
-        return PanelSpecification(limits, _layout(model), document, model.example)
+        return PanelSpecification(limits, _layout(model), document, model.example, _rules(model))
     except SpecError as problem:
         raise SpecError(f"{path}: {problem}") from None
 
@@ -169,6 +207,7 @@ def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: 
         lines += [f"diameter_mm = {_toml(rivet.diameter_mm)}"] if rivet.diameter_mm is not None else []
         lines += [f"zone = {_toml(rivet.zone)}"] if rivet.zone != DEFAULT_ZONE else []
         lines += [f"normal = {_toml(rivet.normal, 6)}"] if rivet.normal is not None else []
+        lines += [f"row = {_toml(rivet.row)}"] if rivet.row is not None else []
     for seam in layout.seams:
         lines += ["", "[[seams]]", f"id = {_toml(seam.seam_id)}", f"course_mm = {_toml(seam.course)}"]
         lines += [f"zone = {_toml(seam.zone)}"] if seam.zone != DEFAULT_ZONE else []
@@ -192,9 +231,17 @@ def _limit(place: str, model: LimitModel) -> Limit:
         raise SpecError(f"{place}: {problem}") from None
 
 
+def _rules(model: PanelSpecModel) -> tuple[Rule, ...]:
+    fields = [rule.model_dump() for rule in model.acceptance]
+    return tuple(Rule(rule_id=rule.pop("id"), **rule) for rule in fields)
+
+
 def _layout(model: PanelSpecModel) -> PanelLayout:
     return PanelLayout(
-        tuple(NominalRivet(r.id, r.position_mm, r.diameter_mm, r.zone, r.normal) for r in model.rivets),
-        tuple(NominalSeam(s.id, s.course_mm, s.zone, s.airflow) for s in model.seams),
+        tuple(NominalRivet(r.id, r.position_mm, r.diameter_mm, r.zone, r.normal, r.row) for r in model.rivets),
+        tuple(
+            NominalSeam(s.id, s.course_mm, s.zone, s.airflow, tuple((p.from_mm, p.to_mm, p.zone) for p in s.stretches))
+            for s in model.seams
+        ),
         {name: Placement(np.array(s.R), np.array(s.t_mm)) for name, s in model.stations.items()},
     )

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from metrology.defects.settings import DefectSettings
 from metrology.errors import FlushlineError, UsageError
 from metrology.overlay import OverlaySettings
 from metrology.reconstruction_settings import ReconstructionSettings
@@ -79,6 +80,7 @@ class InspectionSettings:
     verification: VerificationSettings = field(default_factory=VerificationSettings)
     rivets: RivetSettings = field(default_factory=RivetSettings)
     seams: SeamSettings = field(default_factory=SeamSettings)
+    defects: DefectSettings = field(default_factory=DefectSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     overlay: OverlaySettings = field(default_factory=OverlaySettings)
 

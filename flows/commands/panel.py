@@ -39,6 +39,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "--out", type=Path, metavar="FILE", help="write the pattern as a specification to complete, not into the store"
     )
     enrolling.add_argument("--replace", action="store_true", help="in place of the station's earlier pattern")
+    assembling = add("assemble", assemble, "put the newest scans of a panel together: one frame, every feature once")
+    assembling.add_argument("--store", type=Path, required=True, metavar="DIR")
+    assembling.add_argument("--aircraft", metavar="SERIAL", help="without it the panels of every aircraft")
+    assembling.add_argument("--panel", metavar="PANEL", help="without it all panels")
+    assembling.add_argument("--panel-spec", type=Path, metavar="FILE", help="in place of the specification in force")
 
 
 def check(options: argparse.Namespace) -> int:
@@ -121,6 +126,27 @@ def enrol(options: argparse.Namespace) -> int:
             f"{store.panels.pattern_path(panel, station)}: found a pattern enrolled already, expected none or --replace"
         )
     print(store.panels.pattern_path(panel, station))
+    return 0
+
+
+def assemble(options: argparse.Namespace) -> int:
+    """Put panels together and store them."""
+    from flows.assemble_panels import assemble_and_publish
+    from metrology.errors import StoreError
+    from storage.archive import Store
+    from storage.archive.panel_scans import panels_of
+    from storage.panel_spec import load_panel_spec
+
+    store = Store(options.store)
+    known = panels_of(store)
+    keys = [
+        key for key in known if options.aircraft in (None, key.aircraft_serial) and options.panel in (None, key.panel)
+    ]
+    if not keys:
+        asked = " ".join(name for name in (options.aircraft, options.panel) if name) or "any panel"
+        expected = ", ".join(map(str, known[:5])) or "an inspected scene"
+        raise StoreError(f"{options.store}: found no scan of {asked}, expected one of: {expected}")
+    assemble_and_publish(store, keys, load_panel_spec(options.panel_spec) if options.panel_spec else None)
     return 0
 
 

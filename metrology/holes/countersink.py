@@ -13,6 +13,7 @@ _BINS_PX = 0.5
 _LEAST_WIDTH_PX = 3.0
 _LEAST_FALL_MM = 0.15  # below the skin: beyond noise and a broken edge
 _FLATTEST, _STEEPEST = np.tan(np.radians(20)), np.tan(np.radians(70))  # slopes of cones of 140° to 40°
+_SHARED = 8.0  # neighbouring bins that are worth one: matching correlates four pixels
 _SCATTER = 0.12  # of its depth by which a cone's profile may depart from a line
 
 
@@ -25,7 +26,7 @@ class Countersink:
     diameter_mm, diameter_sd_mm : float
         Where it meets the skin.
     depth_mm : float
-        From the skin to its lower end.
+        From the skin to the lowest place of it that was measured.
     angle_deg : float
         Whole angle of the cone.
     """
@@ -39,6 +40,10 @@ class Countersink:
     def lower_diameter_mm(self) -> float:
         """Where the cone ends and the hole's own wall begins."""
         return float(self.diameter_mm - 2 * self.depth_mm * np.tan(np.radians(0.5 * self.angle_deg)))
+
+    def depth_at(self, radius: float) -> float:
+        """How deep the cone is where it has a radius, mm."""
+        return float((0.5 * self.diameter_mm - radius) / np.tan(np.radians(0.5 * self.angle_deg)))
 
 
 def countersink(r: Array, height: Array, pixel_mm: float, within: float) -> Countersink | None:
@@ -79,5 +84,5 @@ def countersink(r: Array, height: Array, pixel_mm: float, within: float) -> Coun
         return None
     outer = -level / slope
     by = np.array([level / slope**2, -1 / slope])
-    sd = float(np.hypot(np.sqrt(max(by @ covariance @ by, 0.0)), 0.1 * pixel_mm))
+    sd = float(np.hypot(np.sqrt(max(_SHARED * by @ covariance @ by, 0.0)), 0.1 * pixel_mm))
     return Countersink(2 * float(outer), 2 * sd, float(-depth.min()), float(2 * np.degrees(np.arctan(1 / slope))))

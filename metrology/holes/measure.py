@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.holes.countersink import Countersink, countersink
-from metrology.holes.find import Opening
+from metrology.holes.find import Opening, brightness
 from metrology.holes.rim import DIRECTIONS, RimCircle, cloud_edges, picture_edges, rim_circle
 from metrology.results import COVERAGE_95, Hole, HoleKind, RivetDetection
+from metrology.rig import Device
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, point_sets
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -22,10 +23,14 @@ if TYPE_CHECKING:
     from metrology.sighted import Sighted
 
 Array = NDArray[np.float64]
+View = tuple[Device, NDArray[np.float32]]
 
 _ENOUGH = 0.25  # of all directions in which pictures must show a rim; below it the cloud tells
 _LEAST_MM = 0.5
 _DARK = 0.15  # of the skin's brightness: black paint sends back more than a hole into which no light falls
+_PROFILE_PX = 8.0  # of skin beyond the largest radius of a rim
+_ON_CONE_PX = 1.5  # within a countersink: clear of the blur of its border, and wide enough to tell its brightness
+_DEEPER = 3  # rounds in which a rim's depth and its place agree
 _SIZE = 1.35  # times the radius at which it was found may the rim lie
 
 
@@ -76,20 +81,21 @@ def _measured(
     height = patch.h - skin.height(patch.x, patch.y)
     cone = countersink(np.hypot(patch.x, patch.y), height, patch.guard / patch.guard_px, _SIZE * patch.radius)
     rim = _rim(patch, skin, reconstruction, cone)
-    if rim is None or rim.radius < _LEAST_MM:
-        return replace(placed, decision="not measured", reason="no circle follows its rim")
-    row = _at(empty, patch.frame.rig([rim.x, rim.y, float(skin.height(rim.x, rim.y))]), reconstruction)
-    row = replace(row, diameter_mm=2 * rim.radius, diameter_u95_mm=2 * COVERAGE_95 * rim.radius_sd)
     if cone is not None:
-        row = replace(
-            row,
+        placed = replace(
+            placed,
             countersink_diameter_mm=cone.diameter_mm,
             countersink_diameter_u95_mm=COVERAGE_95 * cone.diameter_sd_mm,
-            countersink_depth_mm=cone.depth_mm,
+            countersink_depth_mm=None if rim is None else cone.depth_at(rim.radius),
             countersink_angle_deg=cone.angle_deg,
         )
-    if opening.inside_mm is None and (brightness := _brightness(opening, reconstruction)) > _DARK:
-        reason = f"nothing was measured inside, yet it is {brightness:.0%} as bright as the skin: a hole or black paint"
+    if rim is None or rim.radius < _LEAST_MM:
+        below = "" if cone is None else " below its countersink"
+        return replace(placed, decision="not measured", reason=f"no circle follows its rim{below}")
+    row = _at(placed, patch.frame.rig([rim.x, rim.y, float(skin.height(rim.x, rim.y))]), reconstruction)
+    row = replace(row, diameter_mm=2 * rim.radius, diameter_u95_mm=2 * COVERAGE_95 * rim.radius_sd)
+    if opening.inside_mm is None and (share := brightness(opening.ellipse, reconstruction.left.texture)) > _DARK:
+        reason = f"nothing was measured inside, yet it is {share:.0%} as bright as the skin: a hole or black paint"
         return replace(row, decision="unconfirmed", reason=reason)
     return replace(row, depth_mm=None if opening.inside_mm is None else -opening.inside_mm)
 
@@ -104,23 +110,30 @@ def _at(row: Hole, point: Array, reconstruction: Reconstruction) -> Hole:
 def _rim(patch: Patch, skin: Polynomial, reconstruction: Reconstruction, cone: Countersink | None) -> RimCircle | None:
     """The hole's own rim, at the lower end of a countersink where there is one."""
     pixel_mm = patch.guard / patch.guard_px
-    deeper = 0.0 if cone is None else cone.depth_mm
-    within = _SIZE * patch.radius if cone is None else 0.5 * cone.lower_diameter_mm + 2 * pixel_mm
     rig = reconstruction.rig
     views = (rig.left, reconstruction.left.texture), (rig.right, reconstruction.right.texture)
-    edges = picture_edges(patch, skin, views, pixel_mm, within, deeper)
+    if cone is not None:
+        return _rim_below(patch, skin, views, cone, pixel_mm)
+    within = _SIZE * patch.radius
+    edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
     if edges.directions < _ENOUGH * DIRECTIONS:
-        edges = cloud_edges(patch, patch.h - skin.height(patch.x, patch.y) + deeper, pixel_mm, within)
+        edges = cloud_edges(patch, patch.h - skin.height(patch.x, patch.y), pixel_mm, within)
     return rim_circle(edges, pixel_mm)
 
 
-def _brightness(opening: Opening, reconstruction: Reconstruction) -> float:
-    """Brightness inside a hole, as a share of that of the skin round it."""
-    e, texture = opening.ellipse, reconstruction.left.texture
-    reach = int(1.6 * e.a) + 2
-    rows = slice(max(0, int(e.v) - reach), int(e.v) + reach + 1)
-    columns = slice(max(0, int(e.u) - reach), int(e.u) + reach + 1)
-    part = texture[rows, columns]
-    v, u = np.mgrid[rows.start : rows.start + part.shape[0], columns.start : columns.start + part.shape[1]]
-    level = e.level(u, v)
-    return float(np.nanmedian(part[level < 0.6]) / np.nanmedian(part[(level > 1.2) & (level < 1.6)]))
+def _rim_below(
+    patch: Patch, skin: Polynomial, views: tuple[View, ...], cone: Countersink, pixel_mm: float
+) -> RimCircle | None:
+    """The rim where a countersink ends; how deep that is follows from how wide it is."""
+    start = 0.5 * cone.diameter_mm - _ON_CONE_PX * pixel_mm
+    radius = min(0.5 * cone.lower_diameter_mm, start - _ON_CONE_PX * pixel_mm)
+    rim = None
+    for _ in range(_DEEPER):
+        edges = picture_edges(
+            patch, skin, views, pixel_mm, start, start - _ON_CONE_PX * pixel_mm, cone.depth_at(radius)
+        )
+        rim = rim_circle(edges, pixel_mm)
+        if rim is None or rim.directions < _ENOUGH * DIRECTIONS or not _LEAST_MM < rim.radius < start:
+            return None
+        radius = rim.radius
+    return rim

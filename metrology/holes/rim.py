@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
+from metrology.robust import fit_circle
 from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ _FALL_MM = 0.25  # below the skin: over the rim
 _EDGE_SD_PX = 0.08  # systematic: what the blur of a curved edge and a wall's shine move it by
 _CLOUD_SD_PX = 0.5
 _SHARED = 4.0  # neighbouring edges that are worth one
-_TUKEY = 4.685
+_NEAREST_PX = 0.02  # of an edge off its place: sampled profiles tell it no better
 
 
 @dataclass(frozen=True)
@@ -39,26 +40,32 @@ class Edges:
     ----------
     x, y : (n,) ndarray
         mm, in the patch's frame.
+    direction : (n,) ndarray of int
+        In which of `DIRECTIONS` each lies.
     sd_px : float
         How far one may lie off its place systematically, px.
-    directions : int
-        Different directions, of `DIRECTIONS`, in which there is one.
     """
 
     x: Array
     y: Array
+    direction: NDArray[np.int64]
     sd_px: float
-    directions: int
+
+    @property
+    def directions(self) -> int:
+        """Different directions in which there is one."""
+        return len(np.unique(self.direction))
 
 
 @dataclass(frozen=True)
 class RimCircle:
-    """A circle on the skin with the standard deviation of its radius, mm."""
+    """A circle on the skin, the standard deviation of its radius, mm, and in how many directions an edge is on it."""
 
     x: float
     y: float
     radius: float
     radius_sd: float
+    directions: int
 
 
 def picture_edges(
@@ -66,7 +73,8 @@ def picture_edges(
     skin: Polynomial,
     views: tuple[tuple[Device, NDArray[np.float32]], ...],
     pixel_mm: float,
-    within: float,
+    start: float,
+    outside: float,
     deeper: float = 0.0,
 ) -> Edges:
     """Edges of the skin along directions from the patch's centre, in either picture.
@@ -77,30 +85,29 @@ def picture_edges(
     skin : Polynomial
     views : tuple of (Device, texture)
     pixel_mm : float
-    within : float
-        Largest radius at which the rim may lie, mm.
+    start : float
+        Radius from which profiles begin, mm.
+    outside : float
+        Radius beyond which all lies outside the rim, mm: there the profiles tell the brightness.
     deeper : float
         By how much the rim lies below the skin, mm.
     """
-    radii = np.arange(within + 8 * pixel_mm, 0.3 * within, -_SPACING_PX * pixel_mm)  # from the skin inwards
+    radii = np.arange(start, 0.3 * outside, -_SPACING_PX * pixel_mm)  # from the skin inwards
     turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     x, y = cosine * radii, sine * radii
     places = patch.frame.rig(np.stack([x, y, skin.height(x, y) - deeper], axis=-1))
     found: list[tuple[int, float]] = []
-    outer = radii > within + 2 * pixel_mm
+    outer = radii > outside
     for device, texture in views:
         profiles = sample_image(texture, device.project(places))
-        level = np.nanmedian(profiles[:, outer], axis=1) if np.isfinite(profiles[:, outer]).any() else None
-        if level is None:
-            continue
         for k in np.flatnonzero(np.isfinite(profiles).all(axis=1)):
-            at = _edge(np.abs(profiles[k] / level[k] - 1))
+            at = _edge(np.abs(profiles[k] / np.median(profiles[k, outer]) - 1))
             if at is not None:
                 found.append((int(k), float(np.interp(at, np.arange(len(radii)), radii))))
     which = np.array([k for k, _ in found], int)
     r = np.array([radius for _, radius in found])
-    return Edges(r * np.cos(turn[which]), r * np.sin(turn[which]), _EDGE_SD_PX, len(set(which.tolist())))
+    return Edges(r * np.cos(turn[which]), r * np.sin(turn[which]), which, _EDGE_SD_PX)
 
 
 def _edge(departure: Array) -> float | None:
@@ -127,7 +134,7 @@ def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float) -> 
     """Edges where the cloud leaves the skin: half a pixel beyond the last point on it, by direction."""
     r, turn = np.hypot(patch.x, patch.y), np.arctan2(patch.y, patch.x)
     sector = ((turn + np.pi) / (2 * np.pi) * DIRECTIONS).astype(int) % DIRECTIONS
-    x, y = [], []
+    x, y, directions = [], [], []
     for k in range(DIRECTIONS):
         here = (sector == k) & (r < within + 6 * pixel_mm) & (r > 0.3 * within)
         off, on = here & (height < -_FALL_MM), here & (np.abs(height) < _FALL_MM)
@@ -139,31 +146,22 @@ def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float) -> 
         angle = (k + 0.5) * 2 * np.pi / DIRECTIONS - np.pi
         x.append(edge * np.cos(angle))
         y.append(edge * np.sin(angle))
-    return Edges(np.array(x), np.array(y), _CLOUD_SD_PX, len(x))
+        directions.append(k)
+    return Edges(np.array(x), np.array(y), np.array(directions, int), _CLOUD_SD_PX)
 
 
 def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
     """The circle through edges, those that lie off it left out."""
     if len(edges.x) < 8:
         return None
-    design = np.column_stack([edges.x, edges.y, np.ones_like(edges.x)])
-    target = edges.x**2 + edges.y**2
-    weights = np.ones(len(target))
-    for iteration in range(15):
-        weighted = design * weights[:, None]
-        solution = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ target)
-        x, y = 0.5 * solution[0], 0.5 * solution[1]
-        squared = float(solution[2] + x**2 + y**2)
-        if squared <= 0:
-            return None
-        off = np.abs(np.hypot(edges.x - x, edges.y - y) - np.sqrt(squared))
-        scale = 1.4826 * float(np.median(off)) + 0.02 * pixel_mm
-        t = off / (_TUKEY * scale)
-        weights = 1 / np.maximum(off, 0.1 * scale) if iteration < 8 else np.where(t < 1, (1 - t**2) ** 2, 0.0)
-    kept = weights > 0
-    spread = float(np.sqrt(np.mean(off[kept] ** 2)))
-    away = np.stack([edges.x - x, edges.y - y], axis=1)[kept]
+    found = fit_circle(edges.x, edges.y, _NEAREST_PX * pixel_mm)
+    if found is None:
+        return None
+    kept = found.weights > 0
+    spread = float(np.sqrt(np.mean(found.off(edges.x, edges.y)[kept] ** 2)))
+    away = np.stack([edges.x - found.x, edges.y - found.y], axis=1)[kept]
     rows = np.column_stack([away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
     # Neighbouring edges share their pixels: a quarter of them is independent.
     by_noise = spread * np.sqrt(_SHARED * np.linalg.inv(rows.T @ rows + 1e-9 * np.eye(3))[2, 2])
-    return RimCircle(float(x), float(y), float(np.sqrt(squared)), float(np.hypot(by_noise, edges.sd_px * pixel_mm)))
+    sd = float(np.hypot(by_noise, edges.sd_px * pixel_mm))
+    return RimCircle(found.x, found.y, found.radius, sd, len(np.unique(edges.direction[kept])))

@@ -83,13 +83,13 @@ def _with_same_sides(pieces: Sequence[_Piece], placement: Placement) -> list[_Pi
 
 def _turned(piece: _Piece) -> _Piece:
     """The piece with its sides exchanged."""
-    turned = {id(station): _exchanged(station) for station in piece.stations}
+    turned = {id(station): exchanged(station) for station in piece.stations}
     return _Piece(
         [turned[id(s)] for s in piece.stations], [turned[id(s)] for s in piece.measured], piece.foot, -piece.across
     )
 
 
-def _exchanged(station: SeamStation) -> SeamStation:
+def exchanged(station: SeamStation) -> SeamStation:
     step = None if station.step_mm is None else -station.step_mm
     row = replace(station, step_mm=step, n_left=station.n_right, n_right=station.n_left)
     if isinstance(row, FittedStation) and row.fit is not None:
@@ -107,7 +107,7 @@ def _named(piece: _Piece, seam: NominalSeam, placement: Placement) -> list[SeamS
         if s is None:
             s = _carried(station.s_mm, own, piece.foot.s)
         wind = None if station.step_mm is None or sign is None or sign == 0 else float(sign * station.step_mm)
-        row = replace(station, seam_id=seam.seam_id, s_mm=s, zone=seam.zone, step_into_wind_mm=wind)
+        row = replace(station, seam_id=seam.seam_id, s_mm=s, zone=seam.zone_at(s), step_into_wind_mm=wind)
         named.append(placed(row, placement))
     return named
 

@@ -96,7 +96,7 @@ def fit_placement(pairs: Correspondences, start: Placement, prior: Placement, we
     return placement
 
 
-def _cross_matrix(arms: Array) -> Array:
+def cross_matrix(arms: Array) -> Array:
     """(n, 3, 3) d(ω × r)/dω = −[r]× for arms r (n, 3)."""
     matrix = np.zeros((len(arms), 3, 3))
     matrix[:, 0, 1], matrix[:, 0, 2] = arms[:, 2], -arms[:, 1]
@@ -115,14 +115,14 @@ def _weighted(jacobian: Array, residual: Array, share: float = 1.0) -> tuple[Arr
 def _rivets(pairs: Correspondences, placement: Placement, middle: Array, weights: FitWeights) -> tuple[Array, Array]:
     at = placement.to_panel(pairs.found)
     identity = np.broadcast_to(np.eye(3), (len(at), 3, 3))
-    jacobian = np.concatenate([_cross_matrix(at - middle), identity], axis=2)
+    jacobian = np.concatenate([cross_matrix(at - middle), identity], axis=2)
     return _weighted(jacobian / weights.rivet_mm, (at - pairs.nominal) / weights.rivet_mm)
 
 
 def _normals(pairs: Correspondences, placement: Placement, weights: FitWeights) -> tuple[Array, Array]:
     known = np.isfinite(pairs.found_normals + pairs.nominal_normals).all(1)
     at = pairs.found_normals[known] @ placement.R.T
-    jacobian = np.concatenate([_cross_matrix(at), np.zeros((len(at), 3, 3))], axis=2)
+    jacobian = np.concatenate([cross_matrix(at), np.zeros((len(at), 3, 3))], axis=2)
     return _weighted(jacobian / weights.normal_rad, (at - pairs.nominal_normals[known]) / weights.normal_rad)
 
 
@@ -133,6 +133,6 @@ def _seam(
     foot = foot_on(seam.course, at)
     # Only the distance from the line counts: what lies along the tangent is left free.
     across = np.eye(3) - foot.tangent[:, :, None] * foot.tangent[:, None, :]
-    motion = np.concatenate([_cross_matrix(at - middle), np.broadcast_to(np.eye(3), (len(at), 3, 3))], axis=2)
+    motion = np.concatenate([cross_matrix(at - middle), np.broadcast_to(np.eye(3), (len(at), 3, 3))], axis=2)
     share = min(1.0, _INDEPENDENT_STATIONS / len(at))
     return _weighted(across @ motion / weights.seam_mm, foot.offset / weights.seam_mm, share)

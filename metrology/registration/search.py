@@ -180,8 +180,8 @@ def _turns(
     line = found.positions[b] - found.positions[a]
     lines = nominal.positions[j] - nominal.positions[i]
     if prior is None:
-        start = _frames(line[None], (found.normals[a] + found.normals[b])[None])
-        return np.asarray(_frames(lines, nominal.normals[i] + nominal.normals[j]) @ np.transpose(start, (0, 2, 1)))
+        start = frames(line[None], (found.normals[a] + found.normals[b])[None])
+        return np.asarray(frames(lines, nominal.normals[i] + nominal.normals[j]) @ np.transpose(start, (0, 2, 1)))
     expected = prior.R @ line
     axis = np.cross(expected, lines)
     sine, cosine = np.linalg.norm(axis, axis=1), lines @ expected
@@ -190,7 +190,7 @@ def _turns(
     return np.asarray(Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_matrix() @ prior.R)
 
 
-def _frames(lines: Array, normals: Array) -> Array:
+def frames(lines: Array, normals: Array) -> Array:
     """(m, 3, 3) right-handed frames: columns along the line, across it, and near the normal."""
     x = lines / np.linalg.norm(lines, axis=1, keepdims=True)
     y = np.cross(normals, x)

@@ -8,7 +8,7 @@ scan. A stroke of paint is wide, ends somewhere, and lies on the skin; a dent ha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -29,9 +29,16 @@ _SURROUNDED = 0.9  # of the pixels round a weak ring must have points
 _CLOSED = 0.8  # of a rim's directions in which it shows; a glint or a scratch hides the rest
 # Half-width of a rim's line: blur of 0.7 px and a gap of a millimetre at five pixels each give 1.6.
 _THIN_PX = 1.6
-# By how much of its own darkness a rim departs from the model; grain departs as much where a rim is faint.
+# By how much of its own darkness a rim departs from the model. Where a rim is faint, grain departs as much: then by how
+# many times what the rims beyond doubt depart.
 _CLEAN, _STROKE = 0.25, 0.15
+_OF_GRAIN = 2.0
 _STEPS = 3.0  # standard deviations of a step or tilt that is one
+_STROKE_STEPS = 6.0  # the same where the line is a stroke: its edges pass for steps, up to five deviations
+_WIDER, _WIDER_PX = 1.25, 0.15  # than the line of a scan's other fasteners, times and px beyond, is a painted line
+_PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
+_CONTRAST = 2.0  # times that of the clearest gap of a scan
+_AS_DARK = 1.6  # times the others' contrast, or less by that
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
@@ -56,12 +63,15 @@ class _Shown:
 
     ring: Ring
     step: RimStep | None
+    relief: HeadRelief
+    grain: float = 0.0
 
     @property
     def clear(self) -> bool:
-        """Whether it is a thin line that closes on itself."""
+        """Whether it is a thin line that closes on itself; `grain` is what leaves a line as it is, grey levels."""
         fit = self.ring.fit
-        return fit.coverage >= _CLOSED and fit.sigma_px <= _THIN_PX and fit.noise <= _CLEAN * abs(fit.amplitude)
+        clean = fit.noise <= max(_CLEAN * abs(fit.amplitude), self.grain)
+        return fit.coverage >= _CLOSED and fit.sigma_px <= _THIN_PX and clean
 
     @property
     def stroke(self) -> bool:
@@ -74,6 +84,8 @@ class _Shown:
         """Whether the surface steps there. The edges of paint seem to tilt it: only a clear line's tilt counts."""
         if self.step is None:
             return False
+        if self.stroke:
+            return self.step.mean_significance >= _STROKE_STEPS and abs(self.step.mean_mm) > self.step.rise_mm
         return (self.step.significance if self.clear else self.step.mean_significance) >= _STEPS
 
 
@@ -109,14 +121,19 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
             continue
         step = rim_step(reconstruction, ring.ellipse)
         if ring.quality >= settings.sure_quality or _bears_out(relief, step, settings):
-            shown.append(_Shown(ring, step))
-    certain = [s.ring for s in shown if s.clear and s.stands]
+            shown.append(_Shown(ring, step, relief))
+    standing = [s for s in shown if s.stands and not s.stroke]
+    if len(standing) >= _FEW:
+        grain = _OF_GRAIN * float(np.median([s.ring.fit.noise for s in standing]))
+        shown = [replace(s, grain=grain) for s in shown]
+    certain = [s for s in shown if s.clear and s.stands]
+    rings = [s.ring for s in certain]
     found = []
     for s in shown:
         if s.stands:
-            found.append(Confirmed(s.ring))
+            found.append(Confirmed(s.ring, _chip(s, certain, reconstruction)))
         elif s.clear:
-            found.append(Confirmed(s.ring, _doubt(s.ring, certain, reconstruction)))
+            found.append(Confirmed(s.ring, _doubt(s.ring, rings, reconstruction)))
         elif not s.stroke:
             share = f"{s.ring.fit.coverage:.0%}"
             found.append(Confirmed(s.ring, f"its rim shows in {share} of all directions, and the surface has no step"))
@@ -129,8 +146,8 @@ def steps_up(height_mm: float, step: RimStep | None) -> bool:
 
 
 def _is_hole(relief: HeadRelief, settings: RivetSettings) -> bool:
-    """A hole has skin round it and nothing inside, or something far below."""
-    return relief.outer_share > 0.6 and (relief.inner_share < 0.15 or relief.step_mm < -settings.max_sunk_mm)
+    """A hole has skin round it and nothing inside, or something far off: below, or a temporary fastener's top."""
+    return relief.outer_share > 0.6 and (relief.inner_share < 0.15 or abs(relief.step_mm) > settings.max_sunk_mm)
 
 
 def _bears_out(relief: HeadRelief, step: RimStep | None, settings: RivetSettings) -> bool:
@@ -146,11 +163,62 @@ def _doubt(ring: Ring, certain: Sequence[Ring], reconstruction: Reconstruction) 
     """What speaks against a clear line at which the surface neither steps nor tilts."""
     if not _right_camera_shows(ring, reconstruction):
         return "a ring that one camera shows and the other does not"
+    if len(certain) < _FEW:
+        return None
+    if _painted(ring, certain):
+        return "a ring without a step, whose line is unlike the gaps of the fasteners here"
     place = _Place.of(ring, reconstruction)
     others = [p for p in (_Place.of(other, reconstruction) for other in certain) if p is not None]
     if place is None or len(others) < _FEW or _usual_size(place, others) or _in_row(place, others):
         return None
+    if _like_others(ring, place, certain, others):
+        return None
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
+
+
+def _chip(one: _Shown, certain: Sequence[_Shown], reconstruction: Reconstruction) -> str | None:
+    """What speaks against a ring at which the surface steps: a chip or a drop lies on the skin and has an edge, too.
+
+    It stands higher than the fasteners or leans more, is smaller or has a blurred border, and is in no row of theirs.
+    """
+    others = [s for s in certain if s is not one]
+    placed = [(s, p) for s in others if (p := _Place.of(s.ring, reconstruction)) is not None]
+    place = _Place.of(one.ring, reconstruction)
+    if place is None or len(placed) < _FEW or one.relief.step_mm < 0:
+        return None
+    prouder = one.relief.step_mm > _PROUDER * max(s.relief.step_mm for s, _ in placed)
+    leaning = _slope(one, place) > _LEANING * max(_slope(s, p) for s, p in placed)
+    smaller = place.diameter < (1 - HALF_STEP) * min(p.diameter for _, p in placed)
+    rings = [s.ring for s, _ in placed]
+    if not (prouder or leaning) or not (smaller or _wider(one.ring, rings)) or _in_row(place, [p for _, p in placed]):
+        return None
+    return "it stands out of the skin unlike all fasteners here, in no row of theirs: a chip or a drop may lie there"
+
+
+def _slope(one: _Shown, place: _Place) -> float:
+    """Slope of a head against the skin; 0 where it is not known."""
+    return 0.0 if one.step is None else one.step.rise_mm / (0.5 * place.diameter)
+
+
+def _painted(ring: Ring, certain: Sequence[Ring]) -> bool:
+    """Whether a line is unlike all gaps of the scan: wider, of the other polarity, or of far more contrast."""
+    amplitudes = np.array([other.fit.amplitude for other in certain])
+    unlike = np.sign(ring.fit.amplitude) != np.sign(amplitudes)
+    most = float(np.abs(amplitudes).max())
+    return bool(_wider(ring, certain) or unlike.all() or abs(ring.fit.amplitude) > _CONTRAST * most)
+
+
+def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:
+    """Whether a line is wider than gaps are here: one camera sees all of a scan through one blur."""
+    usual = float(np.median([other.fit.sigma_px for other in certain]))
+    return ring.fit.sigma_px > _WIDER * usual + _WIDER_PX
+
+
+def _like_others(ring: Ring, place: _Place, certain: Sequence[Ring], others: Sequence[_Place]) -> bool:
+    """Whether a ring of another size has a gap like the others': as dark, and of a size between theirs."""
+    contrast = ring.fit.amplitude / float(np.median([other.fit.amplitude for other in certain]))
+    sizes = [other.diameter for other in others]
+    return 1 / _AS_DARK < contrast < _AS_DARK and min(sizes) < place.diameter < max(sizes)
 
 
 def _usual_size(place: _Place, others: Sequence[_Place]) -> bool:

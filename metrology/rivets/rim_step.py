@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rivets.ellipse import Ellipse
+from metrology.robust import from_scratch
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,6 @@ _CLEAR_PX = 3.0  # from the ring, where phase is mixed
 _LEAST_INSIDE = 0.5  # of the radius, where a ring is so small that nothing is clear
 _ENOUGH = 800  # points inside, and outside
 _FEWEST = 40
-_TUKEY = 4.685
 _CORRELATED = 4.0  # pixels of a cloud that are worth one: matching correlates neighbours
 _WAVES_MM = 0.004  # of the skin that no quadric follows
 
@@ -98,23 +98,16 @@ def _thinned(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
 
 
 def _robust(design: Array, values: Array) -> tuple[Array, Array] | None:
-    """Least squares in which what a recess, a scratch or a wrong match says does not count: solution, covariance."""
-    weights = np.ones(len(values))
-    for iteration in range(12):
-        weighted = design * weights[:, None]
-        try:
-            solution = np.linalg.solve(weighted.T @ design, weighted.T @ values)
-        except np.linalg.LinAlgError:
-            return None
-        residual = np.abs(values - design @ solution)
-        scale = 1.4826 * float(np.median(residual)) + 1e-9
-        # Least absolute deviations first, since a recess may be a third of the head; then Tukey's weights.
-        t = residual / (_TUKEY * scale)
-        weights = 1 / np.maximum(residual, 0.1 * scale) if iteration < 7 else np.where(t < 1, (1 - t**2) ** 2, 0.0)
-    kept = weights > 0
-    variance = float((weights * residual**2)[kept].sum() / max(weights.sum() - design.shape[1], 1.0))
+    """Least squares in which what a recess, a scratch or a wrong match says does not count: solution, covariance.
+
+    A recess may be a third of the head.
+    """
+    solved = from_scratch(design, values, absolute=7, iterations=12)
+    if solved is None:
+        return None
+    squares = solved.weights * (values - design @ solved.values) ** 2
+    variance = float(squares.sum() / max(solved.weights.sum() - design.shape[1], 1.0))
     try:
-        covariance = np.linalg.inv((design * weights[:, None]).T @ design) * variance
+        return solved.values, np.asarray(np.linalg.inv(solved.normal) * variance, np.float64)
     except np.linalg.LinAlgError:
         return None
-    return np.asarray(solution, float), np.asarray(covariance, float)

@@ -1,19 +1,15 @@
-"""Seams: their centre lines, and step and width at stations along them (paper §3.2 and §4.2)."""
+"""Seams: where they run (`finding`), how the skins beside them lie (`skins`), how wide they gape (`gap`).
 
-from metrology.seams.detect import detect_seams
-from metrology.seams.image_line import ImageLine
-from metrology.seams.lines import detect_lines
+``detect_seams`` finds them (paper §3.2). ``measure_seams`` gives step and width at seam stations along them (§4.2):
+the centre line is laid onto the skin, each seam station gets its two skin lines and its gap, and both make a row.
+Shared by the rooms: ``settings``, ``sides`` (which side is A), ``places`` (heads, panel), ``polyline``, ``sampling`` of
+pixels along a section, ``blur`` of an edge.
+"""
+
+from metrology.seams.finding.detect import detect_seams
+from metrology.seams.finding.image_line import ImageLine
+from metrology.seams.finding.lines import detect_lines
+from metrology.seams.measure import measure_seams
 from metrology.seams.settings import LineSettings, SeamSettings
-from metrology.seams.stations import measure_seams
-from metrology.seams.summary import SeamSummary, summarize
 
-__all__ = [
-    "ImageLine",
-    "LineSettings",
-    "SeamSettings",
-    "SeamSummary",
-    "detect_lines",
-    "detect_seams",
-    "measure_seams",
-    "summarize",
-]
+__all__ = ["ImageLine", "LineSettings", "SeamSettings", "detect_lines", "detect_seams", "measure_seams"]

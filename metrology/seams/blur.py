@@ -25,6 +25,8 @@ _TAIL_SIGMAS = 4.5
 _THIN = 0.01
 # Standard deviations beyond which a Gaussian's tail (1e-12) is nothing.
 _SATURATED = 7.0
+# Change of the spill by which the step's is taken.
+_SPILL_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -70,40 +72,46 @@ class EdgeResponse:
         half = int(np.ceil(reach * _NODES_PER_PIXEL / pixel))
         step = pixel / _NODES_PER_PIXEL
         thin = _THIN * max(side_u, side_v)
-        values, slopes = _tabulate(half, step, max(side_u, thin), max(side_v, thin), sigma, blur.spill)
+        values, slopes, *_ = _tabulate(half, step, max(side_u, thin), max(side_v, thin), sigma, blur.spill)
         return cls(step, values, slopes)
 
 
 # A fit asks again and again for the same blur: where only borders move, or a step was taken back.
 @lru_cache(maxsize=64)
 def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int, reach_px: float) -> Array:
-    """(2, n) values and slopes of the blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach.
+    """(6, n) blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach, x in px.
 
-    Read-only.
+    Rows: the step, its change with the spill, and that with the lens, each with its slope. Read-only.
     """
     half = int(np.ceil(reach_px * nodes_per_px))
     side_u, side_v = (max(abs(side), _THIN) for side in normal)
-    step = np.stack(_tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill))
+    step: Array = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill)
     step.flags.writeable = False
     return step
+
+
+@kernel
+def _shares(spill):  # type: ignore[no-untyped-def]
+    """Differences of a pixel's light between its neighbours along one axis, at ±½, ±1½ and ±2½ pixels."""
+    stays = 1.0 - 2.0 * spill
+    far = stays * (spill / stays) ** 4
+    stays -= 2.0 * far
+    return -far, far - spill, spill - stays, stays - spill, spill - far, far
 
 
 @kernel
 def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-untyped-def]
     """A Gaussian edge folded with two boxes (differences of its second antiderivative) and with the spill.
 
-    Along one axis, box and spill together difference it at ±½, ±1½ and ±2½ pixels.
+    Rows: the step, its change with the spill, and that with sigma, each with its slope. The second antiderivative
+    ``σ² (t φ + (t² + 1) Φ) / 2``, t = x/σ, changes with sigma by ``σ Φ``.
     """
-    values, slopes = np.zeros(2 * half + 1), np.zeros(2 * half + 1)
-    stays = 1.0 - 2.0 * spill
-    far = stays * (spill / stays) ** 4
-    stays -= 2.0 * far
-    shares = (-far, far - spill, spill - stays, stays - spill, spill - far, far)
+    table = np.zeros((6, 2 * half + 1))
+    shares, changed = _shares(spill), _shares(spill + _SPILL_DIFFERENCE)
     for i in range(6):
         for j in range(6):
             weight = shares[i] * shares[j] / (side_u * side_v)
-            if weight == 0.0:
-                continue
+            change = (changed[i] * changed[j] / (side_u * side_v) - weight) / _SPILL_DIFFERENCE
             offset = (i - 2.5) * side_u + (j - 2.5) * side_v
             for k in range(half + 1):
                 t = ((k - half) * step + offset) / sigma
@@ -112,9 +120,16 @@ def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-unty
                 if abs(t) < _SATURATED:
                     phi = 0.3989422804014327 * np.exp(-0.5 * t * t)
                     cdf = 0.5 * (1.0 + math.erf(t * 0.7071067811865476))
-                values[k] += weight * 0.5 * sigma * sigma * ((t * t + 1.0) * cdf + t * phi)
-                slopes[k] += weight * sigma * (t * cdf + phi)
+                second, first = 0.5 * sigma * sigma * ((t * t + 1.0) * cdf + t * phi), sigma * (t * cdf + phi)
+                table[0, k] += weight * second
+                table[1, k] += weight * first
+                table[2, k] += change * second
+                table[3, k] += change * first
+                table[4, k] += weight * sigma * cdf
+                table[5, k] += weight * phi
     # The point spread is even.
     for k in range(half):
-        values[2 * half - k], slopes[2 * half - k] = 1.0 - values[k], slopes[k]
-    return values, slopes
+        for row in range(0, 6, 2):
+            table[row, 2 * half - k] = (1.0 if row == 0 else 0.0) - table[row, k]
+            table[row + 1, 2 * half - k] = table[row + 1, k]
+    return table

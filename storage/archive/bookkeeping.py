@@ -56,6 +56,8 @@ RUNS = Table(
         Column("digest", "HUGEINT", "of the run's rows in all tables when they came in"),
     ),
 )
+HEADS = (schema.SCENES.name, schema.PANELS.name)
+"""Tables with one row for each run that is shown."""
 Additions = Mapping[str, Sequence[Sequence[str]]]
 """Columns by table, those that came together in one list."""
 
@@ -198,6 +200,21 @@ def kept_digests(connection: duckdb.DuckDBPyConnection) -> dict[str, int] | None
     if not _has_bookkeeping(connection):
         return None
     return dict(connection.execute(f"SELECT scene_id, digest FROM {RUNS.name}").fetchall())
+
+
+def heads(connection: duckdb.DuckDBPyConnection) -> list[str]:
+    """The tables with one row for each run that an index has; one of an older version has no panels."""
+    held = {name for (name,) in connection.execute("SELECT table_name FROM duckdb_tables()").fetchall()}
+    return [table for table in HEADS if table in held]
+
+
+def shown_runs(connection: duckdb.DuckDBPyConnection, scenes: Sequence[str] | None = None) -> dict[str, str]:
+    """The run that an index shows of each scene and assembled panel, or of some."""
+    parts = [
+        f"SELECT scene_id, run_id FROM {table} WHERE $1 IS NULL OR scene_id IN (SELECT unnest($1))"
+        for table in heads(connection)
+    ]
+    return dict(connection.execute(" UNION ALL ".join(parts), [scenes]).fetchall())
 
 
 def imitate(connection: duckdb.DuckDBPyConnection, other: duckdb.DuckDBPyConnection) -> None:

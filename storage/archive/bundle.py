@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
@@ -24,10 +24,10 @@ from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
 from metrology.kinds import KINDS, Count, Kind
 from metrology.overlay import Overlay
-from metrology.results import SceneKey
+from metrology.results import PanelKey, SceneKey
 from metrology.steps import TIMED
 from storage.archive.files import protect, sha256, sync, write_durably
-from storage.archive.schema import SCENES, TABLES
+from storage.archive.schema import PANELS, SCENE_TABLES, SCENES, Table
 from storage.cloud import encode_cloud
 from storage.documents import read_json, utc_text
 from storage.fits import write_fits
@@ -35,6 +35,7 @@ from storage.models import FileName, Identifier, UtcTime, validate
 from storage.panel_spec import pattern_toml
 
 FORMAT = "flushline-bundle/1"
+PANEL_FORMAT = "flushline-panel-run/1"
 MANIFEST = "manifest.json"
 # 10 nm, 0.1 mdeg and 0.1 mpx, far below any uncertainty: tables of such numbers take a third of the room.
 _DIGITS = {"mm": 5, "deg": 4, "px": 4}
@@ -55,15 +56,15 @@ class BundleModel(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    format: Literal["flushline-bundle/1"]
+    format: Literal["flushline-bundle/1", "flushline-panel-run/1"]
     run_id: FileName
     aircraft_serial: Identifier
     panel: Identifier
-    station: Identifier
+    station: Identifier | None = None  # None: of an assembled panel
     captured_at: UtcTime
     scene_id: FileName
     config_hash: str
-    rig_hash: str
+    rig_hash: str = ""
     frames_digest: str | None = None
     files_state: str | None = None
     first_stored_at: UtcTime | None = None
@@ -72,9 +73,16 @@ class BundleModel(BaseModel):
     files: dict[FileName, FileModel]
 
     @property
-    def key(self) -> SceneKey:
-        """Which scene it is."""
-        return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at)
+    def named(self) -> str:
+        """The id of what it is a run of: a scene, or an assembled panel."""
+        if self.station is None:
+            return PanelKey(self.aircraft_serial, self.panel).panel_id
+        return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at).scene_id
+
+    @property
+    def head_table(self) -> str:
+        """The table that has one row for the run."""
+        return SCENES.name if self.station else PANELS.name
 
     @property
     def table_files(self) -> list[str]:
@@ -129,10 +137,6 @@ def write_bundle(
     write_fits(folder / FITS, result.features)
     for name, table in tables.items():
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
-    files = sorted(folder.iterdir())
-    for path in files:
-        protect(path)
-        sync(path)
     manifest = {
         "format": FORMAT,
         "run_id": run_id,
@@ -153,9 +157,19 @@ def write_bundle(
         "warnings": list(result.warnings),
         "outside_overlay": list(result.overlay.outside),
         "rows": {name: table.num_rows for name, table in tables.items()},
-        "files": {path.name: {"bytes": path.stat().st_size, "sha256": sha256(path)} for path in files},
     }
-    write_durably(folder / MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
+    seal(folder, manifest)
+
+
+def seal(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Bring a run's files onto the disk and write its manifest, with their sizes and checksums, last."""
+    files = sorted(folder.iterdir())
+    for path in files:
+        protect(path)
+        sync(path)
+    listed = {path.name: {"bytes": path.stat().st_size, "sha256": sha256(path)} for path in files}
+    text = json.dumps({**manifest, "files": listed}, indent=1, ensure_ascii=False)
+    write_durably(folder / MANIFEST, text.encode())
     protect(folder / MANIFEST)
 
 
@@ -173,13 +187,17 @@ def check_bundle(bundle: Path, only_tables: bool = False) -> BundleModel:
         Look at the tables alone, which is what the index is made from.
     """
     manifest = read_manifest(bundle)
-    if bundle.name != manifest.run_id or {bundle.parent.name, manifest.key.scene_id} != {manifest.scene_id}:
+    if bundle.name != manifest.run_id or {bundle.parent.name, manifest.named} != {manifest.scene_id}:
         raise StoreError(
             f"{bundle / MANIFEST}: found run {manifest.run_id!r} of {manifest.scene_id!r}, expected the folder's"
         )
     wanted = manifest.table_files
-    if missing := sorted({f"{SCENES.name}.parquet", *wanted} - set(manifest.files)):
+    if missing := sorted({f"{manifest.head_table}.parquet", *wanted} - set(manifest.files)):
         raise StoreError(f"{bundle / MANIFEST}: found no {missing[0]} listed, expected every table of the run")
+    if manifest.format != (FORMAT if manifest.station else PANEL_FORMAT):
+        raise StoreError(
+            f"{bundle / MANIFEST}: found format {manifest.format!r} for {manifest.scene_id!r}, expected the other"
+        )
     for name in wanted if only_tables else manifest.files:
         path, stated = bundle / name, manifest.files[name]
         if path.is_symlink() or not path.is_file():
@@ -205,12 +223,17 @@ def result_tables(
     for kind in KINDS:
         found = result.features.get(kind.name, ())
         rows[kind.table] = [key | {field.name: getattr(row, field.name) for field in fields(row)} for row in found]
+    return as_tables(SCENE_TABLES, rows)
+
+
+def as_tables(tables: Sequence[Table], rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, pa.Table]:
+    """Rows by table as they are stored: numbers rounded, columns that a table does not have left out."""
     return {
         table.name: pa.Table.from_pylist(
             [{name: _plain(name, value) for name, value in row.items()} for row in rows[table.name]],
             table.arrow_schema,
         )
-        for table in TABLES
+        for table in tables
     }
 
 

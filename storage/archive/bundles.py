@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,8 @@ from storage.archive.files import make_folders, sync
 from storage.archive.layout import Layout
 from storage.archive.remote import Remote
 from storage.documents import read_json
+
+_WALKING_THREADS = 4  # a thread that waits for the disk lets another one go on
 
 
 class Bundles:
@@ -44,7 +47,7 @@ class Bundles:
         """Every complete run of every scene, oldest first within a scene."""
         if self.target:
             return [self.layout.root / run for run in self._remote.runs()]
-        return [run for run in self._here() if os.path.exists(f"{run}/{MANIFEST}")]
+        return self._here(_has_manifest)
 
     def runs_of(self, scene: Path) -> list[Path]:
         """Complete runs of the scene with this folder, oldest first."""
@@ -54,7 +57,7 @@ class Bundles:
 
     def incomplete(self) -> list[Path]:
         """Folders in place of a run that have no manifest."""
-        return [run for run in self._here() if not os.path.isfile(f"{run}/{MANIFEST}")]
+        return self._here(lambda run: not _has_manifest(run))
 
     def whatever_is_there(self) -> set[Path]:
         """Every run, complete or not."""
@@ -111,10 +114,16 @@ class Bundles:
         if self.target:
             self._remote.remove(self.layout.relative(run))
 
-    def _here(self) -> list[Path]:
-        """Every run's folder, oldest first within a scene."""
+    def _here(self, wanted: Callable[[str], bool] = lambda run: True) -> list[Path]:
+        """Every run's folder that is wanted, oldest first within a scene."""
         folder = str(self.layout.bundles)
-        return [Path(run) for run in sorted(_below(folder, 4))] if os.path.isdir(folder) else []
+        aircraft = sorted(filter(os.path.isdir, _below(folder, 1))) if os.path.isdir(folder) else []
+
+        def runs_of(one: str) -> list[Path]:
+            return [Path(run) for run in sorted(_below(one, 3)) if wanted(run)]
+
+        with ThreadPoolExecutor(_WALKING_THREADS) as threads:
+            return [run for runs in threads.map(runs_of, aircraft) for run in runs]
 
     @cached_property
     def _remote(self) -> Remote:
@@ -129,6 +138,10 @@ class Bundles:
         make_folders(run.parent, self.layout.root)
         staged.rename(run)
         sync(run.parent)
+
+
+def _has_manifest(run: str) -> bool:
+    return os.path.isfile(f"{run}/{MANIFEST}")
 
 
 def _below(folder: str, levels: int) -> Iterator[str]:

@@ -71,7 +71,9 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequ
     problems = [text for _, text in sorted({**expected.refused, **damaged}.items())]
     problems += incomplete(bundles)
     shown = {run.parent.name: run.name for run in expected.loaded}
-    problems += _index_problems(layout, shown, {run.parent.name: digest for run, digest in expected.loaded.items()})
+    other_runs = _run_problems(layout, shown)
+    digests = {run.parent.name: digest for run, digest in expected.loaded.items() if run.parent.name not in other_runs}
+    problems += [*other_runs.values(), *_rows_problems(layout, digests)]
     return Check(len(runs), (*problems, *review_problems(bundles, runs, heads)))
 
 
@@ -81,9 +83,12 @@ def check_fast(layout: Layout, heads: Sequence[Head] = ()) -> Check:
     Of the review log the chain is looked at, and the runs that were signed off.
     """
     bundles = Bundles(layout)
-    runs = bundles.runs()
+    with ThreadPoolExecutor(1) as thread:
+        rows = thread.submit(list, _rows_problems(layout))  # while the folders are walked
+        runs = bundles.runs()
     shown = {run.parent.name: run.name for run in reversed(by_preference(runs, signed_runs(layout.root)))}
-    return Check(len(runs), (*_index_problems(layout, shown, {}), *review_problems(bundles, (), heads)))
+    problems = (*_run_problems(layout, shown).values(), *rows.result(), *review_problems(bundles, (), heads))
+    return Check(len(runs), problems)
 
 
 def incomplete(bundles: Bundles) -> list[str]:
@@ -103,36 +108,40 @@ def _rows_of_bundles(layout: Layout) -> index.Outcome:
         return index.preferred(Loader(connection, layout), layout, {}, keep=False)
 
 
-def _index_problems(layout: Layout, expected: Mapping[str, str], digests: Mapping[str, int]) -> Iterator[str]:
-    """Where the published index says something else than the undamaged bundles, or than its own digests.
+def _run_problems(layout: Layout, expected: Mapping[str, str]) -> dict[str, str]:
+    """Scenes of which the published index shows another run than the undamaged bundles; `expected` is by scene."""
+    if not layout.archive.exists():
+        wanted = f"one of {len(expected)} scenes ('flushline archive rebuild')"
+        return dict.fromkeys(list(expected)[:1], f"{layout.archive}: found no index, expected {wanted}")
+    with contextlib.closing(snapshot.connect(layout)) as connection:
+        shown = bookkeeping.shown_runs(connection)
+    found = {
+        scene_id: f"{layout.archive}: found scene {scene_id} without an undamaged run, expected its bundle"
+        for scene_id in sorted(shown.keys() - expected.keys())
+    }
+    for scene_id, run in sorted(expected.items()):
+        if shown.get(scene_id) != run:
+            found[scene_id] = f"{layout.archive}: found run {shown.get(scene_id)} of {scene_id}, expected {run}"
+    return found
+
+
+def _rows_problems(layout: Layout, digests: Mapping[str, int] | None = None) -> Iterator[str]:
+    """Where the rows of the index are not those that came in, or not those of the bundles.
 
     Parameters
     ----------
-    expected : mapping
-        The run to be shown of each scene.
-    digests : mapping
-        Of the rows of that run in its bundle, where they are known.
+    digests : mapping of str to int, optional
+        Of the rows of a scene's run in its bundle.
     """
-    if not layout.archive.exists():
-        if expected:
-            wanted = f"one of {len(expected)} scenes ('flushline archive rebuild')"
-            yield f"{layout.archive}: found no index, expected {wanted}"
+    last = generations.newest(layout) if layout.archive.exists() else None
+    if last is None:
         return
-    last = generations.newest(layout)
     for generation in generations.all_of(layout):
         for beside in companions(generation):
             yield f"{beside}: found it beside a generation of the index, expected nothing there"
         if generation != last and generations.is_noted(last):  # it may be made into the next one
             yield from _own_problems(generation, {})
-    if last:
-        with contextlib.closing(snapshot.connect(layout)) as connection:
-            shown = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
-        for scene_id in sorted(shown.keys() - expected.keys()):
-            yield f"{layout.archive}: found scene {scene_id} without an undamaged run, expected its bundle"
-        differing = {scene_id for scene_id, run in expected.items() if shown.get(scene_id) != run}
-        for scene_id in sorted(differing):
-            yield f"{layout.archive}: found run {shown.get(scene_id)} of {scene_id}, expected {expected[scene_id]}"
-        yield from _own_problems(last, {scene: digest for scene, digest in digests.items() if scene not in differing})
+    yield from _own_problems(last, digests or {})
 
 
 def _own_problems(generation: Path, digests: Mapping[str, int]) -> Iterator[str]:

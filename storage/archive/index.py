@@ -42,8 +42,7 @@ def take(connection: duckdb.DuckDBPyConnection, layout: Layout, runs: Sequence[P
     if not manifests:
         return refused
     scenes = sorted({manifest.scene_id for manifest in manifests.values()})
-    asked = f"SELECT scene_id, run_id FROM scenes WHERE scene_id IN ({', '.join('?' * len(scenes))})"
-    held: dict[str, str] = dict(connection.execute(asked, scenes).fetchall())
+    held = bookkeeping.shown_runs(connection, scenes)
     signed = signed_runs(layout.root, sorted(held)) if held else {}
     loader = Loader(connection, layout, held)
     for run, manifest in sorted(manifests.items()):
@@ -67,7 +66,7 @@ def catch_up(
     runs : iterable of Path, optional
         All runs of the scenes to be looked at; by default of every scene.
     """
-    held = dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+    held = bookkeeping.shown_runs(connection)
     return preferred(Loader(connection, layout, held), layout, held, runs=runs).refused
 
 
@@ -75,14 +74,10 @@ def stored_meanwhile(
     connection: duckdb.DuckDBPyConnection, layout: Layout, published: duckdb.DuckDBPyConnection
 ) -> list[Path]:
     """All runs of the scenes of which the published index shows another run than this one."""
-    shown = published.sql("SELECT scene_id, run_id, bundle_path FROM scenes").to_arrow_table()
-    connection.register("shown", shown)
-    asked = "SELECT bundle_path FROM shown ANTI JOIN scenes USING (scene_id, run_id) ORDER BY ALL"
-    paths = [str(path) for (path,) in connection.execute(asked).fetchall()]
-    connection.unregister("shown")
+    shown, held = bookkeeping.shown_runs(published), bookkeeping.shown_runs(connection)
+    scenes = {layout.scene_folder(scene) for scene, run in shown.items() if held.get(scene) != run}
     bundles = Bundles(layout)
-    scenes = {(layout.root / path).parent for path in paths if leads_inside(path)}
-    return [run for scene in sorted(scenes) if scene.is_relative_to(layout.bundles) for run in bundles.runs_of(scene)]
+    return [run for scene in sorted(scenes) if leads_inside(layout.relative(scene)) for run in bundles.runs_of(scene)]
 
 
 def preferred(

@@ -181,7 +181,7 @@ class Loader:
             _check_values(file, runs[run], values, self.layout)
         for run, manifest in runs.items():
             for table, stated in manifest.rows.items():
-                expected = 1 if table == "scenes" else stated
+                expected = 1 if table == manifest.head_table else stated
                 if counted[run, table] != expected:
                     raise StoreError(
                         f"{run / f'{table}.parquet'}: found {counted[run, table]} rows, expected {expected}"
@@ -204,7 +204,7 @@ class Loader:
     def _more(self, table: str) -> list[str]:
         """Columns whose values have to fit the run, besides those that name the scene."""
         names = [name for group in self.columns[table] for name in group]
-        return [name for name in names if name.endswith("_path") or (name, table) == ("run_id", "scenes")]
+        return [name for name in names if name.endswith("_path") or (name == "run_id" and table in bookkeeping.HEADS)]
 
     def _remove_former(self, runs: Runs) -> None:
         """Remove the rows of the scenes' former runs."""
@@ -233,16 +233,17 @@ class Loader:
 
 
 def _check_place(run: Path, manifest: BundleModel, layout: Layout) -> None:
-    if run != layout.scene(manifest.key) / manifest.run_id:
+    if run != layout.scene_folder(manifest.named) / manifest.run_id:
         raise StoreError(f"{run}: found run {manifest.run_id} of {manifest.scene_id}, expected it in its own folder")
 
 
 def _check_values(file: str, manifest: BundleModel, values: Mapping[str, object], layout: Layout) -> None:
     """Refuse rows that name another scene or run than the manifest does, or files outside the bundle."""
-    for name in (*_KEY, *(["run_id"] if "run_id" in values else [])):
+    named = _KEY if manifest.station else [name for name in _KEY if name != "station"]
+    for name in (*named, *(["run_id"] if "run_id" in values else [])):
         if values[name] != getattr(manifest, name):
             raise StoreError(f"{file}: found rows with {name} {values[name]}, expected {getattr(manifest, name)}")
-    place = layout.relative(layout.scene(manifest.key) / manifest.run_id)
+    place = layout.relative(layout.scene_folder(manifest.named) / manifest.run_id)
     for name, path in values.items():
         if name.endswith("_path") and path is not None:
             text = str(path)

@@ -192,11 +192,11 @@ def export(layout: Layout, target: str, aircraft: str | None = None, panel: str 
 
 def _current_paths(layout: Layout, aircraft: str | None, panel: str | None) -> list[str]:
     with contextlib.closing(snapshot.connect(layout)) as connection:
-        rows = connection.execute(
-            "SELECT bundle_path FROM scenes WHERE ($1 IS NULL OR aircraft_serial = $1) AND ($2 IS NULL OR panel = $2) "
-            "ORDER BY bundle_path",
-            [aircraft, panel],
-        ).fetchall()
+        parts = [
+            f"SELECT bundle_path FROM {table} WHERE ($1 IS NULL OR aircraft_serial = $1) AND ($2 IS NULL OR panel = $2)"
+            for table in bookkeeping.heads(connection)
+        ]
+        rows = connection.execute(f"{' UNION ALL '.join(parts)} ORDER BY 1", [aircraft, panel]).fetchall()
     paths = [str(path) for (path,) in rows]
     for path in paths:
         if not (leads_inside(path) and path.startswith(f"{layout.bundles.name}/")):
@@ -207,7 +207,7 @@ def _current_paths(layout: Layout, aircraft: str | None, panel: str | None) -> l
 def _shown(layout: Layout) -> dict[str, str]:
     """The run of each scene that the published index shows; empty where it cannot be read."""
     with contextlib.suppress(StoreError, duckdb.Error), contextlib.closing(snapshot.connect(layout)) as connection:
-        return dict(connection.execute("SELECT scene_id, run_id FROM scenes").fetchall())
+        return bookkeeping.shown_runs(connection)
     return {}
 
 

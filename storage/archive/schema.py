@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
+from metrology.assembly.rows import CoverageRow, DifferenceRow, FindingRow, RuleRow, StationRow
 from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
 from metrology.steps import TIMED
@@ -59,7 +60,9 @@ class Table:
             "INTEGER": pa.int32(),
             "BIGINT": pa.int64(),
             "TIMESTAMPTZ": pa.timestamp("us", tz="UTC"),
+            "BOOLEAN": pa.bool_(),
             "VARCHAR[]": pa.list_(pa.string()),
+            "DOUBLE[]": pa.list_(pa.float64()),
         }
         fields = [pa.field(c.name, types[c.sql_type], metadata={"comment": c.comment}) for c in self.columns]
         return pa.schema(fields, metadata={"comment": self.comment})
@@ -139,20 +142,122 @@ def _features_table(kind: Kind) -> Table:
     return Table(kind.table, comment, (*KEY, *columns))
 
 
-def _column(name: str, hint: Any, kind: Kind) -> Column:
+def _column(name: str, hint: Any, kind: Kind | None = None) -> Column:
     """A column from a row's field: `Annotated[type, meaning]`."""
     python_type, meaning = get_args(hint)[:2]
     sql_type = next(
         (sql for found, sql in _SQL_TYPES.items() if found in (python_type, *get_args(python_type))), "VARCHAR"
     )
-    return Column(name, sql_type, meaning.format(point=kind.point, pixel=kind.pixel))
+    return Column(name, sql_type, meaning.format(point=kind.point, pixel=kind.pixel) if kind else meaning)
 
 
-_SQL_TYPES = {float: "DOUBLE", int: "INTEGER"}
+_SQL_TYPES = {
+    float: "DOUBLE",
+    int: "INTEGER",
+    bool: "BOOLEAN",
+    tuple[float, ...]: "DOUBLE[]",
+    tuple[str, ...]: "VARCHAR[]",
+}
+
+
+def _plain_table(name: str, comment: str, row: type) -> Table:
+    """A table of a panel from the fields of its rows."""
+    columns = tuple(_column(n, hint) for n, hint in get_type_hints(row, include_extras=True).items())
+    known = {column.name for column in columns}
+    return Table(name, comment, (*(c for c in PANEL_KEY if c.name not in known), *columns))
+
+
+def _of_panel(kind: Kind) -> Table:
+    """A kind's table for assembled panels: each physical feature once, without what only one picture has."""
+    shared = {"aircraft_serial", "panel", "captured_at", "scene_id"}
+    own = [
+        column
+        for column in _features_table(kind).columns
+        if column.name not in {*shared, "station", "x_mm", "y_mm", "z_mm"} and not column.name.endswith("_px")
+    ]
+    comment = f"One row per {kind.one} of each assembled panel, whatever number of scans saw it"
+    return Table(f"panel_{kind.table}", comment, (*PANEL_KEY, *_SEEN, *own))
+
+
+PANEL_KEY = _columns("""
+aircraft_serial VARCHAR serial number of the aircraft
+panel VARCHAR panel of the aircraft
+captured_at TIMESTAMPTZ when the newest scan in the panel was taken (UTC)
+scene_id VARCHAR aircraft and panel as one word; names the assembled panel in every table
+station VARCHAR the station that measured it best; NULL where it is of the whole panel
+""")
+_SEEN = _columns("""
+part INTEGER part of the panel, from 1: places of different parts have no common frame
+best_scene_id VARCHAR the scan that measured it best
+n_scans INTEGER scans that found it
+n_measured INTEGER scans whose values are in it
+seen_by VARCHAR[] scans that found it
+place_u95_mm DOUBLE expanded uncertainty (95 %) of its place in the panel's frame, mm
+""")
+PANELS = Table(
+    "panels",
+    "One row per assembled panel: its newest assembly",
+    PANEL_KEY
+    + _columns("""
+run_id VARCHAR the run that put it together; grows with time
+processed_at TIMESTAMPTZ when it was put together (UTC)
+software_version VARCHAR version of Flushline
+panel_spec VARCHAR panel and revision of the specification that it was judged by
+status VARCHAR ok, or warnings
+warnings VARCHAR[] what a person should know about it
+n_scenes INTEGER scans in it
+n_left_out INTEGER scans that contradict the others and are not in it
+n_parts INTEGER parts that nothing joins; 1 where all scans are in one frame
+scenes VARCHAR[] scans in it
+place_u95_mm DOUBLE expanded uncertainty (95 %) of the worst placement, mm
+n_repeated INTEGER values that several scans measured
+n_beyond INTEGER of these, those that differ by more than their uncertainties
+verdict VARCHAR accepted, accepted with conditions, rejected, incomplete, or no rules
+verdict_reason VARCHAR the rule that decided, or what is missing
+area_cm2 DOUBLE skin that was measured, what several scans saw once, cm²
+n_expected INTEGER nominal fasteners and stretches of seams; NULL where no pattern says what there should be
+n_not_measured INTEGER of these, seen but not measured
+n_not_seen INTEGER of these, in no scan's field
+next_station VARCHAR where to stand next; NULL where nothing is missing or no pattern says so
+""")
+    + tuple(
+        Column(count.column, "INTEGER", f"of the whole panel: {count.meaning}")
+        for kind in KINDS
+        for count in kind.counts
+    )
+    + _columns("""
+bundle_path VARCHAR folder with everything of this run, relative to the store
+"""),
+)
 
 OF_KIND = {kind.name: _features_table(kind) for kind in KINDS}
 """The table of each kind of feature."""
-TABLES = (SCENES, *OF_KIND.values())
+SCENE_TABLES = (SCENES, *OF_KIND.values())
+PANEL_OF_KIND = {kind.name: _of_panel(kind) for kind in KINDS}
+"""The table of each kind of feature for assembled panels."""
+PANEL_STATIONS = _plain_table("panel_stations", "One row per scan of each assembled panel: where it lies", StationRow)
+PANEL_DIFFERENCES = _plain_table(
+    "panel_differences", "One row per value that two scans of an assembled panel measured", DifferenceRow
+)
+PANEL_COVERAGE = _plain_table(
+    "panel_coverage", "One row per nominal fastener and stretch of a nominal seam of each assembled panel", CoverageRow
+)
+PANEL_RULES = _plain_table("panel_rules", "One row per acceptance rule and group of each assembled panel", RuleRow)
+PANEL_FINDINGS = _plain_table(
+    "panel_findings",
+    "One row per feature of an assembled panel that does not simply pass; a stretch of a course is one",
+    FindingRow,
+)
+PANEL_TABLES = (
+    PANELS,
+    *PANEL_OF_KIND.values(),
+    PANEL_STATIONS,
+    PANEL_DIFFERENCES,
+    PANEL_COVERAGE,
+    PANEL_RULES,
+    PANEL_FINDINGS,
+)
+TABLES = (*SCENE_TABLES, *PANEL_TABLES)
 
 
 def schema_hash(*more: str) -> str:

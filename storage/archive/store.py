@@ -6,7 +6,7 @@ import contextlib
 import json
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
 
+    from metrology.assembly.result import PanelResult
     from metrology.inspection import InspectionResult
     from metrology.results import SceneKey
     from metrology.rig import Rig
     from storage.archive.bundles import Bundles
     from storage.archive.known import KnownScene
     from storage.archive.panels import Panels
+    from storage.archive.staging import StagedRun
     from storage.cloud import StoredCloud
     from storage.evidence.verifications import VerificationModel, Verifications
 
@@ -166,31 +168,63 @@ class Store:
         SceneError
             Where another scan is stored under the same key.
         """
-        from storage.archive.anchors import head_to_name
         from storage.archive.bundle import write_bundle
         from storage.archive.signed import refuse_signed_off
-        from storage.archive.staging import settle, staged_run
 
         key = result.key
         self.check_usable()
         refuse_signed_off(self.root, key.scene_id)
         pattern = self.panels.pattern_path(key.panel, key.station)
+        digest = result.reconstruction.frames_digest
+
+        def write(run: StagedRun, place: str, head: str | None) -> None:
+            write_bundle(run.folder, run.run_id, place, result, run.first_stored_at, head)
+
+        run = self._store(self.layout.scene(key), pattern, write, digest)
+        taken, refused = self._entered(run)
+        refuse_signed_off(self.root, key.scene_id, run.run_id)  # signed off meanwhile
+        self._check_entered(run, taken, refused)
+        return run.run_id
+
+    def publish_panel(self, result: PanelResult) -> str:
+        """Store an assembled panel, as `publish` does a scene; its newest assembly is shown. Returns the run's id."""
+        from storage.archive.panel_bundle import write_panel_bundle
+
+        def write(run: StagedRun, place: str, head: str | None) -> None:
+            write_panel_bundle(run.folder, run.run_id, place, result, head)
+
+        key = result.key
+        # No panel run enrols a pattern: the path only says where one of this name would be.
+        pattern = self.panels.pattern_path(key.panel, "assembled")
+        run = self._store(self.layout.scene_folder(key.panel_id), pattern, write)
+        self._check_entered(run, *self._entered(run))
+        return run.run_id
+
+    def _store(
+        self, folder: Path, pattern: Path, write: Callable[[StagedRun, str, str | None], None],
+        digest: str | None = None,
+    ) -> StagedRun:  # fmt: skip
+        """Write a run of what has this folder, and give it its place."""
+        from storage.archive.anchors import head_to_name
+        from storage.archive.staging import settle, staged_run
+
         with disk_trouble(self.root, "the store is as it was"):
             self.prepare()
-            digest = result.reconstruction.frames_digest
-            with staged_run(self.layout, self.layout.scene(key), pattern, digest) as run:
-                place = self.layout.relative(run.final)
-                write_bundle(run.folder, run.run_id, place, result, run.first_stored_at, head_to_name(self.root))
+            with staged_run(self.layout, folder, pattern, digest) as run:
+                write(run, self.layout.relative(run.final), head_to_name(self.root))
                 settle(self.layout, run, pattern)
+        return run
+
+    def _entered(self, run: StagedRun) -> tuple[set[Path], dict[Path, str]]:
         later = "will enter the tables with the next one, or by 'flushline archive rebuild'"
         with disk_trouble(self.root, f"the result is kept in {run.final} and {later}"):
-            taken, refused = self._take_up()
-        refuse_signed_off(self.root, key.scene_id, run.run_id)  # signed off meanwhile
+            return self._take_up()
+
+    def _check_entered(self, run: StagedRun, taken: set[Path], refused: Mapping[Path, str]) -> None:
         if run.final in refused:
             raise StoreError(f"{refused[run.final]}; the result is kept there, but is not in the tables")
         if run.final not in taken:
             self._check_shown(run.final)  # another writer took it up
-        return run.run_id
 
     def recover(self) -> int:
         """Take up what writers left: index complete bundles, remove dead staging; returns how many runs were indexed.
@@ -220,13 +254,13 @@ class Store:
 
     def _check_shown(self, run: Path) -> None:
         """Refuse to call a run published that readers do not see, nor a newer one in its place."""
-        from storage.archive import snapshot
+        from storage.archive import bookkeeping, snapshot
 
         with contextlib.closing(snapshot.connect(self.layout)) as connection:
-            row = connection.execute("SELECT run_id FROM scenes WHERE scene_id = ?", [run.parent.name]).fetchone()
-        if row is None or row[0] < run.name:
+            shown = bookkeeping.shown_runs(connection, [run.parent.name]).get(run.parent.name)
+        if shown is None or shown < run.name:
             raise StoreError(
-                f"{self.layout.archive}: found {f'run {row[0]}' if row else 'no run'} of {run.parent.name}, expected "
+                f"{self.layout.archive}: found {f'run {shown}' if shown else 'no run'} of {run.parent.name}, expected "
                 f"{run.name}; the result is kept in {run}, and 'flushline archive check' says what is wrong"
             )
 

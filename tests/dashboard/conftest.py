@@ -5,14 +5,17 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 import streamlit as st
-from browser import browser, served
+from streamlit.components.v2 import manifest_scanner
 from streamlit.testing.v1 import AppTest
-from week import fill
+
+from tests.support.browser import browser, served
+from tests.support.week import fill
 
 
 @pytest.fixture(scope="session")
@@ -43,6 +46,14 @@ def chromium() -> Iterator[Any]:
 def writable(filled: Path, tmp_path: Path) -> Path:
     """A copy to review in."""
     return Path(shutil.copytree(filled, tmp_path / "store", symlinks=True))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _components_are_looked_for_once() -> Iterator[None]:
+    """AppTest reads the metadata of all packages whenever it runs a page: longer than the page itself takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(manifest_scanner, "scan_component_manifests", cache(manifest_scanner.scan_component_manifests))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import choose, entries_of, new_page, record, settle
-from week import ROOT
+
+from tests.support.browser import choose, entries_of, new_page, record, settle
+from tests.support.week import ROOT
 
 pytestmark = pytest.mark.browser
 

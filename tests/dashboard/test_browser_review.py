@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import choose, click_row, entries_of, new_page, record, settle
-from synthetic_scene import synthetic_result
-from week import recipe
 
 from storage.archive.store import Store
 from storage.archive.work import standings
 from storage.review import Feature, ReviewLog, ShownFinding
+from tests.support.browser import choose, click_row, entries_of, new_page, record, settle
+from tests.support.synthetic_scene import synthetic_result
+from tests.support.week import recipe
 
 pytestmark = pytest.mark.browser
 

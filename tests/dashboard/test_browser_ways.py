@@ -7,7 +7,8 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from browser import click_point, click_row, new_page, settle
+
+from tests.support.browser import click_point, click_row, new_page, settle
 
 pytestmark = pytest.mark.browser
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"

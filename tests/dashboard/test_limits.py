@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
-from synthetic_scene import synthetic_result
-from week import recipe, texts
 
 from dashboard.data import Archive
 from dashboard.findings import Selection
@@ -25,6 +23,8 @@ from metrology.tolerance import judge
 from storage.archive.store import Store
 from storage.panel_spec import load_panel_spec, panel_spec_from
 from storage.review import Feature
+from tests.support.synthetic_scene import synthetic_result
+from tests.support.week import recipe, texts
 
 NOSE = 0.04
 SOURCE = {"source": "DS-9", "revision": "A"}

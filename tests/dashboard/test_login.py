@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import browser, free_port, new_page, served, settle
-from oidc_provider import CLIENT, Provider, provider
+
+from tests.support.browser import browser, free_port, new_page, served, settle
+from tests.support.oidc_provider import CLIENT, Provider, provider
 
 pytestmark = pytest.mark.browser
 

@@ -12,8 +12,6 @@ from typing import Any
 import duckdb
 import pytest
 from streamlit.testing.v1 import AppTest
-from synthetic_scene import synthetic_result
-from week import WORST_HEIGHT, recipe, texts
 
 from dashboard.app import PAGES
 from metrology.kinds import RIVET
@@ -23,6 +21,8 @@ from storage.archive.store import Store
 from storage.archive.views import VIEWS
 from storage.panel_spec import load_panel_spec
 from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
+from tests.support.synthetic_scene import synthetic_result
+from tests.support.week import WORST_HEIGHT, recipe, texts
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 Open = Callable[..., AppTest]

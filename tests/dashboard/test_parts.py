@@ -12,8 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic_scene import synthetic_result
-from week import recipe
 
 from dashboard import settings
 from dashboard.access import role_of
@@ -37,7 +35,9 @@ from metrology.tolerance import Limit
 from storage.archive import Store, generations
 from storage.review import Feature, ReviewLog, ShownFinding
 from storage.saved_queries import SavedQueries
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
+from tests.support.synthetic_scene import synthetic_result
+from tests.support.week import recipe
 
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
 MOMENT = datetime(2026, 11, 20, 20, 5, tzinfo=UTC)

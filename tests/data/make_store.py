@@ -8,25 +8,28 @@ again: it stands for the stores that people have.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import tarfile
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
-from storage.archive.sign_off import sign_off
-
 from metrology.inspection import InspectionResult
 from metrology.panel import NominalRivet, PanelLayout
 from metrology.results import SceneKey
 from storage.archive import Store
-from storage.review import Feature, ReviewLog
+from storage.archive.decisions import dispose, shown_finding, sign_off
+from storage.archive.schema import TABLES
+from storage.archive.work import standings
+from storage.review import Disposition, Feature, ReviewLog, ShownScene
 from storage.saved_queries import SavedQueries
-from tests.storage.results import small_key, small_result, small_rig
+from tests.support.results import small_key, small_result, small_rig
 
 PANEL_SPEC = 'format = "flushline-panel/1"\npanel = "LH-F12"\nrevision = "B"\n'
 PATTERN = PanelLayout((NominalRivet("R1", (1.0, 2.0, 0.0)), NominalRivet("R2", (5.0, 2.0, 0.0))))
@@ -53,35 +56,44 @@ def fill(store: Store) -> None:
     signed = small_key("S2")
     signed_run = store.publish(result(signed, 0.04))
     decided = small_key("S1", "MSN-2")
-    decided_run = store.publish(result(decided, 0.15))
+    store.publish(result(decided, 0.15))
     twice = small_key("S2", "MSN-2", "RH-F03")
     store.publish(result(twice, 0.31))
     store.publish(replace(result(twice, 0.27), warnings=("gap beside the rig's range",)))
-    log = ReviewLog(store.root)
     rivet, place = Feature("rivet", "R2"), Feature("seam station", "M1@0.0")
-    log.dispose("m.weber", decided.scene_id, decided_run, [rivet, place], "rework", "flush it – „nach“ 3.2", {})
-    log.dispose("k.ito", decided.scene_id, decided_run, [rivet], "use as is", "", {rivet: {"height_mean_mm": 0.152}})
-    sign_off(store.root, "k.ito", signed.scene_id, signed_run, "all seen", {"rivets": 3})
+    decide(store, "m.weber", decided, [rivet, place], "rework", "flush it – „nach“ 3.2")
+    decide(store, "k.ito", decided, [rivet], "use as is")
+    with contextlib.closing(store.connect()) as connection:
+        waiting = [s.feature for s in standings(connection, ReviewLog(store.root).read(), signed.scene_id)]
+    decide(store, "k.ito", signed, waiting, "use as is")
+    sign_off(store.root, "k.ito", ShownScene(signed.scene_id, signed_run, {"rivets": 3}, len(waiting) + 3), "all seen")
     SavedQueries(store.root).save("grave ones", "SELECT * FROM worst_rivets")
+
+
+def decide(
+    store: Store, who: str, key: SceneKey, features: Sequence[Feature], disposition: Disposition, comment: str = ""
+) -> None:
+    """Decide about findings of a scene as it shows them."""
+    review = ReviewLog(store.root).read()
+    with contextlib.closing(store.connect()) as connection:
+        shown = [shown_finding(connection, review, key.scene_id, feature) for feature in features]
+    dispose(store.root, who, [finding for finding in shown if finding], disposition, comment)
 
 
 def result(key: SceneKey, height_mm: float) -> InspectionResult:
     """A scene whose rivets differ: one passes, one fails, one is not measured."""
     made = small_result(key, height_mm)
-    first, second, third = made.rivets
+    first, second, third = made.features["rivet"]
     second = replace(second, height_mean_mm=height_mm + 0.002, severity="red", decision="fail", reason="too proud")
     third = replace(third, height_mean_mm=None, height_u95_mm=None, decision="not measured", reason="too dark")
-    return replace(made, rivets=(first, second, third))
+    return replace(made, features={**made.features, "rivet": (first, second, third)})
 
 
 def contents(store: Store) -> dict[str, Any]:
     """Rows of every table, what was decided, saved queries and panels, as JSON has them."""
-    names = [
-        row["name"] for row in store.query("SELECT table_name AS name FROM duckdb_tables() ORDER BY 1").to_pylist()
-    ]
     document = {
-        "tables": {name: store.query(f"FROM {name} ORDER BY ALL").to_pylist() for name in names},
-        "review": [entry.model_dump() for entry in ReviewLog(store.root).read().entries],
+        "tables": {table.name: store.query(f"FROM {table.name} ORDER BY ALL").to_pylist() for table in TABLES},
+        "review": [{**entry._asdict(), "at": entry.at} for entry in ReviewLog(store.root).read().entries],
         "queries": SavedQueries(store.root).read(),
         "patterns": {name: store.panels.stations(name) for name in store.panels.names()},
         "specifications": {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +17,7 @@ from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import reconstruct
 from storage.rig import load_rig, save_rig
 from storage.scene import load_scene
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "metrology"))
-from rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, seen_coordinate, small_rig
+from tests.support.rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, seen_coordinate, small_rig
 
 
 def scan(code: FringeCode, phase_sign: int = 1) -> dict[str, NDArray[np.uint8]]:

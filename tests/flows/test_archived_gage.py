@@ -18,7 +18,7 @@ from metrology.errors import SpecError
 from metrology.gage import gage_study
 from metrology.results import SceneKey
 from storage.archive import Store
-from tests.storage.results import small_result
+from tests.support.results import small_result
 
 OPERATORS = ("A. Meyer", "B. Roy", "C. Lin")
 TRUE = np.array([-0.08, -0.02, 0.03, 0.09])

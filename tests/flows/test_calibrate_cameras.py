@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from pathlib import Path
 
 import cv2
@@ -13,9 +12,7 @@ import pytest
 
 from flows.cli import main
 from storage.rig import load_rig
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "metrology"))
-from calibration_bench import SIZES, bench_rig, bench_state, see
+from tests.support.calibration_bench import SIZES, bench_rig, bench_state, see
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from flows.cli import build_parser, main
 from flows.rows import plain, run_query, write_rows
 from storage.archive import Store
 from tasks import steps
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 HEAVY = ("prefect", "open3d", "streamlit", "numba", "scipy", "cv2", "pyarrow", "pandas")
 

@@ -15,9 +15,9 @@ import pytest
 from flows.inbox_job import InboxJob, Outcome, Way
 from storage.archive import Store, maintenance
 from storage.archive.remote import Remote
-from tests.flows.conftest import write_small_scene
-from tests.storage.results import small_key
-from tests.storage.s3 import bundles_uri, emulated_s3
+from tests.support.results import small_key
+from tests.support.s3 import bundles_uri, emulated_s3
+from tests.support.small_scene import write_small_scene
 
 distributed = pytest.importorskip("distributed", reason="needs flushline[dask]")
 pytest.importorskip("prefect_dask", reason="needs flushline[dask]")
@@ -31,7 +31,7 @@ class FakeMetrology(distributed.WorkerPlugin):  # type: ignore[misc, name-define
 
     def setup(self, worker: object) -> None:
         from tasks import steps
-        from tests.flows.conftest import fake_metrology_in
+        from tests.support.small_scene import fake_metrology_in
 
         fake_metrology_in(setattr)
         measure = steps.rivets.measure_rivets

@@ -21,7 +21,8 @@ from flows.deliver import deliver
 from flows.inbox_job import Outcome
 from storage.archive import Store
 from storage.export.deliveries import CONFIGURATION
-from tests.storage.results import small_key, small_result
+from tests.support.exported import deliver_panels
+from tests.support.results import small_key, small_result
 
 SECRET = "whsec_" + base64.b64encode(b"a secret of thirty-two bytes ...").decode()
 
@@ -131,10 +132,7 @@ def test_a_redirection_is_not_followed(store: Store, receiver: Receiver) -> None
 
 
 def test_a_place_gets_the_panel_whenever_its_verdict_is_new(store: Store, tmp_path: Path) -> None:
-    (store.root / CONFIGURATION).write_text(
-        'format = "flushline-deliveries/1"\n[[targets]]\nname = "spc"\nsince = 2020-01-01T00:00:00Z\n'
-        f'place = "{tmp_path / "spc"}"\nformats = ["xlsx", "qdas"]\n'
-    )
+    deliver_panels(store, str(tmp_path / "spc"), "xlsx", "qdas")
     assert deliver(store).sent == 1
     assert deliver(store).sent == 0
     book = tmp_path / "spc" / "MSN-1~LH-F12.xlsx"

@@ -6,7 +6,7 @@ import pytest
 
 from flows.demo import compare
 from flows.inspect_scene import Inspected
-from tests.storage.results import small_result
+from tests.support.results import small_result
 
 
 def test_found_is_set_beside_the_truth_at_the_same_place() -> None:

@@ -11,7 +11,7 @@ import pytest
 from flows.cli import build_parser, main
 from storage.archive import Store
 from storage.archive.views import VIEWS
-from tests.storage.results import small_result
+from tests.support.results import small_result
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

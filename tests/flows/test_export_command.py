@@ -10,7 +10,7 @@ import pytest
 from flows.cli import main
 from storage.archive import Store
 from storage.export.formats import FORMATS
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from benchmarks.fuzz_inputs import fuzz, fuzz_inspect
-from tests.flows.conftest import write_small_scene
-from tests.storage.results import small_key
+from tests.support.fuzzing import fuzz, fuzz_inspect
+from tests.support.results import small_key
+from tests.support.small_scene import write_small_scene
 
 
 def test_every_changed_file_is_read_or_refused_in_one_line(tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ from metrology.errors import UsageError
 from storage.archive import Store
 from storage.review import ReviewLog, ShownScene
 from tasks import steps
-from tests.flows.conftest import write_small_scene
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
+from tests.support.small_scene import write_small_scene
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from metrology.errors import UsageError
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
 from storage.scene import SceneModel
-from tests.flows.conftest import write_small_scene
-from tests.storage.results import small_key
-from tests.users import as_user, only_root, open_to_all
+from tests.support.results import small_key
+from tests.support.small_scene import write_small_scene
+from tests.support.users import as_user, only_root, open_to_all
 
 
 @pytest.fixture

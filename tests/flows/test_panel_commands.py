@@ -12,7 +12,7 @@ from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
 from metrology.cloud import PixelFlag
 from storage.archive import Store
 from storage.panel_spec import DEFAULT_SPEC, load_panel_spec
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 SPEC = 'format = "flushline-panel/1"\npanel = "LH-F12"\nrevision = "B"\n'
 

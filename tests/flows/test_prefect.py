@@ -9,8 +9,9 @@ import pytest
 from flows.cli import main
 from flows.prefect_server import answers, configured_api
 from storage.archive import Store
-from tests.flows.conftest import write_small_scene
-from tests.storage.results import small_key
+from tests.support.exported import deliver_panels
+from tests.support.results import small_key
+from tests.support.small_scene import write_small_scene
 
 
 @pytest.mark.services
@@ -48,12 +49,15 @@ def test_an_inbox_runs_as_a_flow_with_pages_of_its_own(
     for station in ("S1", "S2", "S3"):
         write_small_scene(inbox / station, small_key(station))
     (inbox / "S2" / "scene.json").write_text("{")
+    Store(store).create()
+    deliver_panels(Store(store), str(tmp_path / "spc"), "csv")
     arguments = ["run", "--inbox", str(inbox), "--store", str(store), "--rig", str(rig_file), "--settle", "0"]
     assert main([*arguments, "--server", "--runner", "threads", "--workers", "2", "--compact"]) == 1
     said = capsys.readouterr()
     assert said.out.endswith("2 inspected, 1 put aside\n")
     assert "broken JSON" in said.err
     assert len(list((store / "parquet" / "rivets").glob("*/*.parquet"))) == 1
+    assert (tmp_path / "spc" / "MSN-1~LH-F12-rivets.csv").is_file()
     assert Store(store).query("SELECT count(*) FROM scenes").column(0).to_pylist() == [2]
     with get_client(sync_client=True) as client:
         pages = {artifact.key: str(artifact.data) for artifact in client.read_latest_artifacts()}

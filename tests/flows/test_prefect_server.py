@@ -13,7 +13,7 @@ import pytest
 from flows.cli import main
 from flows.prefect_server import configured_api, provide_home, runs_on_server, server_problem
 from metrology.errors import UsageError
-from tests.users import as_user, only_root, open_to_all
+from tests.support.users import as_user, only_root, open_to_all
 
 
 class _Server(BaseHTTPRequestHandler):

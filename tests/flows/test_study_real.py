@@ -14,7 +14,7 @@ from flows.simulate import simulate_folders
 from flows.study.planes import Plane, read_planes
 from metrology.errors import SpecError
 from simulator.spec import parse_spec
-from tests.flows.test_study_run import PLACEMENTS, SEAM, SIMULATION
+from tests.support.small_panel import PLACEMENTS, SEAM, SIMULATION
 
 PLANES = 'format = "flushline-planes/1"\n[[planes]]\nid = "plate"\nregion_px = [5, 10, 60, 200]\n'
 

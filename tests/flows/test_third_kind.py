@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from metrology.kinds import KINDS
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -20,7 +22,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         [
             sys.executable,
             "-m",
-            "tests.flows.third_kind",
+            "tests.support.third_kind",
             str(ROOT / "tests/data"),
             str(tmp_path_factory.mktemp("marks")),
         ],
@@ -39,8 +41,9 @@ def test_an_old_store_takes_it_and_loses_nothing(found: dict[str, Any]) -> None:
 
 
 def test_it_is_measured_judged_and_stored(found: dict[str, Any]) -> None:
-    seams = found["steps"].index("measure_seams")
-    assert found["steps"][seams : seams + 3] == ["measure_seams", "measure_holes", "measure_test_marks"]
+    after_seams = found["steps"][found["steps"].index("measure_seams") + 1 :]
+    others = [f"measure_{kind.table}" for kind in KINDS if kind.measure]
+    assert after_seams[: len(others) + 1] == [*others, "measure_test_marks"]
     assert found["decisions"] == [["T1", "fail", "red"], ["T2", "pass", "green"], ["T3", "not measured", None]]
     assert found["in panel"] == [True, True, True]
     assert found["counted"] == {"n_test_marks": 3, "timed": True, "n_rivets": 3, "n_stations": 2}

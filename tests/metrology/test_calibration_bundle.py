@@ -15,7 +15,7 @@ from metrology.calibration.eccentricity import eccentricity
 from metrology.calibration.lens import project
 from metrology.calibration.observations import DeviceName, Sighting
 from metrology.errors import CalibrationError
-from tests.metrology.calibration_bench import bench_rig, bench_state, see, turn
+from tests.support.calibration_bench import bench_rig, bench_state, see, turn
 
 FREE: dict[DeviceName, tuple[str, ...]] = dict.fromkeys(("left", "right", "projector"), PINHOLE + USUAL)
 

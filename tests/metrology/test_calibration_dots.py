@@ -15,7 +15,7 @@ from metrology.calibration.dot_edge import DotFit, fit_dot
 from metrology.calibration.eccentricity import eccentricity, ellipse_centres, rim
 from metrology.calibration.homography import apply_homography
 from metrology.calibration.lattice import diagonal_to_grid, label_lattice, turned
-from tests.metrology.calibration_bench import BOARD, PATTERN
+from tests.support.calibration_bench import BOARD, PATTERN
 
 # A strongly tilted plane: plane units about pixels.
 TILTED = np.array([[1.0, 0.12, 60.0], [-0.08, 0.85, 55.0], [9e-4, -7e-4, 1.0]])

@@ -13,7 +13,7 @@ from metrology.calibration.calibrate import Calibration, calibrate_sightings
 from metrology.calibration.epipolar_residuals import epipolar_residuals
 from metrology.calibration.observations import Sighting
 from metrology.errors import CalibrationError
-from tests.metrology.calibration_bench import SIZES, bench_rig, bench_state, see
+from tests.support.calibration_bench import SIZES, bench_rig, bench_state, see
 
 SIGMA_PX = 0.01
 

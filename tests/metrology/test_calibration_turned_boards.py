@@ -19,7 +19,7 @@ from metrology.calibration.placing import Placement, place, symmetries, upright
 from metrology.calibration.turned_boards import labelled_alike
 from metrology.errors import CalibrationError
 from metrology.rig import Rig
-from tests.metrology.calibration_bench import SIZES, bench_rig, bench_state, turn
+from tests.support.calibration_bench import SIZES, bench_rig, bench_state, turn
 
 SIGMA_PX = 0.01
 BOARDS = (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 from metrology.cloud import PixelFlag
 from metrology.reconstruct import decode
+from tests.support.rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 SIZE = 1280
 BLUR = 1.0

@@ -15,9 +15,10 @@ from metrology.fits import SkinLine
 from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
 from metrology.rig import Device
-from metrology.seams.gap import GapEdge, gap_width, inflection, step_height
-from metrology.seams.piecewise import fit_pieces
-from metrology.seams.sections import Section
+from metrology.seams.gap.piecewise import fit_pieces
+from metrology.seams.gap.width import GapEdge, gap_width, inflection
+from metrology.seams.skins.sections import Section
+from metrology.seams.skins.step import step_height
 from metrology.surfaces import Frame
 
 ROOT = Path(__file__).parents[2]

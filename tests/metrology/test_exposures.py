@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 from metrology.errors import SceneError
 from metrology.exposures import check_brightness, relative_exposures
+from tests.support.rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 
 @pytest.mark.parametrize(

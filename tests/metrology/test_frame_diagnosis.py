@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_fringes import clean_frames, ramp, recorded
 
 from metrology.decode import decode_phase
 from metrology.frame_consistency import FrameConsistency, contradictory_share, frame_consistency
@@ -15,6 +14,7 @@ from metrology.frame_diagnosis import FrameDiagnosis, diagnose_frames
 from metrology.frame_sample import sample_frames
 from metrology.fringe import FringeCode, GrayCode
 from metrology.noise import estimate_noise
+from tests.support.rendered_fringes import clean_frames, ramp, recorded
 
 SIZE = 1280
 HEIGHT, WIDTH = 270, 400

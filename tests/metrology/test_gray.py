@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from rendered_fringes import clean_frames, ramp, recorded
 
 from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
+from tests.support.rendered_fringes import clean_frames, ramp, recorded
 
 SIZE = 1280
 

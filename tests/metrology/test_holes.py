@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rivet_scan import Head, Skin, scan
 
 from metrology.cloud import Reconstruction
 from metrology.fastening import detect_fasteners
@@ -17,6 +16,7 @@ from metrology.panel import NominalRivet
 from metrology.registration.openings import explained, missing_fasteners
 from metrology.results import Hole, Rivet
 from metrology.tolerance import judge
+from tests.support.rivet_scan import Head, Skin, scan
 
 SKIN = Skin()
 DEEP = 4.0

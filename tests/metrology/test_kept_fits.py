@@ -10,11 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from rivet_scan import Head, Skin
-from rivet_scan import scan as rivet_scan
-from seam_scan import Relief, seam_scan
-from seam_textures import Band
-from test_rivet_measurement import truth_detection
 
 from dashboard.closeup import NOT_KEPT, rivet_close_up, seam_section
 from metrology.cloud import Reconstruction
@@ -25,7 +20,11 @@ from storage.archive import Store
 from storage.archive.bundle import FITS
 from storage.cloud import StoredCloud, read_cloud
 from storage.fits import StoredFits, read_fits
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
+from tests.support.rivet_scan import Head, Skin, truth_detection
+from tests.support.rivet_scan import scan as rivet_scan
+from tests.support.seam_scan import Relief, seam_scan
+from tests.support.seam_textures import Band
 
 HEADS = (Head(-30, 15, 8.0, 0.12, 0.4, 30), Head(5, 15, 6.0, -0.08, 0.3, 200), Head(32, -15, 10.0, 0.05, 0.2, 90, 0.08))
 BAND = Band((450.0, 350.0), 47.0, 8.0, 40.0, (-420.0, 420.0), 60.0, 900.0)

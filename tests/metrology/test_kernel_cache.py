@@ -1,10 +1,13 @@
-"""Where kernels are kept when neither the program's folder nor the home can be written."""
+"""Where kernels are kept when neither the program's folder nor the home can be written, and for how long."""
 
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
+import shutil
 import stat
+import sys
 import tempfile
 import threading
 from collections.abc import Callable
@@ -94,3 +97,27 @@ def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.Mon
     assert cached(numba.njit(cache=True), twice)(1.5) == 3.0
     names = [path.suffix for path in tmp_path.rglob("*") if path.is_file()]
     assert sorted(names) == [".lock", ".nbc", ".nbi"]
+
+
+def test_a_kernel_goes_out_of_date_with_what_it_takes_from_other_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    entry = "from metrology.jit import kernel\nfrom lender import LENT, inner\n"
+    (tmp_path / "borrower.py").write_text(entry + "@kernel\ndef outer(x):\n    return inner(x) + LENT\n")
+
+    def result(factor: str, constant: str) -> float:
+        lender = (
+            f"from metrology.jit import kernel\nLENT = {constant}\n@kernel\ndef inner(x):\n    return {factor} * x\n"
+        )
+        (tmp_path / "lender.py").write_text(lender)
+        for name in ("borrower", "lender"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+        return float(importlib.import_module("borrower").outer(1.0))
+
+    assert result("2.0", "10.0") == 12.0
+    assert result("3.00", "10.0") == 13.0
+    assert result("3.00", "20.0") == 23.0

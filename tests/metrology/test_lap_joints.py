@@ -2,23 +2,23 @@
 
 from dataclasses import replace
 
-import gap_render
 import numpy as np
 import pytest
-from gap_render import Gap
-from seam_scan import Relief, seam_scan
-from seam_textures import Band
 
 from metrology.fits import SkinLine
 from metrology.kinds import SEAM_STATION
 from metrology.limits import Limit, PanelSpec
 from metrology.seams import detect_seams, measure_seams
-from metrology.seams.lap_shadow import shadow_alone
-from metrology.seams.leaning import shared_share
-from metrology.seams.sections import Section
+from metrology.seams.gap.lap_shadow import shadow_alone
+from metrology.seams.skins.residuals import shared_share
+from metrology.seams.skins.sections import Section
 from metrology.surfaces import Frame
 from metrology.tolerance import judge
-from tests.metrology.rows import station_at
+from tests.support import gap_render
+from tests.support.gap_render import Gap
+from tests.support.rows import station_at
+from tests.support.seam_scan import Relief, seam_scan
+from tests.support.seam_textures import Band
 
 
 @pytest.mark.parametrize(("angle", "step"), [(80.0, -1.0), (10.0, 0.5)])

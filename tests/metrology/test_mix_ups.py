@@ -11,10 +11,19 @@ from metrology.cloud import DecodedView
 from metrology.mix_ups import find_mix_up
 from metrology.reconstruct import triangulate
 from metrology.rig import Rig
-from tests.metrology.test_rig_health import rig, seen_by, turned, views
+from tests.support.grained_plane import both_views, half_size_rig, seen_by, turned
 
-__all__ = ["rig", "views"]
 Views = tuple[DecodedView, DecodedView]
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return half_size_rig()
+
+
+@pytest.fixture(scope="module")
+def views() -> Views:
+    return both_views()
 
 
 def turn(view: DecodedView, rows: int, columns: int) -> DecodedView:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendered_fringes import USUAL, clean_frames, ramp
 
 from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel, estimate_noise
+from tests.support.rendered_fringes import USUAL, clean_frames, ramp
 
 SIZE = 1280
 

@@ -6,12 +6,20 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, ramp, recorded, seen_coordinate, small_rig
 
 from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import coordinate_size, decode, triangulate
+from tests.support.rendered_fringes import (
+    PLANE_DISTANCE,
+    PLANE_NORMAL,
+    plane_depth,
+    ramp,
+    recorded,
+    seen_coordinate,
+    small_rig,
+)
 
 SIZE = 1280
 

@@ -16,7 +16,7 @@ from metrology.overlay.marks import COLOURS, Label
 from metrology.overlay.paint import text_size
 from metrology.results import Rivet, SeamStation, Severity
 from metrology.rig import Device, Rig
-from tests.metrology.rows import rivet_at, station_at
+from tests.support.rows import rivet_at, station_at
 
 SIZE = (320, 240)
 

@@ -26,7 +26,7 @@ from simulator.rig import RigDesign
 from simulator.scene import Stage, look_at_image, make_rig, set_up
 from simulator.spec import Placement, RigSpec, SceneKeys, SimulationSpec
 from simulator.survey import plate_heights, plate_normals
-from tests.metrology.rows import rivet_at
+from tests.support.rows import rivet_at
 
 Array = NDArray[np.float64]
 

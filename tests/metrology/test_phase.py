@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 from metrology.cloud import PixelFlag
 from metrology.decode import decode_phase
@@ -14,6 +13,7 @@ from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.saturation import saturation_level
+from tests.support.rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 SIZE = 1280
 

@@ -17,7 +17,7 @@ from metrology.registration import Registration, enrol, register
 from metrology.results import Rivet, SeamStation
 from metrology.rig import Device, Rig
 from metrology.tolerance import PanelSpec, judge
-from tests.metrology.rows import rivet_at, station_at
+from tests.support.rows import rivet_at, station_at
 
 Array = NDArray[np.float64]
 SIZE = (203, 154)

@@ -13,7 +13,7 @@ from metrology.errors import RigError
 from metrology.rig import Device, Rig
 from metrology.rig_plausibility import check_rig
 from simulator.rig import RigDesign, turned, virtual_rig
-from tests.metrology.calibration_bench import bench_rig
+from tests.support.calibration_bench import bench_rig
 
 RIG = bench_rig()
 

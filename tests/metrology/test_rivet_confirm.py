@@ -8,8 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from reference_scans import reference_scan
-from rivet_scan import Head, Skin, scan
 
 from metrology.cloud import Reconstruction
 from metrology.kinds import RIVET
@@ -19,6 +17,8 @@ from metrology.rivets import detect_rivets, measure_rivets
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.rim_step import rim_step
 from metrology.tolerance import judge
+from tests.support.reference_scans import reference_scan
+from tests.support.rivet_scan import Head, Skin, scan
 
 ROWS = (Head(-45, 20), Head(-15, 20), Head(15, 20), Head(45, 20), Head(-45, -20), Head(15, -20), Head(45, -20))
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rivet_scan import Head, Skin, scan
 
 from metrology.rivets import RivetSettings, detect_rivets, inflation, measure_rivets
 from metrology.rivets.fits import Fits
 from metrology.rivets.inflation import block_inflation, noise_inflation
 from metrology.rivets.patch import Patch
 from metrology.surfaces import Frame, fit_surface
+from tests.support.rivet_scan import Head, Skin, scan
 
 SIDE = 160
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from reference_scans import reference_scan
-from rivet_scan import Head, Skin, rig_of, scan
 
-from metrology.cloud import PixelFlag, Reconstruction
-from metrology.results import Rivet, RivetDetection, SeamLine
+from metrology.cloud import PixelFlag
+from metrology.results import Rivet, SeamLine
 from metrology.rivets import RivetSettings, detect_rivets, measure_rivets
 from metrology.rivets.ellipse import ellipse_of_shape
-from metrology.rivets.geometry import image_scale, lay_on_plane
+from metrology.rivets.geometry import lay_on_plane
+from tests.support.reference_scans import reference_scan
+from tests.support.rivet_scan import Head, Skin, rig_of, scan, truth_detection
 
 CURVED = Skin(radius_x=1800.0, radius_y=900.0)
 # In reading order: the skin's y runs up the image.
@@ -27,18 +27,6 @@ HEADS = (
     Head(2, -22, 12.0, -0.15, 0.2, 310),
     Head(36, -21, 4.0, 0.05, 0.0),
 )
-
-
-def truth_detection(reconstruction: Reconstruction, skin: Skin, head: Head) -> RivetDetection:
-    """The detection of a head as it is: what measuring is given when detection makes no error."""
-    frame = skin.frame
-    level = float(skin.height(np.array(head.x), np.array(head.y)))
-    centre = frame.rig([head.x, head.y, level + head.height / 2])
-    normal = np.array([head.x / skin.radius_x, head.y / skin.radius_y, 1.0]) @ frame.axes
-    jacobian = image_scale(reconstruction.rig.left, centre, normal)
-    pixel = reconstruction.rig.left.project(centre)
-    e = ellipse_of_shape(pixel[0], pixel[1], (head.diameter / 2) ** 2 * jacobian @ jacobian.T)
-    return RivetDetection(e.u, e.v, 2 * e.a, 2 * e.b, float(np.degrees(e.angle)), 1.0, rim_sigma_px=0.75)
 
 
 def measured(skin: Skin, heads: tuple[Head, ...], rng: np.random.Generator | None, **settings: object) -> list[Rivet]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_fringes import USUAL, clean_frames, ramp
 
 from metrology.calibration.frames import BoardFrames
 from metrology.cloud import PixelFlag
 from metrology.decode import decode_phase
 from metrology.fringe import FringeCode, GrayCode
 from metrology.saturation import saturation_level
+from tests.support.rendered_fringes import USUAL, clean_frames, ramp
 
 SIZE = 1280
 SHAPE = (120, 500)

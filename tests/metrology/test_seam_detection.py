@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 from scipy.spatial import cKDTree
-from seam_scan import SHAPE, Relief, seam_scan
-from seam_textures import Band, paint
 
 from metrology.errors import UsageError
 from metrology.results import RivetDetection
 from metrology.seams import ImageLine, LineSettings, SeamSettings, detect_lines, detect_seams
+from metrology.seams.finding.relief import examine_relief
+from metrology.seams.finding.segments import join_pieces, straight_pieces
+from metrology.seams.finding.shade import projected_share
 from metrology.seams.polyline import smoothest
-from metrology.seams.relief import examine_relief
-from metrology.seams.sections import usable_points
-from metrology.seams.segments import join_pieces, straight_pieces
-from metrology.seams.shade import projected_share
+from metrology.seams.skins.sections import usable_points
+from tests.support.seam_scan import SHAPE, Relief, seam_scan
+from tests.support.seam_textures import Band, paint
 
 IMAGE = (620, 820)
 
@@ -294,9 +294,8 @@ def test_settings_out_of_range():
 
 @pytest.mark.parametrize(("name", "seams"), [("skin", 1), ("skin-shiny", 1), ("skin-worn", 0), ("standard-part", 0)])
 def test_reference_scans(shared, name, seams):
-    from reference_scans import reference_scan
-
     from metrology.rivets import detect_rivets
+    from tests.support.reference_scans import reference_scan
 
     cloud, truth = reference_scan(shared / "scenes" / name)
     found = [line for line in detect_seams(cloud, detect_rivets(cloud)) if line.relief]

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 from scipy.optimize import least_squares
-from seam_textures import Band, paint
 
 from metrology.ridges import RidgeMap, gaussian_kernels, ridge_points
-from metrology.seams.band_kernel import borders_at_nodes, cholesky_solve, gather, model, normal_equations, start_levels
-from metrology.seams.bands import fit_bands
 from metrology.seams.blur import EdgeResponse, PixelBlur
-from metrology.seams.linking import link
-from metrology.seams.medians import row_medians
+from metrology.seams.finding.band_kernel import (
+    borders_at_nodes,
+    cholesky_solve,
+    gather,
+    model,
+    normal_equations,
+    start_levels,
+)
+from metrology.seams.finding.bands import fit_bands
+from metrology.seams.finding.linking import link
+from metrology.seams.finding.medians import row_medians
+from tests.support.seam_textures import Band, paint
 
 
 def test_line_points(rng):

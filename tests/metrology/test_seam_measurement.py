@@ -6,31 +6,32 @@ import itertools
 import json
 from dataclasses import replace
 
-import gap_render
 import numpy as np
 import pytest
-from gap_render import Gap, profiles, seen
 from scipy.ndimage import gaussian_filter1d
-from seam_scan import SHAPE, seam_scan
 
 from metrology.errors import UsageError
-from metrology.results import SeamStation
-from metrology.seams import SeamSettings, detect_seams, gap_floor, gap_solver, gap_view, measure_seams, summarize
+from metrology.seams import SeamSettings, detect_seams, measure_seams
 from metrology.seams.blur import EdgeResponse, PixelBlur, blurred_step
-from metrology.seams.gap import GapEdge, gap_width, step_height
-from metrology.seams.gap_fit import fit_gap
-from metrology.seams.gap_floor import Floor, possible_floors
-from metrology.seams.gap_knowledge import Knowledge
-from metrology.seams.gap_levels import courses
-from metrology.seams.piecewise import fit_pieces, paper_gap, side_of_section
-from metrology.seams.plates import beyond
-from metrology.seams.sections import Section, SkinLine
-from metrology.seams.skin_lines import fit_skin_lines
-from metrology.seams.tracks import lay_on_skin
+from metrology.seams.gap import floor, model, solver
+from metrology.seams.gap.fit import fit_gap
+from metrology.seams.gap.floor import Floor, possible_floors
+from metrology.seams.gap.levels import courses
+from metrology.seams.gap.piecewise import fit_pieces, paper_gap, side_of_section
+from metrology.seams.gap.prior import Prior
+from metrology.seams.gap.width import GapEdge, gap_width
+from metrology.seams.skins.other_seams import beyond
+from metrology.seams.skins.sections import Section, SkinLine
+from metrology.seams.skins.skin_lines import fit_skin_lines
+from metrology.seams.skins.step import step_height
+from metrology.seams.skins.track import lay_on_skin
 from metrology.surfaces import Frame
+from tests.support import gap_render
+from tests.support.gap_render import Gap, profiles, seen
+from tests.support.seam_scan import SHAPE, seam_scan
 
 # Columns of the basis that change a region's brightness and are none.
-CHANGES = [gap_view.SLOPE_A, gap_view.SLOPE_B, gap_view.SKY]
+CHANGES = [model.SLOPE_A, model.SLOPE_B, model.SKY]
 
 
 def chamfered_section(width, step, chamfer, noise, rng):
@@ -109,6 +110,45 @@ GAPS = [
 ]
 
 
+def basis_of(samples, outline, sealed, tilt, eye, lamp, px_mm, table):
+    """(n, LEVELS) of one outline, as the fit goes about it."""
+    n, x, h = len(samples), np.empty(model.VERTICES), np.empty(model.VERTICES)
+    pieces = np.empty((model.PIECES, model.COLUMNS))
+    count = model.cut(outline, sealed, tilt, lamp, x, h, pieces)
+    ends, shown = np.empty(model.PIECES + 1), np.empty(model.PIECES + 1, np.int64)
+    found = model.visible(pieces, count, eye, 0.5 * (x[1] + x[6]), ends, shown)
+    borders = np.array([model.project(x[k], h[k], *eye) for k in (1, 6)])
+    spans, blurred = np.empty((model.PIECES, 2), np.int64), np.empty((1, model.PIECES, n))
+    model.steps_at(samples, n, ends, found - 1, px_mm, table, spans, blurred)
+    basis = np.empty((model.LEVELS, n))
+    model.basis_at(samples, n, pieces, shown, found, borders, spans, blurred[0], basis)
+    return basis.T
+
+
+def test_steps_and_their_changes_between_nodes():
+    normal, blur = (0.9, np.sqrt(0.19)), PixelBlur(0.4, 0.06)
+    samples, end, px_mm = np.linspace(-1.5, 1.5, 301), 0.13, 6.0
+
+    def at(lens, spill, end=end):
+        table = blurred_step(normal, PixelBlur(lens, spill), model.NODES_PER_PX, 6.0)
+        spans, blurred = np.empty((1, 2), np.int64), np.empty((4, 1, len(samples)))
+        model.steps_at(samples, len(samples), np.array([end]), 1, px_mm, table, spans, blurred)
+        blurred[:, 0, : spans[0, 0]] = blurred[:, 0, spans[0, 1] :] = 0
+        blurred[0, 0, spans[0, 1] :] = 1
+        return blurred[:, 0]
+
+    step, slope, by_spill, by_lens = at(blur.lens_px, blur.spill)
+    assert np.interp(end, samples, step) == pytest.approx(0.5, abs=1e-3)
+    fine = blurred_step(normal, blur, 40 * model.NODES_PER_PX, 6.0)
+    places = (np.arange(fine.shape[1]) - fine.shape[1] // 2) / (40 * model.NODES_PER_PX)
+    assert step == pytest.approx(np.interp((samples - end) * px_mm, places, fine[0]), abs=1e-5)
+    assert slope == pytest.approx(
+        (at(0.4, 0.06, end - 1e-5)[0] - at(0.4, 0.06, end + 1e-5)[0]) / 2e-5 / px_mm, abs=2e-4
+    )
+    assert by_spill == pytest.approx((at(0.4, 0.0601)[0] - at(0.4, 0.0599)[0]) / 2e-4, abs=2e-3)
+    assert by_lens == pytest.approx((at(0.401, 0.06)[0] - at(0.399, 0.06)[0]) / 2e-3, abs=2e-4)
+
+
 @pytest.mark.parametrize("gap", GAPS)
 def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     eye, lamp, px_mm = np.array([-160.0, 680.0]), np.array([60.0, 690.0]), 5.0
@@ -118,19 +158,16 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
         gap.depth_mm, 0.0, 1.0,
     ])  # fmt: skip
     # A blur of a hundredth of a pixel.
-    table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), gap_view.NODES_PER_PX, 3.0)
-    assert gap_view._step(table, 0.0) == pytest.approx(0.5)
-    work = gap_view.workspace()
-    basis = np.empty((len(samples), gap_view.LEVELS))
+    table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), model.NODES_PER_PX, 3.0)
     tilt = np.array([-gap.step_mm / 2, 0.0])
-    gap_view._basis(samples, len(samples), outline, gap.sealed, tilt, eye, lamp, px_mm, table, work, basis)
+    basis = basis_of(samples, outline, gap.sealed, tilt, eye, lamp, px_mm, table)
     regions = {
-        gap_render.SKIN_A: (gap_view.SKIN_A, gap_view.SKIN_A), gap_render.SKIN_B: (gap_view.SKIN_B, gap_view.SKIN_B),
-        gap_render.CHAMFER_A: (gap_view.CHAMFER_A, gap_view.DARK_FLOOR),
-        gap_render.CHAMFER_B: (gap_view.CHAMFER_B, gap_view.DARK_FLOOR),
-        gap_render.WALL_A: (gap_view.LIT_WALL, gap_view.DARK_WALL),
-        gap_render.WALL_B: (gap_view.LIT_WALL, gap_view.DARK_WALL),
-        gap_render.FLOOR: (gap_view.LIT_FLOOR, gap_view.DARK_FLOOR),
+        gap_render.SKIN_A: (model.SKIN_A, model.SKIN_A), gap_render.SKIN_B: (model.SKIN_B, model.SKIN_B),
+        gap_render.CHAMFER_A: (model.CHAMFER_A, model.DARK_FLOOR),
+        gap_render.CHAMFER_B: (model.CHAMFER_B, model.DARK_FLOOR),
+        gap_render.WALL_A: (model.LIT_WALL, model.DARK_WALL),
+        gap_render.WALL_B: (model.LIT_WALL, model.DARK_WALL),
+        gap_render.FLOOR: (model.LIT_FLOOR, model.DARK_FLOOR),
     }  # fmt: skip
     assert np.allclose(np.delete(basis, CHANGES, axis=1).sum(axis=1), 1)
     clear = basis.max(axis=1) > 0.999
@@ -139,14 +176,14 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
     for x, row in zip(samples[clear], np.delete(basis, CHANGES, axis=1)[clear], strict=True):
         piece, lit = seen(gap, float(x), eye, lamp)
         expected = regions[piece][0 if lit else 1]
-        assert row[expected - (expected > gap_view.SLOPE_A)] > 0.99
+        assert row[expected - (expected > model.SLOPE_A)] > 0.99
 
 
 @pytest.mark.parametrize("gap", [Gap(4.0, 0.3, 0.5, 2.0), Gap(2.5, 0.0, -0.3, 3.0), Gap(0.5, 0.3)])
 def test_floor_darkens_as_its_walls_hide_the_sky(gap):
     x, h = gap.outline.T
     for place in gap.width_mm * np.array([-0.49, -0.3, 0.0, 0.4]):
-        assert gap_view._sky(x.copy(), h.copy(), place) == pytest.approx(gap_render.sky_seen(gap, place), abs=0.005)
+        assert model._sky(x.copy(), h.copy(), place) == pytest.approx(gap_render.sky_seen(gap, place), abs=0.005)
 
 
 def test_wide_gap_over_a_floor_dark_at_its_walls(rng):
@@ -158,10 +195,10 @@ def test_wide_gap_over_a_floor_dark_at_its_walls(rng):
 
 def test_normal_equations_are_the_cost_s_derivatives(rng):
     some = profiles(Gap(1.5, 0.3, 0.2), 3, rng)
-    known = Knowledge(some, Floor(False))
+    known = Prior(some, Floor(False))
     shared = known.mean.copy()
     borders = np.outer(some.half_widths, [-1.0, 1.0]) + 0.05
-    state = gap_solver._state_at(some, borders, shared, known, with_shape=True)
+    state = solver._state_at(some, borders, shared, known, with_shape=True)
     # Half of the cost's slope downhill is the gradient: the levels have settled, so only θ moves it.
     for k, size in (
         (0, 1e-4),
@@ -182,7 +219,7 @@ def test_normal_equations_are_the_cost_s_derivatives(rng):
                 b[:, k] += sign * size
             else:
                 s[k - 2] += sign * size
-            costs.append(gap_solver._state_at(some, b, s, known, with_shape=True).costs)
+            costs.append(solver._state_at(some, b, s, known, with_shape=True).costs)
         slope = (costs[1] - costs[0]) / (2 * size)
         scale = np.sqrt(state.normals[:, k, k] * state.costs)
         assert np.allclose(-2 * state.gradients[:, k] / scale, slope / scale, atol=0.05)
@@ -258,11 +295,11 @@ def test_gap_beside_a_highlight_that_changes_along_the_seam():
 def test_levels_course_along_a_seam(rng):
     places = np.linspace(-1, 1, 40)
     true = 0.1 * places**3 - 0.05 * places + 0.02
-    away = np.repeat(true[:, None, None], 2, axis=1) * np.ones(gap_view.LEVELS)
+    away = np.repeat(true[:, None, None], 2, axis=1) * np.ones(model.LEVELS)
     away += rng.normal(0, 0.005, away.shape)
     away[7] += 0.4
     course = courses(places, away)
-    skin = [gap_view.SKIN_A, gap_view.SKIN_B, gap_view.SLOPE_A, gap_view.SLOPE_B]
+    skin = [model.SKIN_A, model.SKIN_B, model.SLOPE_A, model.SLOPE_B]
     assert not course[:, :, skin].any()
     assert np.abs(np.delete(course, skin, axis=2) - true[:, None, None]).max() < 0.01
     assert not courses(places[:8], away[:8]).any()
@@ -274,7 +311,7 @@ def test_floor_in_full_view_is_what_all_see_past_the_edges(depth):
     line = SkinLine(np.zeros(3), 100)
     section = Section(frame, line, line, np.eye(5), 1.0)
     centres, half = np.array([[-167.0, 3.0, 690.0], [131.0, -5.0, 691.0], [-19.0, 0.0, 713.0]]), 1.3
-    low, high = gap_floor._in_full_view(section, half, depth, centres)
+    low, high = floor._in_full_view(section, half, depth, centres)
     x = np.linspace(-half, half, 2001)
     # Where the way from the floor to each centre passes the height of the edges.
     passes = x + (centres[:, :1] - x) * depth / (depth + centres[:, 2:])
@@ -299,7 +336,7 @@ def test_floor_has_a_depth_only_where_some_of_it_is_clear_of_the_edges(width_px,
         frame = Frame(origin, np.diag([1.0, -1.0, -1.0]))
         sections.append(Section(frame, line, line, np.eye(5), 1.0))
         halves.append(0.5 * (width_px + 3) * 700.0 / scan.rig.left.K[0, 0])
-    found = gap_floor.floor_depth(sections, halves, scan, 2.0)
+    found = floor.floor_depth(sections, halves, scan, 2.0)
     assert (found == pytest.approx(1.5, abs=0.05)) if known else found is None
 
 
@@ -400,16 +437,6 @@ def test_points_beyond_another_seam_lie_on_another_plate():
     # A seam that ends at this one parts what lies to its left and right.
     stem = np.array([[60.0, 20.0], [60.0, 45.0]])
     assert beyond(pixels, np.array([30.0, 30.0]), [course, stem]).tolist() == [False, True, True, False]
-
-
-def test_summary():
-    rows = [
-        SeamStation("S01", s, x_mm=0, y_mm=0, z_mm=0, u_px=0, v_px=0, step_mm=s / 10, width_mm=None) for s in range(11)
-    ]
-    summary = summarize(rows, "step_mm")[0]
-    assert (summary.stations, summary.measured) == (11, 11)
-    assert (summary.minimum, summary.maximum, summary.mean) == (0, 1, pytest.approx(0.5))
-    assert np.isnan(summarize(rows, "width_mm")[0].mean)
 
 
 def test_settings_out_of_range():

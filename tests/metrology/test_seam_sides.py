@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from seam_scan import Relief, seam_scan
-from seam_textures import Band
 
 from metrology.fits import FittedStation
 from metrology.panel import NominalSeam, Placement
 from metrology.registration.courses import on_course
 from metrology.results import SeamLine
 from metrology.seams import SeamSettings, measure_seams
-from metrology.seams.gap import step_height
 from metrology.seams.sides import is_upright, oriented, towards_b
+from metrology.seams.skins.step import step_height
+from tests.support.seam_scan import Relief, seam_scan
+from tests.support.seam_textures import Band
 
 STEP = 0.2
 # From 2° beyond horizontal to 2° beyond vertical, and back: a seam of 45° as a whole.

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rendered_fringes import (
+
+from metrology.cloud import PixelFlag, Reconstruction
+from metrology.epipolar import check_axis, epipolar_geometry
+from metrology.errors import RigError
+from metrology.fringe import FringeCode
+from metrology.reconstruct import ReconstructionSettings, reconstruct
+from metrology.rig import Device, Rig
+from tests.support.rendered_fringes import (
     PLANE_DISTANCE,
     PLANE_NORMAL,
     USUAL,
@@ -16,13 +23,6 @@ from rendered_fringes import (
     seen_coordinate,
     small_rig,
 )
-
-from metrology.cloud import PixelFlag, Reconstruction
-from metrology.epipolar import check_axis, epipolar_geometry
-from metrology.errors import RigError
-from metrology.fringe import FringeCode
-from metrology.reconstruct import ReconstructionSettings, reconstruct
-from metrology.rig import Device, Rig
 
 SIGMA = 2.0
 # With a focal length of 800 pixels perspective bends the coordinate by 3e-4 pixels across a fit window, which the

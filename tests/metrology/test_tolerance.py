@@ -11,7 +11,7 @@ from metrology.errors import SpecError
 from metrology.kinds import RIVET, SEAM_STATION
 from metrology.results import Rivet, SeamStation
 from metrology.tolerance import Limit, PanelSpec, judge
-from tests.metrology.rows import rivet_at, station_at
+from tests.support.rows import rivet_at, station_at
 
 LIMIT = Limit(lower=-0.1, upper=0.1, serious_lower=-0.2, serious_upper=0.2, source="DS-1", revision="B")
 

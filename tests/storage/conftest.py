@@ -16,8 +16,8 @@ from metrology.results import SceneKey
 from metrology.rig import Rig
 from storage.archive.layout import STORE_FORMAT
 from storage.scene import write_scene
-from tests.storage.postgres import programs, running_server
-from tests.storage.results import HEIGHT, WIDTH, small_key, small_rig
+from tests.support.postgres import programs, running_server
+from tests.support.results import HEIGHT, WIDTH, small_key, small_rig
 
 
 @pytest.fixture(scope="session")

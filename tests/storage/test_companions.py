@@ -12,7 +12,7 @@ import pytest
 from flows.cli import main
 from metrology.errors import FlushlineError, StoreError
 from storage.archive import Store, maintenance, snapshot
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 COMPANIONS = (".wal", ".wal.recovery", ".wal.checkpoint", ".checkpoint.wal", ".recovery.wal", ".tmp", ".tmp/x", "")
 FORMATS = ("csv", "parquet", "blob", "json")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.crash_archive import damage, settle, torment
 from storage.archive import Store
+from tests.support.killing import damage, settle, torment
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from storage.panel_spec import load_panel_spec
 from storage.report import scene_page, scene_record
 from storage.review import Feature as ReviewedFeature
 from storage.review import ReviewLog, ShownFinding, ShownScene
-from tests.storage.results import small_key, small_result, small_rig
+from tests.support.results import small_key, small_result, small_rig
 
 CAPTURED = datetime(2026, 11, 20, 8, 15, tzinfo=UTC)
 RIG = small_rig()

@@ -13,7 +13,7 @@ import trimesh
 from pypcd4 import PointCloud
 
 from storage.archive import Store
-from tests.storage.exported import SHIFT, TURN, exported, publish_hostile
+from tests.support.exported import SHIFT, TURN, exported, publish_hostile
 
 
 @pytest.fixture(scope="module")

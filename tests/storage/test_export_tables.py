@@ -21,8 +21,8 @@ from storage.export.as9102 import FORM_3, NONCONFORMANCE
 from storage.export.formats import Place, writer_of
 from storage.export.qif import FAMILY, NAMESPACE
 from storage.export.subject import Subject
-from tests.storage.exported import AIRCRAFT, HOSTILE, OPERATOR, PANEL, exported, publish_hostile
-from tests.storage.results import small_key, small_result
+from tests.support.exported import AIRCRAFT, HOSTILE, OPERATOR, PANEL, exported, publish_hostile
+from tests.support.results import small_key, small_result
 
 Q = f"{{{NAMESPACE}}}"
 

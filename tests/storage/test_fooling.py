@@ -19,8 +19,8 @@ from metrology.errors import StoreError
 from storage.archive import Store, maintenance, run_ids
 from storage.archive.bundles import Bundles
 from storage.archive.compaction import compact
-from tests.storage.results import copied, small_key, small_result
-from tests.storage.test_maintenance import forge, spoil
+from tests.support.damage import forge, spoil
+from tests.support.results import copied, small_key, small_result
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 from metrology.errors import StoreError
 from storage.archive import Store, compaction, maintenance
 from storage.archive.compaction import compact
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 RIVETS = 9
 

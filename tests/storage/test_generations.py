@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from storage.archive import Store, generations, maintenance
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 ROWS = "SELECT scene_id, run_id FROM scenes ORDER BY ALL"
 

@@ -14,7 +14,7 @@ import pytest
 from metrology.errors import StoreError
 from storage.archive import Store, generations, maintenance, snapshot
 from storage.archive.files import locked
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 HOLD = "import duckdb, sys; held = duckdb.connect(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
 

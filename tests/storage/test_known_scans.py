@@ -16,7 +16,7 @@ from storage.archive import Store
 from storage.archive.staging import staged_run
 from storage.scan_identity import frames_digest
 from storage.scene import digest_of_files, files_state, load_manifest, load_scene
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 
 def scan(digest: str | None, key: SceneKey | None = None, height_mm: float = 0.05) -> InspectionResult:

@@ -15,7 +15,8 @@ from metrology.errors import StoreError
 from storage.archive import Store, maintenance
 from storage.archive.compaction import compact
 from storage.archive.schema import TABLES
-from tests.storage.results import copied, small_key, small_result
+from tests.support.damage import forge, spoil
+from tests.support.results import copied, small_key, small_result
 
 
 @pytest.fixture(scope="module")
@@ -32,21 +33,6 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Store:
 def store(published: Store, tmp_path: Path) -> Store:
     """A copy of it to write to."""
     return copied(published, tmp_path)
-
-
-def spoil(path: Path) -> None:
-    path.chmod(0o644)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    path.write_bytes(data)
-
-
-def forge(store: Store, sql: str) -> None:
-    """Change the published index behind Flushline's back."""
-    path = store.layout.archive.resolve()
-    path.chmod(0o644)
-    with duckdb.connect(str(path)) as connection:
-        connection.execute(sql)
 
 
 def newest_run(store: Store) -> Path:
@@ -103,7 +89,7 @@ def test_compacted_parquet_holds_the_same_rows(store: Store) -> None:
     with duckdb.connect() as other:
         for table in TABLES:
             files = str(parquet / table.name / "*" / "*.parquet")
-            if table.name == "holes":  # there are none
+            if store.query(f"FROM {table.name}").num_rows == 0:
                 assert not list((parquet / table.name).rglob("*.parquet"))
                 continue
             columns = ", ".join(column.name for column in table.columns)

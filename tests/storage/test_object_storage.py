@@ -16,8 +16,9 @@ from metrology.panel import NominalRivet, PanelLayout
 from storage.archive import Store, maintenance
 from storage.archive.compaction import compact
 from storage.archive.remote import Remote
-from tests.storage.results import small_key, small_result
-from tests.storage.s3 import bundles_uri, emulated_s3
+from tests.support.exported import deliver_panels
+from tests.support.results import small_key, small_result
+from tests.support.s3 import bundles_uri, emulated_s3
 
 pytest.importorskip("moto.server", reason="moto[server] emulates S3")
 pytestmark = pytest.mark.services
@@ -142,3 +143,22 @@ def test_storage_that_does_not_answer_is_said(store: Store, monkeypatch: pytest.
         patch.setattr(Remote, "fetch", fail)
         with pytest.raises(StoreError, match="no connection"):
             store.load_cloud(small_key().scene_id)
+
+
+def test_a_panel_is_delivered_there(target: str, tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(small_result())
+    deliver_panels(store, target, "csv")
+    assert main(["deliver", "--store", str(store.root)]) == 0
+    Remote(target).fetch(".", "MSN-1~LH-F12-rivets.csv", tmp_path / "rivets.csv")
+    assert len((tmp_path / "rivets.csv").read_text("utf-8-sig").splitlines()) == 1 + 3
+
+
+def test_a_delivery_waits_for_a_bucket_that_is_not_there(
+    target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(small_result())
+    deliver_panels(store, target.replace("s3://", "s3://no-"), "csv")
+    assert main(["deliver", "--store", str(store.root)]) == 1
+    assert "0 delivered, 1 waiting, 0 given up" in capsys.readouterr().out

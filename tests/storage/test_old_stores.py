@@ -1,6 +1,7 @@
 """Stores that earlier versions wrote stay readable: every scene, rivet, seam position, decision and sign-off is shown.
 
-The stores lie in tests/data, made by tests/data/make_store.py of their version; beside each lies what it holds.
+The stores lie in tests/data, made by tests/data/make_store.py of their version; beside each lies what it holds. One
+that this version makes is read in the same way.
 """
 
 from __future__ import annotations
@@ -20,19 +21,29 @@ from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
 from storage.review import ReviewLog
 from storage.saved_queries import SavedQueries
-from tests.storage.results import small_key, small_result
+from tests.data import make_store
+from tests.support.results import small_key, small_result
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 VERSIONS = sorted(path.name.removesuffix(".tar.xz") for path in DATA.glob("store-*.tar.xz"))
 SIGNED = small_key("S2")
 
 
-@pytest.fixture(params=VERSIONS)
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a store as this version makes it for later ones."""
+    folder = tmp_path_factory.mktemp("made")
+    make_store.main(folder / "store-now")
+    return folder
+
+
+@pytest.fixture(params=[*VERSIONS, "store-now"])
 def old(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Store, dict[str, Any]]:
-    """A store of an earlier version, and what it holds."""
-    with tarfile.open(DATA / f"{request.param}.tar.xz") as tar:
+    """A store of an earlier version or of this one, and what it holds."""
+    folder = DATA if request.param in VERSIONS else request.getfixturevalue("made")
+    with tarfile.open(folder / f"{request.param}.tar.xz") as tar:
         tar.extractall(tmp_path, filter="tar")
-    return Store(tmp_path / "store"), json.loads((DATA / f"{request.param}.json").read_text(encoding="utf-8"))
+    return Store(tmp_path / "store"), json.loads((folder / f"{request.param}.json").read_text(encoding="utf-8"))
 
 
 def missing_rows(store: Store, held: dict[str, Any]) -> list[dict[str, Any]]:

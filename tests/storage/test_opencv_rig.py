@@ -12,7 +12,7 @@ import pytest
 from metrology.errors import RigError
 from metrology.rig import Rig
 from storage.opencv_rig import load_opencv_rig, save_opencv_rig
-from tests.storage.results import HEIGHT, WIDTH
+from tests.support.results import HEIGHT, WIDTH
 
 WHEN = "2026-11-01T08:00:00Z"
 

@@ -20,7 +20,7 @@ from storage.panel_spec import load_panel_spec
 from storage.report import panel_page, panel_record, rows_csv, scene_page, scene_record
 from storage.report.overlays import write_overlays
 from storage.review import Feature, ReviewLog, ShownFinding
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 VOID = {"meta", "img", "br", "link", "image", "line", "ellipse", "rect", "circle", "polygon", "polyline", "path"}
 

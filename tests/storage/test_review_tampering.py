@@ -22,7 +22,7 @@ from storage.review_checking import check_log
 from storage.review_database import ReviewDatabase
 from storage.review_head import HeadFile
 from storage.review_keeping import Keeping
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 SCENE = small_key().scene_id
 TABLE = "decisions"

@@ -18,8 +18,8 @@ from storage.archive.files import locked
 from storage.review import ReviewLog, ShownScene
 from storage.rig import save_rig
 from storage.saved_queries import SavedQueries
-from tests.storage.results import small_key, small_result, small_rig
-from tests.users import as_user, only_root, open_to_all
+from tests.support.results import small_key, small_result, small_rig
+from tests.support.users import as_user, only_root, open_to_all
 
 GROUP = 61000
 

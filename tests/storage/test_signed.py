@@ -12,7 +12,7 @@ from storage.archive import Store, maintenance
 from storage.archive.decisions import dispose, shown_finding, sign_off
 from storage.archive.work import standings
 from storage.review import ReviewLog, ShownScene
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 SCENE = small_key().scene_id
 

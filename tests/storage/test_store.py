@@ -23,7 +23,7 @@ from storage.archive import Store, maintenance
 from storage.archive.panels import PatternTaken
 from storage.archive.schema import KEY, OF_KIND, TABLES
 from storage.archive.staging import staged_run
-from tests.storage.results import small_key, small_result, small_rig
+from tests.support.results import small_key, small_result, small_rig
 
 COUNTS = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM rivets), (SELECT count(*) FROM seam_stations)"
 

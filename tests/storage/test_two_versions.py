@@ -15,7 +15,8 @@ from metrology.errors import StoreError
 from storage.archive import Store, bookkeeping, bundle, maintenance, schema, views
 from storage.archive.schema import KEY, SCENES, TABLES, Column, Table
 from storage.archive.views import View
-from tests.storage.results import copied, small_key, small_result
+from tests.support.damage import forge
+from tests.support.results import copied, small_key, small_result
 
 COUPONS = Table("coupons", "One row per coupon", (*KEY, Column("coupon_id", "VARCHAR", "name of the coupon")))
 WIDER = replace(TABLES[1], columns=(*TABLES[1].columns, Column("torque_nm", "DOUBLE", "torque, N m")))
@@ -153,8 +154,6 @@ def test_a_run_that_no_index_has_tables_for_is_left_out_and_named(
 
 
 def test_an_index_of_the_first_version_catches_up(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tests.storage.test_maintenance import forge
-
     forge(store, "DROP SCHEMA bookkeeping CASCADE; DELETE FROM scenes WHERE station = 'S1'; DELETE FROM rivets")
     # Rows that an index has are taken as they are; scenes that it lacks come from their bundles.
     assert scenes(store) == 3

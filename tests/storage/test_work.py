@@ -17,7 +17,7 @@ from storage.archive import Store
 from storage.archive.decisions import close_work, dispose, shown_finding, sign_off
 from storage.archive.work import open_work, said, standings
 from storage.review import Disposition, Feature, ReviewLog, ShownFinding, ShownScene
-from tests.storage.results import copied, small_key, small_result
+from tests.support.results import copied, small_key, small_result
 
 R1, R2 = Feature("rivet", "R1"), Feature("rivet", "R2")
 SCENE = small_key().scene_id

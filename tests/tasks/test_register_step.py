@@ -16,7 +16,7 @@ from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.scene import Scene
 from tasks import steps
 from tasks.settings import InspectionSettings
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 SPEC = """
 format = "flushline-panel/1"

@@ -17,7 +17,7 @@ from storage.panel_spec import load_panel_spec
 from storage.scene import Scene
 from tasks import rig_check, steps
 from tasks.settings import InspectionSettings, SceneChecks, load_settings, settings_from
-from tests.storage.results import small_key, small_result
+from tests.support.results import small_key, small_result
 
 
 @pytest.fixture

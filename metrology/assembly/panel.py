@@ -1,0 +1,146 @@
+"""The assembled panel: every feature once, named and judged."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.assembly.assemble import Assembly, Part
+from metrology.assembly.features import PanelFeature, Sighting, single_features
+from metrology.assembly.runs import Piece, course_features
+from metrology.assembly.scan import PanelScan
+from metrology.kinds import KINDS, Kind
+from metrology.limits import PanelSpec
+from metrology.panel import PanelLayout, Placement
+from metrology.registration.rows import has_position, placed
+from metrology.results import COVERAGE_95, Feature
+from metrology.tolerance import judge
+
+Array = NDArray[np.float64]
+PanelFeatures = Mapping[str, Sequence[PanelFeature]]
+"""The features of a panel, by the names of the kinds."""
+
+# Standard deviation of a single feature's own place, beside that of its scan's placement.
+_OWN_PLACE_MM = 0.02
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A scan in its part."""
+
+    number: int
+    scan: PanelScan
+    placement: Placement
+    part: Part
+    members: Sequence[PanelScan]
+    index: int
+
+    def sighting(self, row: Feature) -> Sighting:
+        """A row of the scan in the panel's frame."""
+        row = placed(row, self.placement)
+        if not has_position(row):
+            return Sighting(self.number, row)
+        point = np.array([row.x_panel_mm, row.y_panel_mm, row.z_panel_mm], float)
+        covariance = self.part.fit.place_covariance(self.members, self.index, point)
+        return Sighting(
+            self.number,
+            row,
+            float(COVERAGE_95 * np.sqrt(np.linalg.eigvalsh(covariance).max() + _OWN_PLACE_MM**2)),
+        )
+
+
+def panel_features(assembly: Assembly, spec: PanelSpec, layout: PanelLayout | None = None) -> PanelFeatures:
+    """Every feature of an assembled panel once, by kind, named and judged.
+
+    Parameters
+    ----------
+    assembly : Assembly
+        Its scans hold rows as measured, not judged.
+    spec : PanelSpec
+    layout : PanelLayout, optional
+        The specification's pattern, whose names stay.
+    """
+    return {kind.name: _of_kind(kind, assembly, spec, layout) for kind in KINDS}
+
+
+def _of_kind(kind: Kind, assembly: Assembly, spec: PanelSpec, layout: PanelLayout | None) -> list[PanelFeature]:
+    listed = _listed(layout)
+    found: list[list[PanelFeature]] = []  # those of one name together
+    for number, part in enumerate(assembly.parts, 1):
+        seen = _seen(assembly, part)
+        if kind.is_course:
+            pieces = [piece for each in seen for piece in _pieces(kind, each, listed)]
+            found += course_features(kind, number, pieces, layout)
+        else:
+            rows = [each.sighting(row) for each in seen for row in each.scan.features.get(kind.name, ())]
+            found += [[feature] for feature in _in_order(single_features(kind, number, rows))]
+    return [_judged(feature, spec) for group in _named(kind, found, assembly, listed) for feature in group]
+
+
+def _seen(assembly: Assembly, part: Part) -> list[_Seen]:
+    members = [assembly.scans[k] for k in part.numbers]
+    return [
+        _Seen(number, members[index], placement, part, members, index)
+        for index, (number, placement) in enumerate(zip(part.numbers, part.fit.placements, strict=True))
+    ]
+
+
+def _pieces(kind: Kind, seen: _Seen, listed: set[str]) -> list[Piece]:
+    label, position = kind.id_columns
+    rows: dict[str, list[Feature]] = {}
+    for row in sorted(seen.scan.features.get(kind.name, ()), key=lambda row: getattr(row, position)):
+        rows.setdefault(getattr(row, label), []).append(row)
+    pieces = []
+    for name, of_name in rows.items():
+        directions = [
+            seen.scan.across.get((name, getattr(row, position)))
+            for row in of_name
+            if has_position(row) and not row.is_missing
+        ]
+        known = np.array([np.full(3, np.nan) if d is None else d for d in directions]).reshape(-1, 3)
+        across = known @ seen.placement.R.T if np.isfinite(known).any() else None
+        is_listed = seen.scan.nominal is not None and name in listed
+        pieces.append(Piece(seen.number, name, tuple(seen.sighting(row) for row in of_name), across, is_listed))
+    return pieces
+
+
+def _listed(layout: PanelLayout | None) -> set[str]:
+    """Names of the specification's pattern."""
+    if layout is None:
+        return set()
+    return {rivet.rivet_id for rivet in layout.rivets} | {seam.seam_id for seam in layout.seams}
+
+
+def _in_order(features: Iterable[PanelFeature]) -> list[PanelFeature]:
+    """From one end of the panel to the other, upper ones first."""
+    return sorted(features, key=lambda f: (round(f.row.x_panel_mm or 0.0, -1), -(f.row.y_panel_mm or 0.0)))
+
+
+def _named(
+    kind: Kind, groups: Sequence[Sequence[PanelFeature]], assembly: Assembly, listed: set[str]
+) -> list[list[PanelFeature]]:
+    """Names of the specification stay; others are numbered anew, behind the letters that the scans gave them."""
+    taken = set(listed)
+    numbers: dict[str, Iterable[int]] = {}
+    named = []
+    for group in groups:
+        first = group[0]
+        name = first.name
+        if not (name in listed and assembly.scans[first.best].nominal is not None):
+            letters = re.match(r"[^\d]*", name)[0]  # type: ignore[index]
+            free = numbers.setdefault(letters, count(1))
+            name = next(label for k in free if (label := f"{letters}{k:02d}") not in taken)
+            taken.add(name)
+        changed: dict[str, Any] = {kind.id_columns[0]: name}
+        named.append([replace(feature, row=replace(feature.row, **changed)) for feature in group])
+    return named
+
+
+def _judged(feature: PanelFeature, spec: PanelSpec) -> PanelFeature:
+    return replace(feature, row=judge(feature.kind, [feature.row], spec)[0])

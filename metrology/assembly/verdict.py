@@ -1,0 +1,86 @@
+"""The verdict on an assembled panel, and its findings: features, and stretches of courses, that do not simply pass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from metrology.acceptance import PanelVerdict, judge_rules, panel_verdict, unruled
+from metrology.assembly.rows import FindingRow, RuleRow
+from metrology.kinds import BY_NAME, Kind
+from metrology.limits import PanelSpec
+from metrology.panel import PanelLayout
+from metrology.results import Feature
+from metrology.rules import Rule
+from metrology.stretches import stretches
+from metrology.verdicts import IN_ORDER
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a panel is judged to be.
+
+    Attributes
+    ----------
+    verdict : PanelVerdict
+    reason : str
+        The rule that decided, or what is missing.
+    rules : tuple of RuleRow
+    findings : tuple of FindingRow
+    """
+
+    verdict: PanelVerdict
+    reason: str
+    rules: tuple[RuleRow, ...]
+    findings: tuple[FindingRow, ...]
+
+
+def judgement(
+    features: Mapping[str, Sequence[Feature]], spec: PanelSpec, rules: Sequence[Rule], layout: PanelLayout,
+    area_mm2: float, gaps: Sequence[str],
+) -> Judgement:  # fmt: skip
+    """Judge a panel by its specification's rules.
+
+    Parameters
+    ----------
+    features : mapping
+        Of the panel, each once and judged, by the names of the kinds.
+    area_mm2 : float
+        Of the skin that was measured.
+    gaps : sequence of str
+        What is not covered, or why the panel is not one.
+    """
+    rows_of = {rivet.rivet_id: rivet.row for rivet in layout.rivets if rivet.row}
+    outcomes = judge_rules(features, spec, rules, rows_of, area_mm2)
+    verdict, reason = panel_verdict(outcomes, unruled(features, rules), gaps, bool(rules))
+    rows = tuple(
+        RuleRow(
+            each.rule.rule_id, each.rule.said, each.group, each.verdict, each.found, each.doubtful, each.features,
+            each.reason,
+        )
+        for each in outcomes
+    )  # fmt: skip
+    found = [row for name, rows in features.items() for row in _findings(BY_NAME[name], rows, spec)]
+    return Judgement(verdict, reason, rows, tuple(found))
+
+
+def _findings(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[FindingRow]:
+    if kind.is_course:
+        return [
+            FindingRow(
+                kind.name, each.feature_id, each.quantity.name, getattr(each.worst, each.quantity.column),
+                getattr(each.worst, each.quantity.u95_column), each.from_mm, each.to_mm, each.length_mm,
+                each.worst.x_panel_mm, each.worst.y_panel_mm, each.worst.z_panel_mm, each.severity, each.decision,
+                each.said,
+            )
+            for each in stretches(kind, rows, spec)
+        ]  # fmt: skip
+    first = kind.quantities[0]
+    return [
+        FindingRow(
+            kind.name, kind.id_of(row), first.name, getattr(row, first.column), getattr(row, first.u95_column), None,
+            None, None, row.x_panel_mm, row.y_panel_mm, row.z_panel_mm, row.severity, row.decision, row.reason,
+        )
+        for row in rows
+        if row.decision not in IN_ORDER
+    ]  # fmt: skip

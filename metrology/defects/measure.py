@@ -1,0 +1,208 @@
+"""Dents, bumps, creases and scratches of a scan, measured against the skin as it would be without them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.defects.bottom import Bottom, bottom_of
+from metrology.defects.nature import nature_of
+from metrology.defects.outline import Outline, outline_at
+from metrology.defects.patch import Patch, cut_patch
+from metrology.defects.row import Defect, HiddenBy
+from metrology.defects.settings import DefectSettings
+from metrology.defects.skin_map import Region, SkinMap, skin_map
+from metrology.defects.straight_edge import section
+from metrology.defects.surroundings import distances, is_pull_in, pull_in
+from metrology.results import COVERAGE_95, Rivet, SeamStation, of_type
+from metrology.sighted import Sighted
+
+Array = NDArray[np.float64]
+
+_SURE = 2.5  # U95 that a defect must be deep: five standard deviations
+_FOOT = 0.1  # of its depth
+_FOOT_SDS = 2.5
+_CUT = 0.04  # share of an outline that may lie elsewhere
+_MOST_OF_PLATE = 0.4  # of a plate that a defect may cover for the rest to tell the skin
+_LEAST_VIEW_MM = 15.0  # what is cut by the view and smaller may be a fastener
+_EDGES = 6  # directions in which a straight-edge is laid
+_BY_LEVEL = 0.9  # share by which an extent changes where depth changes by that share: slope of a cos² bowl
+_GRID = 0.3  # of a grid step, standard deviation of an extent beside that of its levels
+_HIDDEN: dict[HiddenBy, str] = {
+    "view": "it runs out of view: its depth and extents are at least these",
+    "fastener": "its deepest point lies under a fastener: its depth is at least this",
+    "seam": "its deepest point lies at a seam: its depth on this plate is at least this",
+}
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A region as it was measured."""
+
+    region: Region
+    patch: Patch
+    bottom: Bottom
+    outline: Outline
+    depth_sd: float
+
+
+def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) -> list[Defect]:
+    """The defects of a scan, numbered D01 … from the top of the left image down."""
+    settings = settings or DefectSettings()
+    skin = skin_map(sighted, settings)
+    rivets = of_type(sighted.features, Rivet)
+    usual = pull_in(skin, rivets)
+    rows = []
+    for region in skin.regions:
+        found = _found(region, skin, sighted)
+        if found is None or not _stands_out(found, settings):
+            continue
+        if not is_pull_in(found.outline, found.bottom.depth, found.patch, rivets, usual, settings.pull_in_mm):
+            rows.append(_row(found, skin, sighted, settings))
+    rows.sort(key=lambda row: (row.v_px, row.u_px))
+    return [replace(row, defect_id=f"D{k:02d}") for k, row in enumerate(rows, 1)]
+
+
+def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
+    patch = cut_patch(region, skin, sighted.reconstruction)
+    depth = patch.smoothed(0.0)
+    at = _deepest(patch, depth)
+    outline = outline_at(patch, depth, 0.5 * float(depth[at]), at)
+    if outline is None:
+        return None
+    radii = 0.5 * outline.length, 0.5 * outline.width, outline.angle
+    bottom = bottom_of(patch, outline.cells, at, radii)
+    if bottom is None:
+        return None
+    smoothed = patch.smoothed(0.5 * float(np.sqrt(outline.length * outline.width)))
+    outline = outline_at(patch, smoothed, 0.5 * bottom.depth, at) or outline
+    x, y = (np.array([c]) for c in patch.reference.frame.local(patch.frame.rig([bottom.x, bottom.y, 0.0]))[:2])
+    by_reference = float(patch.reference.variance(x, y)[0])
+    return _Found(
+        region, patch, bottom, outline, float(np.sqrt(bottom.sd**2 + by_reference + skin.waves[region.plate] ** 2))
+    )
+
+
+def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
+    seen = patch.own & patch.skin
+    inside = np.where(seen if seen.any() else patch.own, depth, -np.inf)
+    row, column = np.unravel_index(int(inside.argmax()), inside.shape)
+    return int(row), int(column)
+
+
+def _stands_out(found: _Found, settings: DefectSettings) -> bool:
+    """Whether it is one for certain; what the view cuts may be the rim of a head."""
+    if found.bottom.depth < max(settings.least_depth_mm, _SURE * COVERAGE_95 * found.depth_sd):
+        return False
+    return found.outline.cut_by_view < _CUT or found.outline.length > _LEAST_VIEW_MM
+
+
+def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+    patch, bottom, outline = found.patch, found.bottom, found.outline
+    place = patch.frame.rig([bottom.x, bottom.y, _height(found)])
+    u, v = sighted.reconstruction.rig.left.project(place)
+    nature = nature_of(patch, bottom, outline, found.region.sign, settings)
+    row = Defect(
+        "", x_mm=float(place[0]), y_mm=float(place[1]), z_mm=float(place[2]), u_px=float(u), v_px=float(v), kind=nature
+    )
+    own = skin.cells.plate == found.region.plate
+    covered = float(found.region.cells.sum() / own.sum())
+    if covered > _MOST_OF_PLATE:
+        reason = f"it covers {covered:.0%} of the skin in view, so that the rest does not tell where the skin would be"
+        return replace(row, decision="not measured", reason=reason)
+    return _with_extents(_with_depth(row, found, settings), found, skin, sighted, settings)
+
+
+def _height(found: _Found) -> float:
+    """Of its deepest point over the tangent plane at the reference, about the negative depth, mm."""
+    reference, frame = found.patch.reference, found.patch.frame
+    x, y = (np.array([c]) for c in reference.frame.local(frame.rig([found.bottom.x, found.bottom.y, 0.0]))[:2])
+    skin = reference.frame.rig([float(x[0]), float(y[0]), float(reference.height(x, y)[0])])
+    return float(frame.local(skin)[2]) - found.region.sign * found.bottom.depth
+
+
+def _with_depth(row: Defect, found: _Found, settings: DefectSettings) -> Defect:
+    """Depth with its U95, and whether all of the defect was seen."""
+    pixels = found.outline.width / found.patch.step_mm * found.patch.step_px
+    if row.kind == "scratch" and pixels < settings.scratch_pixels:
+        reason = f"line without measurable depth: {pixels:.1f} pixels wide, and points average over as many"
+        return replace(row, decision="not measured", reason=reason)
+    hidden = _hidden_by(found)
+    return replace(
+        row,
+        depth_mm=found.region.sign * found.bottom.depth,
+        depth_u95_mm=COVERAGE_95 * found.depth_sd,
+        hidden_by=hidden,
+        reason=_HIDDEN[hidden] if hidden else None,
+    )
+
+
+def _hidden_by(found: _Found) -> HiddenBy | None:
+    if found.outline.cut_by_view > _CUT:
+        return "view"
+    if not found.bottom.hidden:
+        return None
+    return "seam" if found.outline.cut_by_seam > _CUT else "fastener"
+
+
+def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+    """Extents, what follows from them and the depth, and distances."""
+    patch, bottom, outline = found.patch, found.bottom, found.outline
+    share = found.depth_sd / bottom.depth
+    grid = _GRID * patch.step_mm
+    length_u95, width_u95 = (
+        COVERAGE_95 * float(np.hypot(_BY_LEVEL * share * extent, grid)) for extent in (outline.length, outline.width)
+    )
+    away = distances(outline, patch.frame, of_type(sighted.features, Rivet), of_type(sighted.features, SeamStation))
+    row = replace(
+        row,
+        length_mm=outline.length,
+        length_u95_mm=length_u95,
+        width_mm=outline.width,
+        width_u95_mm=width_u95,
+        direction_deg=_direction(found, sighted),
+        area_mm2=outline.area,
+        fastener_distance_mm=away.fastener,
+        seam_distance_mm=away.seam,
+        distance_u95_mm=width_u95,
+    )
+    return row if row.depth_mm is None else _with_shape(row, found, skin, sighted, settings)
+
+
+def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+    """What needs a depth: ratios, the foot, volume, the bottom's radius, and depth under a straight-edge."""
+    patch, bottom, outline = found.patch, found.bottom, found.outline
+    width_share = float(
+        np.hypot(found.depth_sd / bottom.depth, (row.width_u95_mm or 0.0) / COVERAGE_95 / outline.width)
+    )
+    row = replace(
+        row,
+        width_to_depth=outline.width / bottom.depth,
+        width_to_depth_u95=COVERAGE_95 * outline.width / bottom.depth * width_share,
+        length_to_depth=outline.length / bottom.depth,
+        bottom_radius_mm=bottom.radius,
+        bottom_radius_u95_mm=COVERAGE_95 * bottom.radius_sd,
+    )
+    depth = patch.smoothed(0.5 * float(np.sqrt(outline.length * outline.width)))
+    level = max(_FOOT * bottom.depth, _FOOT_SDS * found.depth_sd)
+    foot = outline_at(patch, depth, level, _deepest(patch, depth))
+    if foot is not None:
+        volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * found.region.sign
+        row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)
+    if found.region.sign > 0:
+        turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
+        at, length = (bottom.x, bottom.y), settings.straight_edge_mm
+        lines = [section(patch, skin, sighted.reconstruction, at, float(turn), length) for turn in turns]
+        gaps = [line.gap(0.5 * outline.length) for line in lines]
+        row = replace(row, straight_edge_depth_mm=max(gaps))
+    return row
+
+
+def _direction(found: _Found, sighted: Sighted) -> float:
+    """Of its length in the left image, degrees."""
+    bottom, turn = found.bottom, found.outline.angle
+    ends = [[bottom.x + s * np.cos(turn), bottom.y + s * np.sin(turn), 0.0] for s in (-1.0, 1.0)]
+    (u0, v0), (u1, v1) = sighted.reconstruction.rig.left.project(found.patch.frame.rig(np.array(ends)))
+    return float(np.degrees(np.arctan2(v1 - v0, u1 - u0)) % 180)

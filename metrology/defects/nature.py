@@ -1,0 +1,41 @@
+"""What a defect is: dent, bump, crease, scratch or raised edge."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.defects.bottom import Bottom
+from metrology.defects.outline import Outline
+from metrology.defects.patch import Patch
+from metrology.defects.row import DefectKind
+from metrology.defects.settings import DefectSettings
+
+Array = NDArray[np.float64]
+
+_LONG = 4.0  # times as long as wide is a scratch, if it is narrow
+_FOLD = 2.0  # times as long as wide is a crease, if its section is sharp
+_SHARP = 0.79  # of its depth left half way to its outline: 0.85 in a smooth section, 0.73 in a pointed one
+_HALF_WAY = (0.4, 0.6)
+_BESIDE = 0.2  # of its radius to either side
+_AT_SEAM = 0.04  # share of an outline that a raised edge has at a seam
+
+
+def nature_of(patch: Patch, bottom: Bottom, outline: Outline, sign: int, settings: DefectSettings) -> DefectKind:
+    """The kind of a defect that lies below (sign 1) or above (−1) the skin."""
+    if sign < 0:
+        return "raised edge" if outline.cut_by_seam > _AT_SEAM else "bump"
+    long = outline.length / max(outline.width, 1e-6)
+    if outline.width < settings.scratch_width_mm and long > _LONG:
+        return "scratch"
+    across = _left_half_way(patch, bottom, outline, outline.angle + 0.5 * np.pi, outline.width, outline.length)
+    return "crease" if long > _FOLD and across < _SHARP else "dent"
+
+
+def _left_half_way(patch: Patch, bottom: Bottom, outline: Outline, turn: float, extent: float, beside: float) -> float:
+    """Mean depth half way to the outline along a direction, as a share of the depth."""
+    dx, dy = patch.x - bottom.x, patch.y - bottom.y
+    along = np.abs(np.cos(turn) * dx + np.sin(turn) * dy) / (0.5 * extent)
+    off = np.abs(np.cos(turn) * dy - np.sin(turn) * dx) / (0.5 * beside)
+    there = (along > _HALF_WAY[0]) & (along < _HALF_WAY[1]) & (off < _BESIDE) & patch.skin & outline.cells
+    return float(patch.depth[there].mean()) / bottom.depth if there.any() else 1.0

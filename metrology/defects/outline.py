@@ -1,0 +1,140 @@
+"""Outlines of a defect at a share of its depth: length, width at 90° to it, area, and where they are cut off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.defects.patch import Patch
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_HARMONICS = 4  # of a closed outline in the frame in which its moments are a circle's
+_POINTS = 180
+_STAR = 0.15  # scatter of an outline about its harmonics, of its radius: beyond it the outline is no simple one
+_FEWEST = 12
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A closed curve in the tangent plane.
+
+    Attributes
+    ----------
+    x, y : (n,) ndarray
+        mm in the patch's frame.
+    cells : (rows, columns) bool
+        Grid cells of the patch within it.
+    length, width : float
+        Its greatest extent, and that at 90° to it, mm.
+    angle : float
+        Direction of the length in the frame, radians.
+    area : float
+        mm².
+    cut_by_view, cut_by_seam : float
+        Shares of its border at which the view, or the plate at a seam, ends.
+    """
+
+    x: Array
+    y: Array
+    cells: Mask
+    length: float
+    width: float
+    angle: float
+    area: float
+    cut_by_view: float
+    cut_by_seam: float
+
+
+def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]) -> Outline | None:
+    """The outline of what is deeper than a level round a grid cell; None where hardly a cell is.
+
+    Parameters
+    ----------
+    patch : Patch
+    depth : (rows, columns) ndarray
+        Smoothed, mm.
+    level : float
+        mm.
+    inside : (row, column)
+    """
+    deep = (depth > level) & patch.plate
+    _, labels = cv2.connectedComponents(deep.astype(np.uint8), connectivity=4)
+    if labels[inside] == 0:
+        return None
+    cells = labels == labels[inside]
+    x, y, cut_by_view, cut_by_seam = _crossings(patch, depth, level, cells)
+    if len(x) < _FEWEST:
+        return None
+    around, simple = _closed(patch, cells, x, y)
+    cx, cy = around if simple else (x, y)
+    length, width, angle = _extents(cx, cy)
+    area = _polygon_area(*around) if simple else float(cells.sum()) * patch.cell_mm2
+    return Outline(*around, cells, length, width, angle, area, cut_by_view, cut_by_seam)
+
+
+def _crossings(patch: Patch, depth: Array, level: float, cells: Mask) -> tuple[Array, Array, float, float]:
+    """Where a level is crossed between neighbouring grid cells; shares of the border that lie elsewhere."""
+    x, y, cut = [], [], np.zeros(3)
+    for axis in (0, 1):
+        near = [slice(None), slice(None)]
+        far = [slice(None), slice(None)]
+        near[axis], far[axis] = slice(None, -1), slice(1, None)
+        for one, other in ((tuple(near), tuple(far)), (tuple(far), tuple(near))):
+            border = cells[one] & ~cells[other]
+            on_plate = border & patch.plate[other] & (depth[other] <= level)
+            share = (depth[one] - level)[on_plate] / np.maximum((depth[one] - depth[other])[on_plate], 1e-12)
+            x.append(patch.x[one][on_plate] + share * (patch.x[other] - patch.x[one])[on_plate])
+            y.append(patch.y[one][on_plate] + share * (patch.y[other] - patch.y[one])[on_plate])
+            off = border & ~patch.plate[other]
+            seen = off & ~patch.view[other]
+            cut += on_plate.sum(), (off & ~seen).sum(), seen.sum()
+        # The border of the image is the border of the window.
+        for first in (cells.take(0, axis), cells.take(-1, axis)):
+            cut[1] += first.sum()
+    shares = cut / max(float(cut.sum()), 1.0)
+    return np.concatenate(x), np.concatenate(y), float(shares[1]), float(shares[2])
+
+
+def _closed(patch: Patch, cells: Mask, x: Array, y: Array) -> tuple[tuple[Array, Array], bool]:
+    """A smooth closed curve through crossings, and whether it follows them.
+
+    Harmonics of the radius against the direction, in the frame in which the cells' second moments are a circle's.
+    """
+    own = np.stack([patch.x[cells], patch.y[cells]], axis=1)
+    centre = own.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov((own - centre).T) + 1e-6 * np.eye(2))
+    scale = 2 * np.sqrt(spread)
+    white = ((np.stack([x, y], axis=1) - centre) @ axes) / scale
+    radius, turn = np.hypot(*white.T), np.arctan2(white[:, 1], white[:, 0])
+    fit = np.linalg.lstsq(
+        np.vstack([_harmonics(turn), 1e-2 * np.sqrt(len(turn)) * np.eye(2 * _HARMONICS + 1)[1:]]),
+        np.concatenate([radius, np.zeros(2 * _HARMONICS)]), rcond=None,
+    )[0]  # fmt: skip
+    scatter = float(np.sqrt(np.mean((radius - _harmonics(turn) @ fit) ** 2)))
+    around = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
+    r = _harmonics(around) @ fit
+    curve = (r[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1) * scale) @ axes.T + centre
+    return (curve[:, 0], curve[:, 1]), scatter < _STAR
+
+
+def _harmonics(turn: Array) -> Array:
+    orders = np.arange(1, _HARMONICS + 1)
+    return np.column_stack([np.ones_like(turn), np.cos(turn[:, None] * orders), np.sin(turn[:, None] * orders)])
+
+
+def _extents(x: Array, y: Array) -> tuple[float, float, float]:
+    """Greatest extent of a curve, that at 90° to it, and the direction of the first."""
+    turn = np.linspace(0, np.pi, _POINTS, endpoint=False)
+    along = np.outer(np.cos(turn), x) + np.outer(np.sin(turn), y)
+    extent = np.ptp(along, axis=1)
+    k = int(extent.argmax())
+    return float(extent[k]), float(extent[(k + _POINTS // 2) % _POINTS]), float(turn[k])
+
+
+def _polygon_area(x: Array, y: Array) -> float:
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))

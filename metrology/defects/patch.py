@@ -1,0 +1,171 @@
+"""The skin round one defect, on a grid as fine as the defect needs, in the tangent plane at its deepest point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import Reconstruction
+from metrology.defects.cells import BAD, SIZE, means
+from metrology.defects.reference import Reference
+from metrology.defects.skin_map import Region, SkinMap
+from metrology.surfaces import Frame
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_MARGIN = 0.4  # of the region's size round it
+_MARGIN_CELLS = 6
+_RADIUS = 7.0  # grid steps that a defect's radius at half depth should have
+_OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
+_SMOOTH_STEPS = (0.6, 2.0)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A window of the scan.
+
+    Attributes
+    ----------
+    number : int
+        Of its plate.
+    reference : Reference
+    frame : Frame
+        Its x, y is the tangent plane of the reference at the defect's deepest cell.
+    x, y : (rows, columns) ndarray
+        mm in the frame, at every step of the grid.
+    depth : (rows, columns) ndarray
+        To the defect's side, mm; smoothed values where no sound skin is.
+    sigma : (rows, columns) ndarray
+        Standard deviation of it if pixels were independent, mm.
+    own : (rows, columns) bool
+        The region's.
+    skin : (rows, columns) bool
+        Sound skin.
+    plate : (rows, columns) bool
+        Where the plate is, fasteners on it included.
+    view : (rows, columns) bool
+        Where it ends at what was not seen, and not at a seam.
+    step_px, step_mm : int, float
+        Of the grid.
+    """
+
+    number: int
+    reference: Reference
+    frame: Frame
+    x: Array
+    y: Array
+    depth: Array
+    sigma: Array
+    own: Mask
+    skin: Mask
+    plate: Mask
+    view: Mask
+    step_px: int
+    step_mm: float
+
+    @property
+    def cell_mm2(self) -> float:
+        """Area of a grid cell in the tangent plane."""
+        return self.step_mm**2
+
+    def smoothed(self, radius_mm: float) -> Array:
+        """Depth as its outline is taken from."""
+        sigma = float(np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm, *_SMOOTH_STEPS))
+        both = np.dstack([np.where(self.plate, self.depth, 0.0), self.plate.astype(float)])
+        total = cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-3))
+
+
+def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> Patch:
+    """The window round a region."""
+    cells = skin.cells
+    rows, columns = _window(region, cells.plate.shape)
+    depth = region.sign * skin.smoothed[rows, columns]
+    own = np.zeros(cells.plate.shape, bool)
+    own[region.rows, region.columns] = region.cells
+    own = own[rows, columns]
+    peak = float(np.where(own, depth, -np.inf).max())
+    radius = float(np.sqrt((own & (depth > 0.5 * peak)).sum() / np.pi))
+    step = max(1, SIZE >> max(0, int(np.ceil(np.log2(_RADIUS / max(radius, 0.5))))))
+    return _patch(region, own, skin, reconstruction, (rows, columns), step)
+
+
+def _window(region: Region, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    height, width = region.cells.shape
+    reach = _MARGIN_CELLS + int(_MARGIN * max(height, width))
+    return (
+        slice(max(0, region.rows.start - reach), min(shape[0], region.rows.stop + reach)),
+        slice(max(0, region.columns.start - reach), min(shape[1], region.columns.stop + reach)),
+    )
+
+
+def _patch(
+    region: Region,
+    own: Mask,
+    skin: SkinMap,
+    reconstruction: Reconstruction,
+    window: tuple[slice, slice],
+    step: int,
+) -> Patch:
+    reference, cells = skin.references[region.plate], skin.cells
+    fine = SIZE // step
+    pixels = tuple(slice(SIZE * part.start, SIZE * part.stop) for part in window)
+    shape = tuple((part.stop - part.start) * fine for part in window)
+    points, sigma = np.empty((*shape, 3)), np.empty(shape)
+    flags = reconstruction.flags[pixels]
+    means(reconstruction.points[pixels], reconstruction.sigma_z[pixels], flags, BAD, step, 0.5, points, sigma)
+
+    def finer(cell_values: NDArray[np.generic]) -> NDArray[np.generic]:
+        return np.repeat(np.repeat(cell_values, fine, axis=0), fine, axis=1)
+
+    plate = np.asarray(finer(cells.plate[window] == region.plate), bool)
+    known = np.isfinite(sigma) & plate & np.asarray(finer((cells.free | ~np.isfinite(cells.sigma))[window]), bool)
+    depth = np.full(shape, np.nan)
+    reference.depths(points, known, depth)
+    smooth = np.asarray(finer(np.nan_to_num(skin.smoothed[window])), float)
+    smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), 0.5 * fine)) if fine > 1 else smooth
+    depth = region.sign * np.where(known, depth, smooth)
+    frame = _tangent(region, skin, reference)
+    local = frame.local(points)
+    x, y = (_everywhere(local[..., k], known) for k in (0, 1))
+    across = float(np.median(np.hypot(*(np.diff(a, axis=1) for a in (x, y)))))
+    down = float(np.median(np.hypot(*(np.diff(a, axis=0) for a in (x, y)))))
+    view = np.asarray(finer(((cells.plate == 0) & ~cells.seam)[window]), bool)
+    return Patch(
+        number=region.plate,
+        reference=reference,
+        frame=frame,
+        x=x,
+        y=y,
+        depth=depth,
+        sigma=sigma,
+        own=np.asarray(finer(own), bool),
+        skin=known,
+        plate=plate,
+        view=view,
+        step_px=step,
+        step_mm=float(np.sqrt(across * down)),
+    )
+
+
+def _tangent(region: Region, skin: SkinMap, reference: Reference) -> Frame:
+    """Tangent frame of the reference at a region's deepest cell."""
+    depth = np.where(region.cells, region.sign * skin.smoothed[region.rows, region.columns], -np.inf)
+    points = skin.cells.points[region.rows, region.columns]
+    depth = np.where(np.isfinite(points[..., 2]), depth, -np.inf)
+    deepest = points[np.unravel_index(int(depth.argmax()), depth.shape)]
+    return reference.tangent(deepest)
+
+
+def _everywhere(values: Array, known: Mask) -> Array:
+    """Coordinates of all grid cells, from a quadratic through the known ones: pixels map smoothly onto the skin."""
+    v, u = np.mgrid[: values.shape[0], : values.shape[1]]
+    v, u = v / max(values.shape) - 0.5, u / max(values.shape) - 0.5
+    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    part = known & (np.arange(known.size).reshape(known.shape) % max(1, known.size // 4000) == 0)
+    fit, *_ = np.linalg.lstsq(design[part], values[part], rcond=None)
+    return np.asarray(design @ fit)

@@ -1,0 +1,158 @@
+"""Sheets bent by straight lines across a seam: heights that depend on the place along the seam alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_banded
+
+Array = NDArray[np.float64]
+
+BIN_MM = 2.0
+_COARSE_MM = 6.0  # of bins that tell whether there is anything
+_BORNE_OUT = 2.0  # times what noise makes of it must a profile vary
+_TUKEY = 4.685
+_MAD = 1.4826
+_HELD = 1e-3  # of a full bin: its neighbours tell where no cell does
+_MOST_TURN = 0.05  # rad, from the seam's chord as it was seen
+
+
+@dataclass(frozen=True)
+class Ruled:
+    """Heights along a seam.
+
+    Attributes
+    ----------
+    direction : (2,) ndarray
+        Along the seam in the plate's frame.
+    start, heights : float, (n,) ndarray
+        mm; `BIN_MM` apart, linear between.
+    variance : (n,) ndarray
+        Of the heights, mm².
+    """
+
+    direction: Array
+    start: float
+    heights: Array
+    variance: Array
+
+    def places(self, x: Array, y: Array) -> Array:
+        """Where points lie, in bins."""
+        s = (x * self.direction[0] + y * self.direction[1] - self.start) / BIN_MM
+        return np.asarray(np.clip(s, 0.0, len(self.heights) - 1.001))
+
+    def at(self, x: Array, y: Array) -> Array:
+        """Heights at points, mm."""
+        return np.asarray(np.interp(self.places(x, y), np.arange(len(self.heights)), self.heights))
+
+    def variance_at(self, x: Array, y: Array) -> Array:
+        """Variance of the heights at points, mm²."""
+        return np.asarray(self.variance[np.rint(self.places(x, y)).astype(int)])
+
+
+def ruled_profiles(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[Array]) -> tuple[Ruled, ...]:
+    """What heights over a smooth surface have in common across each seam.
+
+    Parameters
+    ----------
+    rest, sd : (n,) ndarray
+        Heights over the surface and their standard deviation for independent pixels, mm.
+    x, y : (n,) ndarray
+        mm.
+    directions : sequence of (2,) ndarray
+        About those of the seams.
+    """
+    found: list[Ruled] = []
+    for direction in directions:
+        left = rest - sum((profile.at(x, y) for profile in found), np.zeros_like(x))
+        profile = _profile(left, sd, x, y, direction / np.linalg.norm(direction))
+        found.append(_turned(profile, left, x, y))
+    return tuple(found)
+
+
+def bent_along(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[Array]) -> list[Array]:
+    """Those of the seams along which heights change alike in the near half of a plate and in the far one.
+
+    A dent lies in one of the halves, or in neither for the most part. Parameters as of `ruled_profiles`.
+    """
+    bent = []
+    for direction in directions:
+        direction = direction / np.linalg.norm(direction)
+        s = x * direction[0] + y * direction[1]
+        across = x * direction[1] - y * direction[0]
+        low = ((s - s.min()) / _COARSE_MM).astype(int)
+        count = int(low.max()) + 1
+        far = across > np.median(across)
+        near_heights, far_heights = (_medians(low[half], rest[half], count) for half in (~far, far))
+        alike = np.where(near_heights * far_heights > 0, np.minimum(np.abs(near_heights), np.abs(far_heights)), 0.0)
+        noise = _MAD * float(np.median(np.abs(rest - _medians(low, rest, count)[low])))
+        variance = np.pi * noise**2 / max(len(rest) / count, 1.0)
+        if np.mean(alike**2) > _BORNE_OUT**2 * variance:
+            bent.append(direction)
+    return bent
+
+
+def _profile(rest: Array, sd: Array, x: Array, y: Array, direction: Array) -> Ruled:
+    """Robust means of heights over lines across a seam, linear between bins."""
+    s = x * direction[0] + y * direction[1]
+    start = float(s.min())
+    place = (s - start) / BIN_MM
+    count = int(place.max()) + 2
+    low = place.astype(int)
+    share = place - low
+    weights = w = sd**-2.0
+    # A start that dents on a line do not lift; medians stand between two nodes.
+    medians = _medians(low, rest, count)
+    heights = 0.5 * (medians + np.roll(medians, 1))
+    heights[0] = medians[0]
+    for number in range(4):
+        if number:
+            heights = _polyline(low, share, w, rest, count)
+        residual = np.abs(rest - (1 - share) * heights[low] - share * heights[low + 1]) / sd
+        scale = _MAD * float(np.median(residual)) + 1e-12
+        t = np.minimum(residual / (_TUKEY * scale), 1.0)
+        w = weights * (1 - t**2) ** 2
+    total = np.bincount(low, (1 - share) * w, count) + np.bincount(low + 1, share * w, count)
+    return Ruled(direction, start, heights, scale**2 / np.maximum(total, _HELD * total.max()))
+
+
+def _medians(low: NDArray[np.int_], rest: Array, count: int) -> Array:
+    """(count,) medians of the heights in bins; between them where there is none."""
+    order = np.lexsort((rest, low))
+    number = np.bincount(low, minlength=count)
+    first = np.cumsum(number) - number
+    middle = rest[order][np.minimum(first + number // 2, len(rest) - 1)]
+    known = np.flatnonzero(number)
+    return np.asarray(np.interp(np.arange(count), known, middle[known]))
+
+
+def _polyline(low: NDArray[np.int_], share: Array, w: Array, rest: Array, count: int) -> Array:
+    """Least squares of a polyline with nodes at every bin: its normal equations have three diagonals."""
+    own = np.bincount(low, w * (1 - share) ** 2, count) + np.bincount(low + 1, w * share**2, count)
+    shared = np.bincount(low, w * share * (1 - share), count)[:-1]
+    right = np.bincount(low, w * (1 - share) * rest, count) + np.bincount(low + 1, w * share * rest, count)
+    held = _HELD * own.max()
+    banded = np.zeros((3, count))
+    banded[1] = own + 2 * held
+    banded[1, [0, -1]] -= held
+    banded[0, 1:] = banded[2, :-1] = shared - held
+    return np.asarray(solve_banded((1, 1), banded, right), float)
+
+
+def _turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:
+    """The profile turned so that its lines fit the heights far from its seam too: one step of Gauss-Newton."""
+    place = profile.places(x, y)
+    slope = np.gradient(profile.heights, BIN_MM)[np.rint(place).astype(int)]
+    across = -profile.direction[1] * x + profile.direction[0] * y
+    lever = slope * (across - across.mean())
+    residual = rest - profile.at(x, y)
+    kept = np.abs(residual) < 3 * _MAD * np.median(np.abs(residual))
+    turn = float(np.sum(lever[kept] * residual[kept]) / max(np.sum(lever[kept] ** 2), 1e-12))
+    turn = float(np.clip(turn, -_MOST_TURN, _MOST_TURN))
+    c, s = np.cos(turn), np.sin(turn)
+    direction = np.array([[c, -s], [s, c]]) @ profile.direction
+    start = profile.start + float(across.mean() * turn)
+    return Ruled(direction, start, profile.heights, profile.variance)

@@ -1,0 +1,231 @@
+"""How deep every cell of a scan lies below the skin as it would be without defects, and where it lies off it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.defects.cells import CellMap, cell_map
+from metrology.defects.reference import Reference, fit_reference
+from metrology.defects.settings import DefectSettings
+from metrology.registration.rows import has_position, positions
+from metrology.results import SeamStation, of_type
+from metrology.sighted import Sighted
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ROUNDS = 4  # of finding what lies off the skin, and fitting the skin to the rest
+_DOUBTFUL_ROUNDS = 2  # at first, in which a dent may have bent the reference beside it
+_SMOOTH_CELLS = 1.5
+_WAVES_CELLS = 8.0  # over which the skin's own waviness is told from noise
+_START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
+_LEAST_CELLS = 8
+_MARGIN = 0.25  # of a defect's radius round it is not taken for skin
+_NEAR = 0.05  # of a Gaussian's weight must be known
+_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Region:
+    """Cells that lie off the skin together, to the same side.
+
+    Attributes
+    ----------
+    plate : int
+    sign : 1 or −1
+        Below or above.
+    rows, columns : slice
+        Its window.
+    cells : (…) bool
+        Its cells in the window.
+    """
+
+    plate: int
+    sign: int
+    rows: slice
+    columns: slice
+    cells: Mask
+
+
+@dataclass(frozen=True)
+class SkinMap:
+    """A scan against its skin.
+
+    Attributes
+    ----------
+    cells : CellMap
+    references : mapping of int to Reference
+        By plate.
+    depth : (rows, columns) ndarray
+        Below the skin along its normal, mm; NaN where there is none.
+    smoothed, sd : (rows, columns) ndarray
+        Depth smoothed over neighbours, fasteners bridged, and its standard deviation on bare skin, mm.
+    waves : mapping of int to float
+        Standard deviation of the bare skin over many cells about the reference, by plate, mm.
+    regions : tuple of Region
+    """
+
+    cells: CellMap
+    references: Mapping[int, Reference]
+    depth: Array
+    smoothed: Array
+    sd: Array
+    waves: Mapping[int, float]
+    regions: tuple[Region, ...]
+
+    def depth_at(self, plate: int, places: Array) -> Array:
+        """(n,) smoothed depth at places (n, 2), column and row in cells; NaN off a plate."""
+        u, v = np.rint(places).astype(int).T
+        rows, columns = self.depth.shape
+        inside = (u >= 0) & (v >= 0) & (u < columns) & (v < rows)
+        u, v = np.where(inside, u, 0), np.where(inside, v, 0)
+        return np.where(inside & (self.cells.plate[v, u] == plate), self.smoothed[v, u], np.nan)
+
+
+def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
+    """Fit the skin and find what lies off it, in turn until what lies off it stays the same."""
+    cells = cell_map(sighted)
+    seams = _seam_courses(of_type(sighted.features, SeamStation))
+    depth = np.full(cells.sigma.shape, np.nan)
+    sound = np.isfinite(cells.sigma)
+    covered = np.zeros(depth.shape, bool)
+    references: dict[int, Reference] = {}
+    due: Sequence[int] = cells.plates
+    for number in range(_ROUNDS):
+        for plate in due:
+            on_plate = (cells.plate == plate) & sound
+            use = on_plate & cells.free & ~covered
+            reference = fit_reference(cells.points[use], cells.sigma[use], seams, settings.largest_mm)
+            depth[on_plate] = np.nan
+            references.pop(plate, None)
+            if reference is not None:
+                reference.depths(cells.points, on_plate, depth)
+                references[plate] = reference
+        smoothed, sd, waves = _smoothed(depth, cells, covered)
+        regions = _regions(smoothed, sd, cells, settings)
+        left_out = _undisputed(regions, smoothed, cells, references) if number < _DOUBTFUL_ROUNDS else regions
+        before, covered = covered, _footprints(left_out, covered.shape)
+        due = [p for p in cells.plates if (before != covered)[cells.plate == p].any()]
+        if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
+            break
+    return SkinMap(cells, references, depth, smoothed, sd, waves, regions)
+
+
+def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:
+    """Two points on the course of each seam."""
+    courses: dict[str, list[SeamStation]] = {}
+    for row in filter(has_position, stations):
+        courses.setdefault(row.seam_id, []).append(row)
+    ends = [positions([course[0], course[-1]]) for course in courses.values() if len(course) > 1]
+    return [(first, last) for first, last in ends]
+
+
+def _smoothed(depth: Array, cells: CellMap, covered: Mask) -> tuple[Array, Array, dict[int, float]]:
+    """Depth smoothed over neighbours, its standard deviation by noise and by the skin's own waves, and these alone."""
+    known = np.isfinite(depth) & cells.free
+    values = np.where(known, depth, 0.0).astype(np.float32)
+    smooth = _normalised(values, known, _SMOOTH_CELLS)
+    bare = known & ~covered
+    broad = _normalised(np.where(bare, values, 0.0).astype(np.float32), bare, _WAVES_CELLS)
+    sd, waves = np.full(depth.shape, np.nan), {}
+    for plate in cells.plates:
+        on_plate = (cells.plate == plate) & bare
+        if not on_plate.any():
+            continue
+        noise = _MAD * float(np.median(np.abs((smooth - broad)[on_plate]) / cells.sigma[on_plate]))
+        waves[plate] = _MAD * float(np.median(np.abs(broad[on_plate])))
+        here = cells.plate == plate
+        typical = float(np.median(cells.sigma[on_plate]))
+        sd[here] = np.hypot(noise * np.where(known[here], cells.sigma[here], typical), waves[plate])
+    bridged = np.where(cells.plate > 0, smooth, np.nan)
+    return bridged, sd, waves
+
+
+def _normalised(values: NDArray[np.float32], known: Mask, sigma: float) -> Array:
+    """(rows, columns) Gaussian mean of the known values; wider where hardly any is near: a head is bridged."""
+    both = np.dstack([np.where(known, values, np.float32(0.0)), known.astype(np.float32)])
+    size = values.shape[::-1]
+    result: Array | None = None
+    for _ in range(4):
+        coarse = max(1, int(sigma // 2))
+        small = (
+            both
+            if coarse == 1
+            else cv2.resize(both, (-(-size[0] // coarse), -(-size[1] // coarse)), interpolation=cv2.INTER_AREA)
+        )
+        blurred = cv2.GaussianBlur(small, (0, 0), sigma / coarse, borderType=cv2.BORDER_CONSTANT)
+        total = blurred[..., 1]
+        mean = np.where(total > _NEAR, blurred[..., 0] / np.maximum(total, _NEAR), np.float32(np.nan))
+        if coarse > 1:
+            mean = cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
+        result = mean if result is None else np.where(np.isfinite(result), result, mean)
+        if np.isfinite(result).all():
+            break
+        sigma *= 3
+    return np.nan_to_num(np.asarray(result, float))
+
+
+def _regions(smoothed: Array, sd: Array, cells: CellMap, settings: DefectSettings) -> tuple[Region, ...]:
+    """Connected cells beyond the lower threshold that reach the upper one somewhere (hysteresis)."""
+    found = []
+    for sign in (1, -1):
+        depth = np.nan_to_num(sign * smoothed)
+        significance = np.nan_to_num(depth / sd)
+        off = (significance > _GO_ON) & (cells.plate > 0)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(off.astype(np.uint8), connectivity=4)
+        sure = off & cells.free & (significance > _START) & (depth > settings.least_depth_mm)
+        for k in np.unique(labels[sure]):
+            u, v, width, height, area = (int(s) for s in stats[k])
+            if area < _LEAST_CELLS:
+                continue
+            rows, columns = slice(v, v + height), slice(u, u + width)
+            member = labels[rows, columns] == k
+            plate = int(np.bincount(cells.plate[rows, columns][member]).argmax())
+            found.append(Region(plate, sign, rows, columns, member))
+    return tuple(found)
+
+
+def _undisputed(
+    regions: Sequence[Region], smoothed: Array, cells: CellMap, references: Mapping[int, Reference]
+) -> list[Region]:
+    """Regions without those that the profile along a seam makes: what lies off the skin lifts it on its whole line.
+
+    Of regions to either side of the skin on the same line across a seam, the strongest is the cause.
+    """
+    kept: list[tuple[Region, list[tuple[float, float]]]] = []
+    strength = [float(np.abs(smoothed[r.rows, r.columns][r.cells]).max()) for r in regions]
+    for k in np.argsort(strength)[::-1]:
+        region = regions[k]
+        reference = references.get(region.plate)
+        points = cells.points[region.rows, region.columns][region.cells]
+        points = points[np.isfinite(points[:, 2])]
+        spans = [] if reference is None or not len(points) else reference.spans(points)
+        disputed = any(
+            other.plate == region.plate
+            and other.sign != region.sign
+            and any(low < end and start < high for (low, high), (start, end) in zip(spans, taken, strict=True))
+            for other, taken in kept
+        )
+        if not disputed:
+            kept.append((region, spans))
+    return [region for region, _ in kept]
+
+
+def _footprints(regions: Sequence[Region], shape: tuple[int, ...]) -> Mask:
+    """What is not to be taken for skin: all regions, with a margin."""
+    mask = np.zeros(shape, np.uint8)
+    for region in regions:
+        reach = 2 + round(_MARGIN * np.sqrt(region.cells.sum() / np.pi))
+        padded = np.pad(region.cells.astype(np.uint8), reach)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+        wide = cv2.dilate(padded, disc)
+        v, u = region.rows.start - reach, region.columns.start - reach
+        top, left = max(v, 0), max(u, 0)
+        part = wide[top - v : shape[0] - v, left - u : shape[1] - u]
+        mask[top : top + part.shape[0], left : left + part.shape[1]] |= part.astype(np.uint8)
+    return mask > 0

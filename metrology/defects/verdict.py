@@ -1,0 +1,18 @@
+"""What a defect is judged by beside its limits: whether all of it was seen."""
+
+from __future__ import annotations
+
+from metrology.defects.row import Defect
+from metrology.verdicts import Verdict
+
+
+def defect_note(defect: Defect) -> str:
+    """What the projector writes beside a defect."""
+    return f"{'AT LEAST ' if defect.hidden_by else ''}{defect.kind.upper()}"
+
+
+def defect_finding(defect: Defect) -> Verdict | None:
+    """What was not seen whole, or not measured, passes no limit; None where nothing is missing."""
+    if defect.depth_mm is None or defect.hidden_by:
+        return Verdict(None, "not measured", defect.reason)
+    return None

@@ -1,0 +1,54 @@
+"""How much of the projector's light reaches the bottom of a narrow band.
+
+Paint of reflectance r sends back r times the fringes and r times the mean light: its fringe amplitude B falls with its
+mean level A. Into a gap the projector's narrow beam shines less than the light from all around: there B falls by more.
+Bands too narrow for points of their own are told apart so.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView
+from metrology.seams.finding.medians import row_medians
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# The black level is at most what this share of the pixels stays below; every so many pixels are looked at.
+_DARKEST = 0.002
+_EVERY = 8
+
+
+def black_level(view: DecodedView) -> float:
+    """Grey level of no light, or more where all of the image is lit: the darkest pixels'."""
+    return float(np.nanquantile(view.texture[::_EVERY, ::_EVERY], _DARKEST))
+
+
+def projected_share(texture: Array, modulation: Array, band: Mask, skin: Mask, black: float) -> Array:
+    """Fringe amplitude of a band over that of paint as dark, for each piece of a line.
+
+    ``q = (B / B_skin) / ((A − black) / (A_skin − black))``: 1 for paint, less in a gap; too large a black level only
+    raises q.
+
+    Parameters
+    ----------
+    texture, modulation : (p, n) ndarray
+        A and B, grey levels.
+    band : (n,) ndarray of bool
+        Places in the band.
+    skin : (p, n) ndarray of bool
+        Places on the skin beside it.
+    black : float
+
+    Returns
+    -------
+    (p,) ndarray
+        NaN where the band is black.
+    """
+    level = row_medians(texture, band) - black
+    dark = level / (row_medians(texture, skin) - black)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = row_medians(modulation, band) / row_medians(modulation, skin) / dark
+    return np.where(level > 0, shares, np.nan)

@@ -1,0 +1,95 @@
+"""How wide a gap's chamfers are where the pictures leave it open: the median of all that is likely.
+
+A chamfer narrower than the blur looks much like blur, and a square edge is a kind of its own. So no single best fit
+stands for what is known: the rest is fitted for each of many widths, square edges among them, and the chamfers
+are the median over them, each weighted by its likelihood; how far apart the gap's likely widths lie goes into the
+uncertainty.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.results import COVERAGE_95
+from metrology.seams.gap.prior import WIDTH_A, WIDTH_B
+from metrology.seams.gap.profiles import Profiles
+from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
+
+Array = NDArray[np.float64]
+
+# Square edges that cost so much more than chamfers, in squared standard deviations, are out of the question (five σ).
+_CERTAIN = 25.0
+# Widths tried: so far apart (a quarter of a usual pixel, 0.2 mm), and up to where one costs so much more than the best
+# that it has no weight.
+_STEP_MM, _WIDEST_MM = 0.05, 1.0
+_NO_WEIGHT = 12.0
+# Before any picture is seen: drawings ask for broken edges; of four joints one may have been left square.
+_SQUARE_SHARE = 0.25
+_ITERATIONS = 12
+# Share of what is likely that U95 is to cover.
+_COVERAGE = 0.95
+
+
+def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
+    """The shape with the median chamfers, and the standard uncertainty of the gap's width by not knowing them.
+
+    It is that of a normal distribution as wide as 95 % of what is likely: where square edges are all but certain, what
+    little speaks for wide chamfers does not count.
+
+    Parameters
+    ----------
+    free : State
+        The best fit.
+    some : Profiles
+        What it was fitted to.
+    """
+    expected = 0.5 * float(free.shared[WIDTH_A] + free.shared[WIDTH_B])
+    square = _with_chamfers(free, some, 0.0)
+    if square.cost(free.limit) - free.cost(free.limit) > _CERTAIN:
+        return free, 0.0
+    states, costs = [square], [square.cost(free.limit)]
+    tried = np.unique(np.append(np.arange(_STEP_MM, _WIDEST_MM, _STEP_MM), max(expected, 0.01)))
+    for width in tried:
+        states.append(_with_chamfers(states[-1], some, float(width)))
+        costs.append(states[-1].cost(free.limit))
+        if width > expected and costs[-1] > min(costs) + _NO_WEIGHT:
+            break
+    chamfers = np.append(0.0, tried)[: len(states)]
+    # What is not rendered well tells less of what it is.
+    flattened = np.array(costs) / free.excess_misfit
+    weights, widths = _weights(flattened, free, chamfers), np.array([np.median(s.widths) for s in states])
+    chamfer = float(np.interp(0.5, np.cumsum(weights), chamfers))
+    median = _with_chamfers(states[int(np.abs(chamfers - chamfer).argmin())], some, chamfer)
+    away = np.abs(widths - np.median(median.widths))
+    order = np.argsort(away)
+    return median, float(np.interp(_COVERAGE, np.cumsum(weights[order]), away[order])) / COVERAGE_95
+
+
+def _with_chamfers(start: State, some: Profiles, width_mm: float) -> State:
+    """Everything else fitted to chamfers of this width."""
+    shared = start.shared.copy()
+    shared[[WIDTH_A, WIDTH_B]] = width_mm
+    # A chamfer's middle stays where it is.
+    wider = shared[[WIDTH_A, WIDTH_B]] - start.shared[[WIDTH_A, WIDTH_B]]
+    borders = start.borders + 0.5 * wider * ACROSS
+    return fit_shape_from(some, borders, shared, start.known.without_chamfers(), _ITERATIONS)
+
+
+def _weights(costs: Array, free: State, chamfers: Array) -> Array:
+    """Posterior probabilities of the widths tried: square edges have a share of their own, the rest a density."""
+    prior = np.array([_prior_cost(free, width) for width in chamfers])
+    fine = np.arange(0.0, 5.0, 0.01)
+    norm = 0.01 * np.exp(-0.5 * (np.array([_prior_cost(free, width) for width in fine]) - prior.min())).sum()
+    # Trapezoids.
+    spacing = 0.5 * (np.diff(chamfers, append=chamfers[-1]) + np.diff(chamfers, prepend=0.0))
+    weights = np.exp(-0.5 * (costs - costs.min() - prior.min())) * spacing / norm * (1 - _SQUARE_SHARE)
+    weights[0] += np.exp(-0.5 * (costs[0] - costs.min() - prior[0])) * _SQUARE_SHARE
+    return np.asarray(weights / weights.sum())
+
+
+def _prior_cost(state: State, width_mm: float) -> float:
+    """What is known against chamfers of this width, beside the other parameters' share."""
+    shared = state.known.mean.copy()
+    shared[[WIDTH_A, WIDTH_B]] = width_mm
+    return state.known.cost(shared)

@@ -1,0 +1,192 @@
+"""Grey levels across a seam at its stations, as both cameras see them, ready for the fit of the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.rig import Device
+from metrology.seams.gap.levels import LEVEL_SCATTER
+from metrology.seams.gap.model import LEVELS
+from metrology.seams.gap.views import View, section_map
+from metrology.seams.sampling import binned, sample
+from metrology.seams.skins.sections import Section
+
+Array = NDArray[np.float64]
+
+# Skin in view beyond each expected border, px: enough for its brightness and its slope.
+_SKIN_PX = 8.0
+# A border's blur, and the error of where it is expected, reach this far onto the skin, px.
+BLUR_PX = 3.0
+_BIN_PX = 1.0 / 3.0
+_MIN_BINS = 4
+# Relative grey level below which the sensor's noise outweighs the grain.
+_DARKEST = 0.05
+# A station's scatter counts up to so many times the usual; beyond, what stands beside the gap is no skin but the end of
+# the light or a hole, and the station is to look odd.
+_MOST_SCATTER = 8.0
+
+
+# Fields of `Profiles` that are not by station.
+_OF_THE_SEAM = ("normals", "ambient", "chamfer_slope", "level_scatter")
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Binned pixels of n stations in k cameras; bins beyond `sizes` are not in use.
+
+    Attributes
+    ----------
+    stations : (n,) ndarray of int
+        Which of the seam's stations each is.
+    half_widths : (n,) ndarray
+        Where the borders are expected, mm from the centre line.
+    places : (n,) ndarray
+        −1 at the seam's beginning to 1 at its end.
+    x : (n, k, bins) ndarray
+        On the reference curve, mm.
+    grey, variance : (n, k, bins) ndarray
+        Grey level relative to the skin's, and its variance.
+    sizes : (n, k) ndarray of int
+    tilts : (n, 2) ndarray
+        Height of skin A above the reference curve, and its slope.
+    eyes : (n, k, 2) ndarray
+        Cameras' x and h in the section, mm.
+    lamps : (n, 2) ndarray
+        The projector's.
+    px_mm : (n, k) ndarray
+        Pixels per mm across the seam.
+    normals : (k, 2) ndarray
+        Unit vector across the seam in each image, mean of the stations.
+    ambient : (k,) ndarray
+        Share of the skin's brightness that does not follow the fringes.
+    chamfer_slope : float
+        Tangent of the chamfers' angle against the skin.
+    courses : (n, k, LEVELS) ndarray
+        What a station's usual levels differ from the seam's.
+    level_scatter : (LEVELS,) ndarray
+        Standard deviation of a station's own levels about them.
+    """
+
+    stations: NDArray[np.int64]
+    half_widths: Array
+    places: Array
+    x: Array
+    grey: Array
+    variance: Array
+    sizes: NDArray[np.int64]
+    tilts: Array
+    eyes: Array
+    lamps: Array
+    px_mm: Array
+    normals: Array
+    ambient: Array
+    chamfer_slope: float
+    courses: Array
+    level_scatter: Array
+
+    def at(self, which: NDArray[np.int64]) -> Profiles:
+        """Some of the stations."""
+        picked = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name not in _OF_THE_SEAM}
+        return replace(self, **picked)
+
+
+def collect(
+    sections: Sequence[Section | None],
+    half_widths: Sequence[float],
+    views: tuple[View, View],
+    projector: Device,
+    half_length: float,
+    chamfer_slope: float,
+) -> Profiles | None:
+    """Profiles of all stations that have a section and whose skin a camera sees; None where there is none."""
+    rows = []
+    for i, (section, half) in enumerate(zip(sections, half_widths, strict=True)):
+        if section is None:
+            continue
+        seen = [_profile(section, half, view, half_length) for view in views]
+        if any(one is not None for one in seen):
+            rows.append((i, section, half, seen))
+    if not rows:
+        return None
+    most = max(len(one.x) for *_, seen in rows for one in seen if one is not None)
+    n, k = len(rows), len(views)
+    x, grey, counts = np.zeros((n, k, most)), np.zeros((n, k, most)), np.ones((n, k, most))
+    sizes, px_mm, scatter = np.zeros((n, k), np.int64), np.ones((n, k)), np.full((n, k), np.nan)
+    eyes, lamps, tilts = np.zeros((n, k, 2)), np.zeros((n, 2)), np.zeros((n, 2))
+    normals = np.full((k, 2), 1e-9)
+    for row, (_, section, _, seen) in enumerate(rows):
+        tilts[row] = 0.5 * (section.a.coefficients - section.b.coefficients)[:2]
+        lamps[row] = section.frame.local(projector.centre)[[0, 2]]
+        for c, (view, one) in enumerate(zip(views, seen, strict=True)):
+            eyes[row, c] = section.frame.local(view.device.centre)[[0, 2]]
+            if one is None:
+                continue
+            size = sizes[row, c] = len(one.x)
+            x[row, c, :size], grey[row, c, :size], counts[row, c, :size] = one.x, one.grey, one.counts
+            px_mm[row, c], scatter[row, c] = one.px_mm, one.scatter
+            normals[c] += one.gradient
+    # Grain is the same stuff all along the seam, and a station alone tells its scatter poorly; but one whose skin
+    # scatters more has a highlight's border or a scratch on it.
+    usual = np.array([np.median(one[np.isfinite(one)]) if np.isfinite(one).any() else 1.0 for one in scatter.T])
+    own = np.minimum(np.fmax(scatter, usual), _MOST_SCATTER * usual)
+    expected = np.array([half for *_, half, _ in rows])
+    stations = np.array([i for i, *_ in rows])
+    return Profiles(
+        stations=stations,
+        half_widths=expected,
+        places=2.0 * stations / max(len(sections) - 1, 1) - 1.0,
+        x=x,
+        grey=grey,
+        # Grain is a share of the brightness: in the dark there is little of it.
+        variance=own[:, :, None] * np.maximum(grey, _DARKEST) ** 2 / counts,
+        sizes=sizes,
+        tilts=tilts,
+        eyes=eyes,
+        lamps=lamps,
+        px_mm=px_mm,
+        normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        ambient=np.array([view.ambient for view in views]),
+        chamfer_slope=chamfer_slope,
+        courses=np.zeros((n, k, LEVELS)),
+        level_scatter=LEVEL_SCATTER,
+    )
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """One station in one camera; `scatter` is the variance of a bin times its pixels."""
+
+    x: Array
+    grey: Array
+    counts: Array
+    px_mm: float
+    gradient: tuple[float, float]
+    scatter: float
+
+
+def _profile(section: Section, half: float, view: View, half_length: float) -> _Profile | None:
+    """What one camera shows, relative to the skin's mean beyond the border; None without skin on both sides."""
+    local = section_map(section, view.device, half + 2.0, half_length)
+    px_mm = local.px_per_unit
+    reach = half + _SKIN_PX / px_mm
+    x, _, grey = sample(view.texture, local, -reach, reach, half_length)
+    if len(x) == 0:
+        return None
+    x, grey, counts = binned(x, grey, _BIN_PX / px_mm)
+    skins = [side * x > half + BLUR_PX / px_mm for side in (-1.0, 1.0)]
+    if min(int(skin.sum()) for skin in skins) < _MIN_BINS or min(grey[skin].mean() for skin in skins) <= 0:
+        return None
+    level = 0.5 * sum(float(grey[skin].mean()) for skin in skins)
+    grey = grey / level
+    # What bins scatter about a straight line is grain and noise, correlated within a bin as they are.
+    squares = freedom = 0.0
+    for skin in skins:
+        from_mean, level = x[skin] - x[skin].mean(), grey[skin] - grey[skin].mean()
+        residual = level - from_mean * (from_mean @ level) / (from_mean @ from_mean)
+        squares += float((residual**2 * counts[skin]).sum())
+        freedom += int(skin.sum()) - 2
+    return _Profile(x, grey, counts, px_mm, local.gradient, squares / freedom)

@@ -1,0 +1,87 @@
+"""The shape of a gap that all its stations share, found from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.seams.gap.chamfers import weigh_chamfers
+from metrology.seams.gap.floor import Floor
+from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
+from metrology.seams.gap.profiles import Profiles
+from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# So many stations, evenly spread, tell the shape; so few of them choose where to start from.
+_SHAPE_STATIONS = 24
+_START_STATIONS = 6
+_START_CHAMFERS_MM = (0.05, 0.35, 0.7, 1.05)
+_START_DEPTHS_MM = (1.0, 3.0)
+_START_ITERATIONS, _ITERATIONS = 10, 30
+# An open gap is taken for real where sealant costs more than this in squared standard deviations: then its chamfers
+# earn their keep (Bayesian information of about a hundred independent pixels).
+_PROOF = 9.0
+
+
+def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array, float]:
+    """The most likely shape, borders to start from for all stations, and the standard deviation of the mean width."""
+    some = profiles.at(_evenly(len(profiles.stations), _SHAPE_STATIONS))
+    few = some.at(_evenly(len(some.stations), _START_STATIONS))
+    # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
+    looks = [_first_look(few, floor) for floor in floors]
+    look = min(looks, key=lambda look: _cost(look) - (_PROOF if look.known.floor.sealed else 0.0))
+    return _fit_some(some, profiles, _like(look, few, some), look.shared, look.known)
+
+
+def fit_shape_again(profiles: Profiles, found: State) -> tuple[State, Array, float]:
+    """The same from what was found for all stations with other variances or levels' courses."""
+    chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
+    known = Prior(profiles, found.known.floor)
+    return _fit_some(profiles.at(chosen), profiles, found.borders[chosen], found.shared, known)
+
+
+def _fit_some(
+    some: Profiles, profiles: Profiles, borders: Array, shared: Array, known: Prior
+) -> tuple[State, Array, float]:
+    """Some of the stations fitted from a start; what follows for all of them."""
+    free = fit_shape_from(some, borders, shared, known, _ITERATIONS)
+    shape, doubt = (free, 0.0) if known.floor.sealed else weigh_chamfers(free, some)
+    return shape, _like(shape, some, profiles), float(np.hypot(shape.mean_width_sigma, doubt))
+
+
+def _evenly(n: int, most: int) -> Indices:
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
+
+
+def _first_look(few: Profiles, floor: Floor) -> State:
+    """A few stations' fit from the best of all starts: with usual cameras first, then with square walls."""
+    known = Prior(few, floor)
+    depths = _START_DEPTHS_MM if floor.depth_mm is None and not floor.sealed else known.mean[[DEPTH]]
+    looks = []
+    for chamfer in (0.0,) if floor.sealed else _START_CHAMFERS_MM:
+        starts = []
+        for depth in depths:
+            shared = known.mean.copy()
+            shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
+            # What is detected as the band's border lies on the chamfer.
+            borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
+            starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
+        best = min(starts, key=_cost)
+        for freer in (known.of_square_walls(), known):
+            best = fit_shape_from(few, best.borders, best.shared, freer, _START_ITERATIONS)
+        looks.append(best)
+    return min(looks, key=_cost)
+
+
+def _cost(state: State) -> float:
+    return state.cost(state.limit)
+
+
+def _like(found: State, stations: Profiles, others: Profiles) -> Array:
+    """(n, 2) borders of other stations, as far from where they are expected as those found."""
+    shift = np.median(found.borders - np.outer(stations.half_widths, ACROSS), axis=0)
+    return np.asarray(np.outer(others.half_widths, ACROSS) + shift)

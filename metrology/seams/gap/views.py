@@ -1,0 +1,68 @@
+"""How one camera sees a section: which pixel shows which place on the skin, and along which ray."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import PixelFlag, Reconstruction
+from metrology.rig import Device
+from metrology.seams.sampling import LocalMap, fit_map, grid_offsets
+from metrology.seams.skins.sections import Section
+
+Array = NDArray[np.float64]
+
+# The share of ambient light is the median over every so many pixels either way.
+_SPARSE = 8
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera.
+
+    Attributes
+    ----------
+    device : Device
+    texture : (h, w) float32
+        Saturated pixels NaN.
+    ambient : float
+        Share of the skin's brightness that does not follow the fringes, (A − B) / A: light from elsewhere, the sensor's
+        dark level, and what the projector's optics take from the fringes' contrast.
+    """
+
+    device: Device
+    texture: NDArray[np.float32]
+    ambient: float
+
+
+def both_views(reconstruction: Reconstruction) -> tuple[View, View]:
+    """Left and right camera."""
+    rig = reconstruction.rig
+    views = []
+    for device, decoded in ((rig.left, reconstruction.left), (rig.right, reconstruction.right)):
+        saturated = (decoded.flags & np.uint16(PixelFlag.SATURATED)) != 0
+        texture = np.where(saturated, np.float32(np.nan), decoded.texture) if saturated.any() else decoded.texture
+        some = (slice(None, None, _SPARSE), slice(None, None, _SPARSE))
+        usual = np.isfinite(decoded.coordinate[some])
+        share = 1.0 - decoded.modulation[some][usual] / decoded.texture[some][usual]
+        views.append(View(device, texture, float(np.clip(np.median(share), 0.02, 1.0)) if usual.any() else 1.0))
+    return views[0], views[1]
+
+
+def section_map(section: Section, device: Device, half_x: float, half_y: float) -> LocalMap:
+    """A camera's pixel → (x, y) of the section, mm, on the reference curve for |x| ≤ half_x, |y| ≤ half_y.
+
+    The reference curve is the mean of both skin lines: on it both sides have one coordinate x.
+    """
+    offsets = grid_offsets(half_x, half_y)
+    x, y = offsets.T
+    pixels = device.project(section.frame.rig(np.stack([x, y, reference_height(section, x)], axis=-1)))
+    return fit_map(offsets, pixels)
+
+
+def reference_height(section: Section, x: float | Array) -> Array:
+    """Mean of both skin lines at x, mm."""
+    mean = 0.5 * (section.a.coefficients + section.b.coefficients)
+    return np.asarray(mean[0] + mean[1] * np.asarray(x) + mean[2] * np.asarray(x) ** 2)

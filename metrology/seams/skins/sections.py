@@ -1,0 +1,213 @@
+"""Cross-sections of a seam: a plane across it at each station, and the two skin lines in that plane (paper §4.2,
+Fig. 7).
+
+The points within ε_d of the plane are projected onto it, and each side gets its line (`skin_lines`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.fits import SkinLine
+from metrology.jit import kernel
+from metrology.seams.skins.other_seams import beyond
+from metrology.seams.skins.skin_lines import SkinFit, fit_skin_lines
+from metrology.surfaces import Frame
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# The frame is turned into the skin on every so many points.
+_SPARSE = 4
+# Skin lies this near to the frame's plane, and while the frame is being turned into it.
+_SKIN_BAND_MM = 3.0
+_TURNING_BANDS_MM = (6.0, 3.0)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section plane with both skin lines.
+
+    Attributes
+    ----------
+    frame : Frame
+        x across the seam from side A to side B, y along it, h along the skins' normal towards the rig.
+    a, b : SkinLine
+    covariance : (5, 5) ndarray
+        Of a's c_0, c_1, b's c_0, c_1 and the common c_2.
+    clumping : float
+        By how much sums of neighbouring points' errors vary more than independent points' would.
+    stretches : (8,) ndarray
+        Those sums, see `SkinFit`.
+    """
+
+    frame: Frame
+    a: SkinLine
+    b: SkinLine
+    covariance: Array
+    clumping: float
+    stretches: Array = field(default_factory=lambda: np.zeros(8))
+
+    def point(self, x: float, h: float, y: float = 0.0) -> Array:
+        """(3,) rig-frame point of section coordinates."""
+        return self.frame.rig(np.array([x, y, h]))
+
+    def midpoint(self, a: float, b: float) -> Array:
+        """(3,) rig-frame midpoint of the ideal edges at x = a and x = b."""
+        return np.asarray(0.5 * (self.point(a, self.a.height(a)) + self.point(b, self.b.height(b))))
+
+
+def usable_points(reconstruction: Reconstruction) -> Mask:
+    """(h, w) pixels whose points may carry a skin line: present, and not mixed across an edge."""
+    doubtful = reconstruction.flags & np.uint16(MISSING | PixelFlag.EDGE)
+    return reconstruction.valid & (doubtful == 0)
+
+
+def strip(
+    reconstruction: Reconstruction, usable: Mask, centre_px: Array, frame: Frame, half_length: float, extent: float,
+    every: int = 1,
+) -> Array:  # fmt: skip
+    """Points near a section plane.
+
+    Parameters
+    ----------
+    usable : (h, w) ndarray of bool
+    centre_px : (2,) ndarray
+        Where the left image shows the frame's origin.
+    half_length : float
+        ε_d, mm.
+    extent : float
+        Largest |x|, mm.
+    every : int
+        Only pixels on every so many diagonals (u + v) are taken.
+
+    Returns
+    -------
+    (n, 5) ndarray
+        x, y, h, σ_h and the pixel's index into the flattened image.
+    """
+    rig = reconstruction.rig
+    reach = np.array([[extent, half_length, 0], [-extent, half_length, 0], [extent, -half_length, 0]])
+    corners = rig.left.project(frame.rig(np.concatenate([reach, -reach]))) - centre_px
+    radius = np.ceil(np.abs(corners).max(axis=0)).astype(np.int64) + 2
+    return _strip(
+        reconstruction.points,
+        reconstruction.sigma_z,
+        usable,
+        centre_px,
+        radius,
+        frame.origin,
+        np.ascontiguousarray(frame.axes),
+        half_length,
+        extent,
+        every,
+    )
+
+
+@kernel
+def _strip(points, sigma_z, usable, centre, radius, origin, axes, half_length, extent, every):  # type: ignore[no-untyped-def]
+    """Collect points with |x| ≤ extent and |y| ≤ half_length from the pixels around the station."""
+    height, width = usable.shape
+    u0, u1 = max(0, int(centre[0]) - radius[0]), min(width, int(centre[0]) + radius[0] + 1)
+    v0, v1 = max(0, int(centre[1]) - radius[1]), min(height, int(centre[1]) + radius[1] + 1)
+    out = np.empty((max(0, u1 - u0) * max(0, v1 - v0), 5))
+    count = 0
+    for v in range(v0, v1):
+        for u in range(u0 + (-(u0 + v)) % every, u1, every):
+            if not usable[v, u]:
+                continue
+            px, py, pz = points[v, u, 0], points[v, u, 1], points[v, u, 2]
+            dx, dy, dz = px - origin[0], py - origin[1], pz - origin[2]
+            x = dx * axes[0, 0] + dy * axes[0, 1] + dz * axes[0, 2]
+            y = dx * axes[1, 0] + dy * axes[1, 1] + dz * axes[1, 2]
+            if abs(x) > extent or abs(y) > half_length:
+                continue
+            along_ray = abs((px * axes[2, 0] + py * axes[2, 1]) / pz + axes[2, 2])
+            out[count, 0] = x
+            out[count, 1] = y
+            out[count, 2] = dx * axes[2, 0] + dy * axes[2, 1] + dz * axes[2, 2]
+            out[count, 3] = sigma_z[v, u] * along_ray
+            out[count, 4] = v * width + u
+            count += 1
+    return out[:count]
+
+
+def section_at(
+    reconstruction: Reconstruction,
+    usable: Mask,
+    origin: Array,
+    direction: Array,
+    towards_b: Array,
+    centre_px: Array,
+    inner: tuple[float, float],
+    outer: tuple[float, float],
+    half_length: float,
+    min_points: int,
+    other_courses: Sequence[Array] = (),
+) -> Section | str:
+    """The section of a station, or the reason why there is none.
+
+    Parameters
+    ----------
+    usable : (h, w) ndarray of bool
+    origin, direction : (3,) ndarray
+        Point of the centre line on the skin, and the line's unit tangent.
+    towards_b : (3,) ndarray
+        Roughly from side A to side B.
+    centre_px : (2,) ndarray
+        The origin in the left image.
+    inner, outer : (float, float)
+        Where the skin line of A and that of B begins and ends, as distances from the centre line, mm.
+    half_length : float
+        ε_d, mm.
+    min_points : int
+        Fewest points of a skin line.
+    other_courses : sequence of (m, 2) ndarray
+        Other seams' courses in the left image: what lies beyond them is another plate.
+    """
+
+    def fitted(frame: Frame, band: float, every: int) -> SkinFit | None:
+        points = strip(reconstruction, usable, centre_px, frame, half_length, max(outer), every)
+        points = points[np.where(points[:, 0] < 0, -points[:, 0] <= outer[0], points[:, 0] <= outer[1])]
+        if other_courses:
+            v, u = np.divmod(points[:, 4], usable.shape[1])
+            points = points[~beyond(np.stack([u, v], axis=1), centre_px, other_courses)]
+        return fit_skin_lines(points, -inner[0], inner[1], band)
+
+    frame = _frame(origin, direction, towards_b, -origin / np.linalg.norm(origin))
+    for band in _TURNING_BANDS_MM:
+        fit = fitted(frame, band, _SPARSE)
+        if fit is None:
+            return "too few points of skin beside the seam"
+        slope, along = 0.5 * (fit.solution[1] + fit.solution[3]), 0.5 * (fit.solution[5] + fit.solution[6])
+        frame = _frame(origin, direction, towards_b, frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1])
+    fit = fitted(frame, _SKIN_BAND_MM, 1)
+    if fit is None:
+        return "too few points of skin beside the seam"
+    if min(fit.n_a, fit.n_b) < min_points:
+        side, n = ("A", fit.n_a) if fit.n_a <= fit.n_b else ("B", fit.n_b)
+        return f"{n} points of skin on side {side}, {min_points} needed"
+    a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
+    b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
+    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches)
+
+
+def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:
+    """x across from A to B, h along the normal, y along the seam (right-handed: either way along it)."""
+    across = _cross(direction, normal)
+    across /= np.sqrt(across @ across)
+    if across @ towards_b < 0:
+        across = -across
+    # The section plane is normal to the seam, so the frame's y is the seam's direction and h follows from it.
+    along = direction if _cross(across, direction) @ normal > 0 else -direction
+    return Frame(origin, np.stack([across, along, _cross(across, along)]))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a × b of two vectors; numpy's own takes most of a section's time."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,0 +1,111 @@
+"""The newest scans of an aircraft's panel, as their assembly takes them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.assembly.scan import PanelScan, Skin
+from metrology.errors import StoreError
+from metrology.kinds import KINDS
+from metrology.panel import PanelLayout, Placement
+from metrology.results import PanelKey, SceneKey
+from metrology.tolerance import as_measured
+from storage.archive.bundle import FITS, MANIFEST, RIG
+from storage.archive.rows import result_of
+from storage.archive.store import Store
+from storage.cloud import read_cloud
+from storage.documents import read_json
+from storage.fits import read_fits
+from storage.panel_spec import panel_spec_from
+from storage.rig import load_rig
+
+
+@dataclass(frozen=True)
+class ScanOfPanel:
+    """A scan, the run that it is taken from, and what that run was judged by."""
+
+    scan: PanelScan
+    run_id: str
+    panel_spec: Mapping[str, Any]
+
+
+def panels_of(store: Store) -> list[PanelKey]:
+    """Panels that have scans."""
+    rows = store.query("SELECT DISTINCT aircraft_serial, panel FROM scenes ORDER BY ALL").to_pylist()
+    return [PanelKey(**row) for row in rows]
+
+
+def newest_scans(store: Store, key: PanelKey, layout: PanelLayout | None = None) -> list[ScanOfPanel]:
+    """The newest scan of each of a panel's stations, in the order of their names.
+
+    Parameters
+    ----------
+    layout : PanelLayout, optional
+        The pattern of the specification; scans that were recognised in it keep their placement.
+    """
+    with contextlib.closing(store.connect()) as connection:
+        found = connection.execute(
+            "SELECT aircraft_serial, panel, station, captured_at, run_id FROM latest_scenes "
+            "WHERE aircraft_serial = ? AND panel = ? ORDER BY station",
+            [key.aircraft_serial, key.panel],
+        ).fetchall()
+    if not found:
+        known = ", ".join(map(str, panels_of(store)[:5])) or "none"
+        raise StoreError(f"{store.root}: found no scan of {key}, expected one of: {known}")
+    with ThreadPoolExecutor(2) as readers:
+        return list(readers.map(lambda row: _loaded(store, SceneKey(*row[:4]), row[4], layout), found))
+
+
+def _loaded(store: Store, key: SceneKey, run_id: str, layout: PanelLayout | None) -> ScanOfPanel:
+    paths = store.paths(key.scene_id)
+    manifest = read_json(paths.bundle / MANIFEST, StoreError)
+    cloud = read_cloud(paths.cloud)
+    scan = PanelScan(
+        key,
+        load_rig(paths.bundle / RIG),
+        Skin.thinned(cloud.points, cloud.sigma_z),
+        _features(store, key.scene_id),
+        _across(paths.bundle / FITS),
+        _nominal(manifest, paths.bundle / MANIFEST, layout),
+    )
+    return ScanOfPanel(scan, run_id, manifest.get("panel_spec") or {})
+
+
+def _features(store: Store, scene_id: str) -> dict[str, list[Any]]:
+    """A scan's rows as they were measured, before they were judged."""
+    found = {}
+    for kind in KINDS:
+        rows = store.query(f"FROM {kind.table} WHERE scene_id = ? ORDER BY ALL", [scene_id]).to_pylist()
+        found[kind.name] = [as_measured(kind, result_of(kind.row_type, row)) for row in rows]
+    return found
+
+
+def _across(path: Path) -> dict[tuple[str, float], NDArray[np.float64]]:
+    """From side A to side B at each seam position that was measured; none in runs of older versions."""
+    if not path.exists():
+        return {}
+    rows = read_fits(path).rows
+    return {(r["feature_id"], round(r["s_mm"], 5)): np.array(r["axes"][:3]) for r in rows if r["s_mm"] is not None}
+
+
+def _nominal(manifest: Mapping[str, Any], path: Path, layout: PanelLayout | None) -> Placement | None:
+    """Where a scan lies in the specification's frame: it was recognised in the same pattern."""
+    registration = manifest.get("registration") or {}
+    if layout is None or layout.empty or registration.get("status") != "recognised":
+        return None
+    document = manifest.get("panel_spec") or {}
+    if not (document.get("rivets") or document.get("seams")):
+        return None  # recognised by a pattern that a scan of its station enrolled
+    used = panel_spec_from(document, path).layout
+    if (used.rivets, used.seams) != (layout.rivets, layout.seams):
+        return None
+    placement = registration["placement"]
+    return Placement(placement["R"], placement["t_mm"])

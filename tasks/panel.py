@@ -1,0 +1,57 @@
+"""The steps of a panel's assembly, each a plain function: load, call metrology, save."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from metrology.assembly.assemble import assembled
+from metrology.assembly.coverage import coverage
+from metrology.assembly.panel import panel_features
+from metrology.assembly.result import PanelResult
+from metrology.assembly.verdict import judgement
+from metrology.results import PanelKey
+from storage.archive import Store
+from storage.archive.panel_scans import ScanOfPanel, newest_scans
+from storage.panel_spec import PanelSpecification, load_panel_spec, panel_spec_from
+from tasks.steps import versions
+
+
+def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None) -> PanelResult:
+    """Put a panel together from the newest scans of its stations; nothing is stored.
+
+    Parameters
+    ----------
+    spec : PanelSpecification, optional
+        By default what is in force for the panel or, where nothing is, what its newest scan was judged by.
+    """
+    spec = spec or store.panels.in_force(key.panel)
+    found = newest_scans(store, key, spec.layout if spec else None)
+    spec = spec or _judged_by(store, found)
+    assembly = assembled([each.scan for each in found], spec.layout)
+    warnings = list(assembly.warnings)
+    if spec.example:
+        warnings.append("judged by the example limits, which are nobody's requirement; put a specification in force")
+    features = panel_features(assembly, spec.limits, spec.layout)
+    covered = coverage(assembly, features, spec.layout)
+    gaps = [*covered.gaps]
+    gaps += [f"in {len(assembly.parts)} parts"] if len(assembly.parts) > 1 else []
+    gaps += [f"{assembly.scans[k].key.station} left out" for k in assembly.left_out]
+    rows = {name: [feature.row for feature in of_kind] for name, of_kind in features.items()}
+    return PanelResult(
+        key=key,
+        assembly=assembly,
+        runs={each.scan.key: each.run_id for each in found},
+        features=features,
+        judgement=judgement(rows, spec.limits, spec.rules, spec.layout, covered.area_mm2, gaps),
+        coverage=covered,
+        panel_spec=spec.document,
+        spec_name=str(spec),
+        warnings=tuple(warnings),
+        versions=versions(),
+    )
+
+
+def _judged_by(store: Store, found: Sequence[ScanOfPanel]) -> PanelSpecification:
+    """The specification of the newest scan; the example where it has none."""
+    newest = max(found, key=lambda each: each.scan.key.captured_at)
+    return panel_spec_from(newest.panel_spec, store.root) if newest.panel_spec else load_panel_spec()
