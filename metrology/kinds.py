@@ -157,7 +157,8 @@ class Kind:
     cells : tuple of Cell
         What reports have in a row between its name and its zone; its quantities where nothing is given.
     size : tuple of str
-        Columns of its extent, mm: rows of two scans nearer than half of it are of one feature of the panel.
+        Columns of its extent, mm. The largest is the ring that the projector draws; rows of two scans nearer than half
+        of it are of one feature of the panel.
     """
 
     name: str

@@ -66,7 +66,7 @@ def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
     """A ring round each feature, of its own size where it has one."""
     projector, layout = screen(canvas.reconstruction.rig), canvas.layout
     for row in rows:
-        outline, name = _ring(row, canvas.reconstruction), kind.id_of(row)
+        outline, name = _ring(kind, row, canvas.reconstruction), kind.id_of(row)
         if outline is None:
             continue
         inside = projector.inside(outline)
@@ -107,13 +107,12 @@ def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
                     canvas.wishes.append(Wish(name, _text(kind, course[k]), places[k], np.full(2, reach), severity))
 
 
-def _ring(row: Feature, reconstruction: Reconstruction) -> Array | None:
+def _ring(kind: Kind, row: Feature, reconstruction: Reconstruction) -> Array | None:
     """Outline of a feature in projector pixels; None where it has no position."""
     if row.x_mm is None or row.y_mm is None or row.z_mm is None:
         return None
     size: float = getattr(row, "major_px", None) or _RING_PX
-    own = getattr(row, "countersink_diameter_mm", None) or getattr(row, "diameter_mm", None)
-    own = own or getattr(row, "length_mm", None)
+    own = max((getattr(row, column) or 0.0 for column in kind.size), default=0.0)
     diameter: float = own or size * row.z_mm / reconstruction.rig.left.K[0, 0]
     normal = skin_normal(reconstruction.points, row.u_px, row.v_px, size)
     towards_rig = np.array([0.0, 0.0, -1.0])
