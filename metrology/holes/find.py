@@ -70,14 +70,14 @@ def find_openings(
     saturated = (reconstruction.flags[::_STRIDE, ::_STRIDE] & np.uint16(PixelFlag.SATURATED)) != 0
     # A pixel that matches by chance, at a wall or in the dark, does not part a hole. No hole is too bright.
     away = (~skin & ~(saturated & np.isnan(height))).astype(np.uint8)
-    away = cv2.morphologyEx(away, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(np.uint8)
+    away = np.asarray(cv2.morphologyEx(away, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     texture = reconstruction.left.texture[::_STRIDE, ::_STRIDE]
     view = _View(height, texture, skin, skin | ~saturated, shapes, scale, sunk_mm)
     found: list[Opening] = []
     for diameter in _PARTED_BY_MM:
         size = int(diameter * scale / _STRIDE) | 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        parted = cv2.morphologyEx(away, cv2.MORPH_OPEN, disc).astype(np.uint8) if size > 1 else away
+        parted = np.asarray(cv2.morphologyEx(away, cv2.MORPH_OPEN, disc), np.uint8) if size > 1 else away
         for opening in _round_openings(parted, view):
             away[opening.ellipse.level(*_pixels(away.shape)) < 1.5] = 0
             found.append(opening)

@@ -108,6 +108,6 @@ def _robust(design: Array, values: Array) -> tuple[Array, Array] | None:
     squares = solved.weights * (values - design @ solved.values) ** 2
     variance = float(squares.sum() / max(solved.weights.sum() - design.shape[1], 1.0))
     try:
-        return solved.values, np.asarray(np.linalg.inv(solved.normal) * variance, np.float64)
+        return solved.values, np.asarray(np.linalg.inv(solved.normal) * variance, float)
     except np.linalg.LinAlgError:
         return None
