@@ -373,6 +373,7 @@ DEFECT = Kind(
     parameter="defect",
     verdict="metrology.defects.verdict:defect_finding",
     note="metrology.defects.verdict:defect_note",
+    size=("length_mm", "foot_length_mm"),
     measure="metrology.defects.measure:measure_defects",
     cells=(
         Cell("kind", ("kind",)),

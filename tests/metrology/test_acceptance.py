@@ -17,7 +17,7 @@ from metrology.results import Rivet, SeamStation
 from metrology.rules import Rule
 from metrology.stretches import stretches
 from metrology.tolerance import as_measured, judge
-from tests.metrology.rows import rivet_at, station_at
+from tests.support.rows import rivet_at, station_at
 
 Array = NDArray[np.float64]
 LIMIT = 0.1

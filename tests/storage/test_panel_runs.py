@@ -21,8 +21,8 @@ from storage.archive.bundle import check_bundle
 from storage.archive.schema import PANEL_TABLES
 from storage.panel_spec import load_panel_spec
 from storage.rig import rig_document
-from tests.metrology.panel_scans import RIG, SimulatedPanel, facing
-from tests.storage.results import copied, small_result
+from tests.support.panel_scans import RIG, SimulatedPanel, facing
+from tests.support.results import copied, small_result
 
 KEY = PanelKey("MSN-1", "P")
 RULES = """
