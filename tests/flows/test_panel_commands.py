@@ -10,6 +10,7 @@ import pytest
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
 from metrology.cloud import PixelFlag
+from metrology.kinds import KINDS
 from storage.archive import Store
 from storage.panel_spec import DEFAULT_SPEC, load_panel_spec
 from tests.support.results import small_key, small_result
@@ -28,7 +29,7 @@ def test_a_scene_and_a_panel_are_reported(store: str, tmp_path: Path, capsys: py
     page = tmp_path / "out" / "scene.html"
     assert main(["report", small_key().scene_id, "--store", store, "--out", str(page), "--csv"]) == EXIT_DONE
     assert capsys.readouterr().out.splitlines() == [
-        str(page), *(str(page.with_name(f"scene-{table}.csv")) for table in ("rivets", "seam_stations", "holes"))
+        str(page), *(str(page.with_name(f"scene-{kind.table}.csv")) for kind in KINDS)
     ]  # fmt: skip
     assert page.with_name("scene-rivets.csv").read_bytes().startswith(b"\xef\xbb\xbfaircraft_serial,")
     panel = tmp_path / "panel.html"
