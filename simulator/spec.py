@@ -204,8 +204,6 @@ class SimulationSpec:
     format: Literal["flushline-simulation/1"]
     scene: SceneKeys
     panel: Panel = field(default_factory=Panel)
-    spheres: tuple[Ball, ...] = ()
-    behind_mm: float = 40.0
     rig: RigSpec = field(default_factory=RigSpec)
     placements: tuple[Placement, ...] = (Placement(),)
     fringe: FringeCode = field(default_factory=lambda: FringeCode("x", 4, (70, 64, 59)))
@@ -216,6 +214,8 @@ class SimulationSpec:
     calibration: CalibrationSpec | None = None
     seed: int = 1
     repeats: int = 1
+    spheres: tuple[Ball, ...] = ()
+    behind_mm: float = 40.0
 
     def __post_init__(self) -> None:
         if self.repeats < 1:

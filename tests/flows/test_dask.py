@@ -90,4 +90,5 @@ def test_a_worker_killed_in_the_middle_costs_no_scene(
     stored = store.query("SELECT station FROM scenes ORDER BY ALL").column(0).to_pylist()
     assert stored == [f"D{index}" for index in range(SCENES)]
     assert maintenance.check(store.layout).problems == ()
-    assert {Path(run).parent.name for run in Remote(s3).runs()} == {small_key(f"D{k}").scene_id for k in range(SCENES)}
+    scenes = {small_key(f"D{k}").scene_id for k in range(SCENES)}
+    assert {Path(run).parent.name for run in Remote(s3).runs()} == {*scenes, "MSN-1~LH-F12"}  # and their panel
