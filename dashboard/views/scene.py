@@ -75,13 +75,23 @@ def _newest(context: PageContext) -> str:
     return str(rows["scene_id"].iloc[0]) if len(rows) else ""
 
 
+def _counts(context: PageContext, row: Any) -> str:
+    """What was found, by kind: rivets and seams always, of the other kinds what there is."""
+    counted = []
+    for kind in (kind for kind in KINDS if kind.counts):
+        column = kind.counts[0].column
+        number = getattr(row, column)
+        if kind in (RIVET, SEAM_STATION) or (pd.notna(number) and number):
+            counted.append(f"{column.removeprefix('n_')}: {context.locale.whole(number)}")
+    return ", ".join(counted)
+
+
 def _headline(context: PageContext, row: Any) -> None:
     signed = context.archive.review().sign_offs().get(row.scene_id)
     with st.container(horizontal=True, vertical_alignment="center"):
         st.markdown(f"**{plain(row.aircraft_serial)} · panel {plain(row.panel)} · station {plain(row.station)}**")
         st.caption(
-            f"scanned {context.locale.time(row.captured_at)} · rivets: {context.locale.whole(row.n_rivets)}, "
-            f"seams: {context.locale.whole(row.n_seams)} · rig {plain(row.rig_id)}"
+            f"scanned {context.locale.time(row.captured_at)} · {_counts(context, row)} · rig {plain(row.rig_id)}"
         )
         if standings := context.archive.standings(str(row.scene_id)):
             st.caption(f"findings: {said(standings)}")
