@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from metrology.kinds import Kind, Quantity
 from metrology.registration.rows import has_position
-from metrology.results import Feature
+from metrology.results import COVERAGE_95, Feature
 
 Array = NDArray[np.float64]
 
@@ -173,7 +173,7 @@ def _with_mean(row: Feature, quantity: Quantity, known: Sequence[Sighting]) -> F
     values, u95 = np.array([_value(each, quantity) for each in known], float).T
     weights = 1 / np.maximum(u95, 1e-9) ** 2
     mean = float((weights * values).sum() / weights.sum())
-    birge = float(np.sqrt((weights * (values - mean) ** 2).sum() * 1.96**2 / (len(values) - 1)))
+    birge = float(np.sqrt((weights * (values - mean) ** 2).sum() * COVERAGE_95**2 / (len(values) - 1)))
     spread = birge / float(np.sqrt(weights.sum()))
     changed: dict[str, Any] = {quantity.column: mean, quantity.u95_column: max(float(u95.min()), spread)}
     for column in quantity.rests_on_it:

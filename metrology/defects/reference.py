@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, ruled_profiles
 from metrology.defects.surface_kernel import PLAIN, depths, surface_heights
+from metrology.robust import MAD, TUKEY, tukey
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
 
-_TUKEY = 4.685
-_MAD = 1.4826
 _ROUNDS = 5
 _CONVERGED = 0.02  # change of the surface, standard deviations of a cell
 _LEAST_DEGREE, _MOST_DEGREE = 4, 8  # a torus needs the fourth
@@ -193,8 +192,8 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         change = np.abs(design @ (updated - solution)).max()
         solution = updated
         residual = np.abs(target - design @ solution)
-        noise = _MAD * float(np.median(residual)) + 1e-9
-        weights = (1 - np.minimum(residual / (_TUKEY * noise), 1.0) ** 2) ** 2
+        noise = MAD * float(np.median(residual)) + 1e-9
+        weights = tukey(residual / (TUKEY * noise))
         if number > 1 and change < _CONVERGED * noise:
             break
         if number > 0 and len(waves):

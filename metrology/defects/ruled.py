@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from metrology.robust import MAD, TUKEY, tukey
+
 Array = NDArray[np.float64]
 
 BIN_MM = 2.0
 _COARSE_MM = 6.0  # of bins that tell whether there is anything
 _BORNE_OUT = 2.0  # times what noise makes of it must a profile vary
-_TUKEY = 4.685
-_MAD = 1.4826
 _HELD = 1e-3  # of a full bin: its neighbours tell where no cell does
 _MOST_TURN = 0.05  # rad, from the seam's chord as it was seen
 
@@ -88,7 +88,7 @@ def bent_along(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[
         far = across > np.median(across)
         near_heights, far_heights = (_medians(low[half], rest[half], count) for half in (~far, far))
         alike = np.where(near_heights * far_heights > 0, np.minimum(np.abs(near_heights), np.abs(far_heights)), 0.0)
-        noise = _MAD * float(np.median(np.abs(rest - _medians(low, rest, count)[low])))
+        noise = MAD * float(np.median(np.abs(rest - _medians(low, rest, count)[low])))
         variance = np.pi * noise**2 / max(len(rest) / count, 1.0)
         if np.mean(alike**2) > _BORNE_OUT**2 * variance:
             bent.append(direction)
@@ -112,9 +112,8 @@ def _profile(rest: Array, sd: Array, x: Array, y: Array, direction: Array) -> Ru
         if number:
             heights = _polyline(low, share, w, rest, count)
         residual = np.abs(rest - (1 - share) * heights[low] - share * heights[low + 1]) / sd
-        scale = _MAD * float(np.median(residual)) + 1e-12
-        t = np.minimum(residual / (_TUKEY * scale), 1.0)
-        w = weights * (1 - t**2) ** 2
+        scale = MAD * float(np.median(residual)) + 1e-12
+        w = weights * tukey(residual / (TUKEY * scale))
     total = np.bincount(low, (1 - share) * w, count) + np.bincount(low + 1, share * w, count)
     return Ruled(direction, start, heights, scale**2 / np.maximum(total, _HELD * total.max()))
 
@@ -149,7 +148,7 @@ def _turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:
     across = -profile.direction[1] * x + profile.direction[0] * y
     lever = slope * (across - across.mean())
     residual = rest - profile.at(x, y)
-    kept = np.abs(residual) < 3 * _MAD * np.median(np.abs(residual))
+    kept = np.abs(residual) < 3 * MAD * np.median(np.abs(residual))
     turn = float(np.sum(lever[kept] * residual[kept]) / max(np.sum(lever[kept] ** 2), 1e-12))
     turn = float(np.clip(turn, -_MOST_TURN, _MOST_TURN))
     c, s = np.cos(turn), np.sin(turn)

@@ -14,6 +14,7 @@ from metrology.defects.reference import Reference, fit_reference
 from metrology.defects.settings import DefectSettings
 from metrology.registration.rows import has_position, positions
 from metrology.results import SeamStation, of_type
+from metrology.robust import MAD
 from metrology.sighted import Sighted
 
 Array = NDArray[np.float64]
@@ -27,7 +28,6 @@ _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
 _LEAST_CELLS = 8
 _MARGIN = 0.25  # of a defect's radius round it is not taken for skin
 _NEAR = 0.05  # of a Gaussian's weight must be known
-_MAD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ def _smoothed(depth: Array, cells: CellMap, covered: Mask) -> tuple[Array, Array
         on_plate = (cells.plate == plate) & bare
         if not on_plate.any():
             continue
-        noise = _MAD * float(np.median(np.abs((smooth - broad)[on_plate]) / cells.sigma[on_plate]))
-        waves[plate] = _MAD * float(np.median(np.abs(broad[on_plate])))
+        noise = MAD * float(np.median(np.abs((smooth - broad)[on_plate]) / cells.sigma[on_plate]))
+        waves[plate] = MAD * float(np.median(np.abs(broad[on_plate])))
         here = cells.plate == plate
         typical = float(np.median(cells.sigma[on_plate]))
         sd[here] = np.hypot(noise * np.where(known[here], cells.sigma[here], typical), waves[plate])

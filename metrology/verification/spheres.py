@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.robust import MAD
 from metrology.verification.form import Form, form, inflation
 
 Array = NDArray[np.float64]
@@ -127,7 +128,7 @@ def fit_sphere(points: Array, sigma_z: Array, centre: Array, radius_mm: float) -
         normal = off / length[:, None]
         sigma = np.maximum(s * np.abs((ray * normal).sum(1)), 1e-9)
         residual = length - unknown[3]
-        scale = 1.4826 * np.median(np.abs(residual / sigma)) + 1e-12
+        scale = MAD * np.median(np.abs(residual / sigma)) + 1e-12
         weight = (np.abs(residual / sigma) < _OUTLIER * scale) / sigma**2
         rows = np.column_stack([-normal, -np.ones(len(p))])
         matrix = rows.T @ (weight[:, None] * rows)
