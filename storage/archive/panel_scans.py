@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +26,8 @@ from storage.documents import read_json
 from storage.fits import read_fits
 from storage.panel_spec import panel_spec_from
 from storage.rig import load_rig
+
+Features = dict[str, list[Any]]
 
 
 @dataclass(frozen=True)
@@ -60,11 +62,15 @@ def newest_scans(store: Store, key: PanelKey, layout: PanelLayout | None = None)
     if not found:
         known = ", ".join(map(str, panels_of(store)[:5])) or "none"
         raise StoreError(f"{store.root}: found no scan of {key}, expected one of: {known}")
+    keys = [SceneKey(*row[:4]) for row in found]
+    features = _features(store, [each.scene_id for each in keys])
     with ThreadPoolExecutor(2) as readers:
-        return list(readers.map(lambda row: _loaded(store, SceneKey(*row[:4]), row[4], layout), found))
+        return list(
+            readers.map(lambda each, row: _loaded(store, each, row[4], features[each.scene_id], layout), keys, found)
+        )
 
 
-def _loaded(store: Store, key: SceneKey, run_id: str, layout: PanelLayout | None) -> ScanOfPanel:
+def _loaded(store: Store, key: SceneKey, run_id: str, features: Features, layout: PanelLayout | None) -> ScanOfPanel:
     paths = store.paths(key.scene_id)
     manifest = read_json(paths.bundle / MANIFEST, StoreError)
     cloud = read_cloud(paths.cloud)
@@ -72,19 +78,20 @@ def _loaded(store: Store, key: SceneKey, run_id: str, layout: PanelLayout | None
         key,
         load_rig(paths.bundle / RIG),
         Skin.thinned(cloud.points, cloud.sigma_z),
-        _features(store, key.scene_id),
+        features,
         _across(paths.bundle / FITS),
         _nominal(manifest, paths.bundle / MANIFEST, layout),
     )
     return ScanOfPanel(scan, run_id, manifest.get("panel_spec") or {})
 
 
-def _features(store: Store, scene_id: str) -> dict[str, list[Any]]:
-    """A scan's rows as they were measured, before they were judged."""
-    found = {}
+def _features(store: Store, scenes: Sequence[str]) -> dict[str, Features]:
+    """Each scan's rows by kind, as they were measured, before they were judged."""
+    found: dict[str, Features] = {scene: {kind.name: [] for kind in KINDS} for scene in scenes}
+    asked = ", ".join("?" * len(scenes))
     for kind in KINDS:
-        rows = store.query(f"FROM {kind.table} WHERE scene_id = ? ORDER BY ALL", [scene_id]).to_pylist()
-        found[kind.name] = [as_measured(kind, result_of(kind.row_type, row)) for row in rows]
+        for row in store.query(f"FROM {kind.table} WHERE scene_id IN ({asked}) ORDER BY ALL", scenes).to_pylist():
+            found[row["scene_id"]][kind.name].append(as_measured(kind, result_of(kind.row_type, row)))
     return found
 
 
