@@ -55,7 +55,8 @@ def deliver(store: Store, outcomes: Iterable[Outcome] = (), now: Callable[[], da
         return Delivered()
     record = Record(store.root)
     aside = [quarantined(str(o.folder), o.scene_id, o.text) for o in outcomes if o.state == "quarantined"]
-    unasked = [*aside, *rigs_due(store, clock())]
+    due = rigs_due(store, clock()) if any(target.takes("rig.due") for target in targets) else ()
+    unasked = [*aside, *due]
     for target in targets:
         record.add(target.name, [event for event in unasked if target.takes(event.type)])
     descriptor = hold(store.layout.index)

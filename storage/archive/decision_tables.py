@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,14 +43,10 @@ DISPOSITIONS_COLUMNS = {
     "closed_by": "who closed the work, where a person did",
     "closed_because": "why they closed it",
 }
-_NAMED = re.compile(r"\b(decisions|dispositions)\b", re.IGNORECASE)
 
 
-def register_decisions(connection: duckdb.DuckDBPyConnection, root: Path, sql: str) -> None:
-    """Make the tables known to a connection where a query names them; refused where the log cannot be trusted."""
-    named = {name.lower() for name in _NAMED.findall(sql)}
-    if not named:
-        return
+def register_decisions(connection: duckdb.DuckDBPyConnection, root: Path, named: Collection[str]) -> None:
+    """Make those of the tables that are named known to a connection; refused where the log cannot be trusted."""
     from storage.archive.work import reviewed_features
     from storage.review import ReviewLog
 

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import duckdb
 
+_DECISIONS, _RIGS = {"decisions", "dispositions"}, {"rigs", "verifications"}
+_NAMED = re.compile(rf"\b({'|'.join([*_DECISIONS, *_RIGS])})\b", re.IGNORECASE)
+
 
 def register_tables(connection: duckdb.DuckDBPyConnection, root: Path, sql: str) -> None:
     """Make what people decided, and the rigs with their verifications, known to a connection where `sql` names them."""
-    from storage.archive.decision_tables import register_decisions
-    from storage.evidence.rig_tables import register_rigs
+    named = {name.lower() for name in _NAMED.findall(sql)}
+    if named & _DECISIONS:
+        from storage.archive.decision_tables import register_decisions
 
-    register_decisions(connection, root, sql)
-    register_rigs(connection, root, sql)
+        register_decisions(connection, root, named)
+    if named & _RIGS:
+        from storage.evidence.rig_tables import register_rigs
+
+        register_rigs(connection, root, named)

@@ -5,7 +5,6 @@ A link that is missing is there by name, and says what would close it.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
@@ -82,7 +81,7 @@ class Sources:
 def sources(store: Store, scene_id: str) -> Sources:
     """Read what the chain of a scene rests on."""
     bundle = store.paths(scene_id).bundle
-    scene = _rows(store, "SELECT * FROM scenes WHERE scene_id = ?", scene_id)[0]
+    scene = store.query("SELECT * FROM scenes WHERE scene_id = ?", [scene_id]).to_pylist()[0]
     manifest = read_json(bundle / MANIFEST, StoreError)
     entries = ReviewLog(store.root).of_scenes([scene_id])
     return Sources(
@@ -118,12 +117,10 @@ def find(store: Store, name: str) -> tuple[str, Kind, Row]:
     found = [
         (kind, row)
         for kind in KINDS
-        for row in _rows(
-            store,
+        for row in store.query(
             f"SELECT * FROM {kind.table} WHERE (scene_id = $1 OR $1 = '' AND {NEWEST}) AND {kind.id_sql} = $2",
-            scene_id,
-            feature,
-        )
+            [scene_id, feature],
+        ).to_pylist()
     ]
     if len(found) == 1:
         kind, row = found[0]
@@ -256,10 +253,3 @@ def sign_off_link(found: Sources) -> Link:
 def missing(links: Sequence[Link]) -> list[str]:
     """The names of links that are missing."""
     return [link.name for link in links if link.missing]
-
-
-def _rows(store: Store, sql: str, *values: str) -> list[Row]:
-    with contextlib.closing(store.connect()) as connection:
-        result = connection.execute(sql, list(values))
-        names = [column[0] for column in result.description or ()]
-        return [dict(zip(names, row, strict=True)) for row in result.fetchall()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,14 +47,10 @@ VERIFICATIONS_COLUMNS = {
     "decision": "after ISO 14253-1",
     "verdict": "of the whole verification",
 }
-_NAMED = re.compile(r"\b(rigs|verifications)\b", re.IGNORECASE)
 
 
-def register_rigs(connection: duckdb.DuckDBPyConnection, root: Path, sql: str) -> None:
-    """Make the tables known to a connection where a query names them."""
-    named = {name.lower() for name in _NAMED.findall(sql)}
-    if not named:
-        return
+def register_rigs(connection: duckdb.DuckDBPyConnection, root: Path, named: Collection[str]) -> None:
+    """Make those of the tables that are named known to a connection."""
     from storage.archive.layout import Layout
     from storage.evidence.verifications import Verifications
 
