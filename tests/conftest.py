@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+# Before numpy is loaded: two processes with two threads each would wait for each other, as `flushline` sets it too.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Tests that share what takes long to start run one after the other in one process; all others file by file.
 _TOGETHER = {
     "tests/dashboard/test_browser": "browser",
