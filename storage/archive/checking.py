@@ -80,15 +80,27 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequ
 def check_fast(layout: Layout, heads: Sequence[Head] = ()) -> Check:
     """Compare the rows of the index with their digests, and its runs with the names of the bundles, opening none.
 
+    A run that has its folder and has lost its manifest is found by `check` only.
+
     Of the review log the chain is looked at, and the runs that were signed off.
     """
     bundles = Bundles(layout)
     with ThreadPoolExecutor(1) as thread:
         rows = thread.submit(list, _rows_problems(layout))  # while the folders are walked
-        runs = bundles.runs()
-    shown = {run.parent.name: run.name for run in reversed(by_preference(runs, signed_runs(layout.root)))}
-    problems = (*_run_problems(layout, shown).values(), *rows.result(), *review_problems(bundles, (), heads))
-    return Check(len(runs), problems)
+        runs = bundles.named()
+    signed = signed_runs(layout.root)
+    other_runs = _run_problems(layout, _preferred(runs, signed))
+    if other_runs:  # a folder without a manifest is no run
+        scenes = {run.parent for run in runs if run.parent.name in other_runs}
+        runs = [run for run in runs if run.parent not in scenes]
+        runs += [run for scene in sorted(scenes) for run in bundles.runs_of(scene)]
+        other_runs = _run_problems(layout, _preferred(runs, signed))
+    return Check(len(runs), (*other_runs.values(), *rows.result(), *review_problems(bundles, (), heads)))
+
+
+def _preferred(runs: Sequence[Path], signed: dict[str, str]) -> dict[str, str]:
+    """The run that is to be shown of each scene, by the scene's id."""
+    return {run.parent.name: run.name for run in reversed(by_preference(runs, signed))}
 
 
 def incomplete(bundles: Bundles) -> list[str]:
