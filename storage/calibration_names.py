@@ -77,7 +77,7 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
         exact = _EXACT.get(name) or _EXACT.get(name.rsplit(".", 1)[-1])
         if exact is not None:
             found[exact] = array
-        elif (read := _role_and_side(name)) is not None and _fits(read[0], array):
+        elif (read := _role_and_side(name)) is not None and (name in NAMES or _fits(read[0], array)):
             told.append((*read, name))
     first = 10 if any(side == 10 for _, side, _ in told) else 11
     one_camera = any(side == 3 for _, side, _ in told)
