@@ -5,12 +5,13 @@ from __future__ import annotations
 import streamlit as st
 
 from dashboard import frame
-from dashboard.views import archive, overview, review, runs, scene, sql, trends
+from dashboard.views import archive, overview, panel, review, runs, scene, sql, trends
 
 # Title, icon and body of each page by its place in the URL.
 PAGES = {
     "overview": (overview.TITLE, ":material/dashboard:", frame.guarded(overview.TITLE, overview.render)),
     "archive": (archive.TITLE, ":material/inventory_2:", frame.guarded(archive.TITLE, archive.render)),
+    "panel": (panel.TITLE, ":material/grid_on:", frame.guarded(panel.TITLE, panel.render)),
     "scene": (scene.TITLE, ":material/center_focus_strong:", frame.guarded(scene.TITLE, scene.render)),
     "review": (review.TITLE, ":material/fact_check:", frame.guarded(review.TITLE, review.render)),
     "trends": (trends.TITLE, ":material/show_chart:", frame.guarded(trends.TITLE, trends.render)),
