@@ -22,6 +22,7 @@ from metrology.verdicts import DECISIONS
 Array = NDArray[np.float64]
 
 _OUTLINE_POINTS = 64
+_LONG = 1.15  # times as long as wide in the left image
 _RING_PX = 20.0  # a ring round what has no size of its own, in the left image
 
 
@@ -76,7 +77,7 @@ def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
             if not inside.any():
                 continue
         marks = rivet_marks(outline, row.severity, canvas.line_width)
-        if kind.along and getattr(row, kind.along) is not None:
+        if _is_long(kind, row):
             marks += arrow_marks(outline, row.severity, canvas.line_width)
         canvas.strokes.extend(replace(mark, feature=name) for mark in marks)
         extent = np.concatenate([mark.points for mark in marks])
@@ -108,6 +109,11 @@ def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
             for k in _labelled(_sizes(kind, course), along, run, canvas.label_every_mm):
                 if projector.inside(places[k]):
                     canvas.wishes.append(Wish(name, _text(kind, course[k]), places[k], np.full(2, reach), severity))
+
+
+def _is_long(kind: Kind, row: Any) -> bool:
+    """Whether a feature has a direction: a round one has none."""
+    return bool(kind.along) and row.major_px is not None and row.major_px > _LONG * row.minor_px
 
 
 def _ring(kind: Kind, row: Feature, reconstruction: Reconstruction) -> Array | None:
