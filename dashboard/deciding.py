@@ -171,10 +171,10 @@ def _record(
 
 def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
     """What to do about open work: wait for the next scan, or close it with a reason."""
-    work = [entry for s in shown if (entry := review.work().get((s.scene_id, s.feature)))]
-    if len(work) < len(shown) or not _is_open(context, shown):
+    work = [review.work().get((s.scene_id, feature)) for s in shown for feature in s.features]
+    if not all(work) or not _is_open(context, shown):
         return
-    asked = " or ".join(sorted({str(entry.disposition) for entry in work}))
+    asked = " or ".join(sorted({str(entry.disposition) for entry in work if entry}))
     st.warning(
         f"Open work: {asked} of {_named(shown)}. It is done when a later scan of the station passes.",
         icon=":material/construction:",
@@ -236,8 +236,8 @@ def offer_sign_off(context: PageContext, scene: Any) -> None:
     )
     key = _checksum(shown)
     with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
-        decided = [e for (scene_id, _), e in review.current().items() if scene_id == scene.scene_id]
-        st.markdown(f"Scanned {context.locale.time(scene.captured_at)}, {_counted(decided)}.")
+        decided = {e.number: e for (scene_id, _), e in review.current().items() if scene_id == scene.scene_id}
+        st.markdown(f"Scanned {context.locale.time(scene.captured_at)}, {_counted(list(decided.values()))}.")
         st.caption("Its dispositions can not be changed afterwards.")
         who = _who(context)
         st.markdown(f"Signs: **{plain(who) or 'give your name first'}**")
