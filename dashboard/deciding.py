@@ -215,10 +215,10 @@ def _record(
 
 def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
     """What to do about open work: wait for the next scan, or close it with a reason."""
-    work = [entry for s in shown if (entry := review.work().get((s.scene_id, s.feature)))]
-    if len(work) < len(shown) or not _is_open(context, shown):
+    work = [review.work().get((s.scene_id, feature)) for s in shown for feature in s.features]
+    if not all(work) or not _is_open(context, shown):
         return
-    asked = " or ".join(sorted({str(entry.disposition) for entry in work}))
+    asked = " or ".join(sorted({str(entry.disposition) for entry in work if entry}))
     st.warning(
         f"Open work: {asked} of {_named(shown)}. It is done when a later scan of the station passes.",
         icon=":material/construction:",
@@ -284,9 +284,9 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
     shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]
     key = _checksum(shown)
     with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
-        decided = [e for (scene_id, _), e in review.current().items() if scene_id in standings]
+        decided = {e.number: e for (scene_id, _), e in review.current().items() if scene_id in standings}
         taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
-        st.markdown(f"Scanned {taken}, {_counted(decided)}.")
+        st.markdown(f"Scanned {taken}, {_counted(list(decided.values()))}.")
         if meaning:
             st.markdown(f"Says: **{plain(meaning)}**")
         st.caption("Its dispositions can not be changed afterwards.")

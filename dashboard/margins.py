@@ -57,11 +57,14 @@ def _of_scenes(
         f"WHERE scene_id IN ({', '.join('?' * len(named))})",
         named,
     )
-    return {
-        (row.scene_id, kind_name, row.feature_id): margin
-        for row in rows[rows["feature_id"].isin(wanted)].itertuples()
-        if (margin := _worst(required_by(Feature(kind_name, row.feature_id), row, spec))) is not None
-    }
+    found: dict[tuple[str, str, str], tuple[float, str, float]] = {}
+    for row in rows.itertuples():
+        for name in {row.feature_id, getattr(row, "stretch", None)} & wanted:
+            margin = _worst(required_by(Feature(kind_name, row.feature_id), row, spec))
+            key = (row.scene_id, kind_name, name)
+            if margin is not None and (key not in found or margin[2] < found[key][2]):
+                found[key] = margin
+    return found
 
 
 def _worst(required: Sequence[Requirement]) -> tuple[float, str, float] | None:
