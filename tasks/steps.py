@@ -299,6 +299,11 @@ def assemble(
             "gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be "
             "noticed"
         )
+    elif loaded.rig.screen is None:
+        warnings.append(
+            f"rig {loaded.rig.id} has a projector of which scans told the columns or the rows alone: the overlay is "
+            "drawn over the left camera's picture, gaps' edges and heads' rims come from points and rings alone"
+        )
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
     elif spec.limits.panel != key.panel:

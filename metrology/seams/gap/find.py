@@ -44,7 +44,7 @@ def find_gaps(
     """
     if joint == "lap":
         return [NO_GAP] * len(sections), joint
-    projector = reconstruction.rig.projector
+    projector = reconstruction.rig.screen
     if settings.edges == "image" and projector is not None:  # the grey-level model needs to know where the light is
         return image_edges(
             sections, half_widths, reconstruction, projector, settings.half_length_mm, settings.chamfer_deg
