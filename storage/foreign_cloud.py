@@ -15,15 +15,20 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError, UsageError
 from storage.documents import check_regular_file
+from storage.point_cloud import load_open3d
 
 Array = NDArray[np.float64]
 
 MM_PER_METRE = 1000.0
 _COLOURS = (("red", "green", "blue"), ("r", "g", "b"), ("colorRed", "colorGreen", "colorBlue"))
-_GREYS = ("intensity", "grey", "gray", "quality", "reflectance", "scalar_intensity", "scalar_Intensity")
+_GREYS = ("intensity", "texture", "grey", "gray", "quality", "reflectance", "scalar_intensity")
 _SIGMAS = ("sigma_z_mm", "sigma_mm", "sigma_z", "sigma")
-# As exporters write the grid's size: "num_cols 1920", "width: 1920", "columns=1920".
-_GRID_WORD = re.compile(r"(?i)\b(num_?cols|cols|columns|width|num_?rows|rows|height)\b[ :=]+(\d+)")
+# As exporters write the grid's size in comments: "num_cols 1920", "width: 1920", "columns=1920".
+_PLY_GRID = re.compile(
+    r"(?im)^(?:comment|obj_info)\b.*?\b(num_?cols|cols|columns|width|num_?rows|rows|height)[ :=]+(\d+)"
+)
+_PCD_GRID = re.compile(r"(?m)^(WIDTH|HEIGHT) (\d+)")
+_HEADER_BYTES = 65536
 _RGB_TO_GREY = np.array([0.299, 0.587, 0.114])
 
 
@@ -62,7 +67,7 @@ def read_foreign_cloud(path: Path) -> ForeignCloud:
         raise UsageError(f"{path}: found the ending {path.suffix!r}, expected a cloud: {endings}; or a depth map")
     package = _PACKAGES.get(path.suffix.lower())
     if package and find_spec(package) is None:
-        raise UsageError(f"{path}: found no {package}, expected it installed: pip install flushline[clouds]")
+        raise UsageError(f"{path}: found no {package}, expected it installed: pip install flushline[export]")
     try:
         found = reader(path)
     except SceneError:
@@ -93,30 +98,33 @@ def read_depth_map(path: Path) -> Array:
 
 
 def _ply(path: Path) -> ForeignCloud:
-    import plyfile
-
-    data = plyfile.PlyData.read(str(path))
-    vertex = data["vertex"].data
-    values = {name: np.asarray(vertex[name]) for name in vertex.dtype.names or () if vertex.dtype[name].kind in "uif"}
-    told = _told_grid([*data.comments, *data.obj_info])
-    if "range_grid" in data:  # Stanford's range images: a list of at most one vertex per cell
-        cells = data["range_grid"].data[data["range_grid"].data.dtype.names[0]]
-        place = np.array([cell[0] if len(cell) else -1 for cell in cells])
-        values = {name: np.where(place < 0, _empty(value), value[place]) for name, value in values.items()}
-    return _from_columns(values, told)
+    return _by_open3d(path, _told_grid(_header(path, "end_header"), _PLY_GRID))
 
 
 def _pcd(path: Path) -> ForeignCloud:
-    from pypcd4 import PointCloud
+    grid = _told_grid(_header(path, "DATA"), _PCD_GRID)
+    return _by_open3d(path, grid if grid and grid[0] > 1 else None)
 
-    cloud = PointCloud.from_path(path)
-    values = {name: np.asarray(cloud.pc_data[name]).ravel() for name in cloud.fields}
-    if "rgb" in values or "rgba" in values:
-        packed = np.ascontiguousarray(values.get("rgb", values.get("rgba")))
-        bits = packed.view(np.uint32) if packed.dtype.itemsize == 4 else packed.astype(np.uint32)
-        values |= {name: (bits >> shift & 255).astype(np.uint8) for name, shift in zip("rgb", (16, 8, 0), strict=True)}
-    height, width = int(cloud.metadata.height), int(cloud.metadata.width)
-    return _from_columns(values, (height, width) if height > 1 else None)
+
+def _by_open3d(path: Path, grid: tuple[int, int] | None) -> ForeignCloud:
+    """Every property of the points as Open3D reads them, in the file's order."""
+    open3d = load_open3d()
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        cloud = open3d.t.io.read_point_cloud(str(path))
+    if "positions" not in cloud.point or not len(cloud.point.positions):
+        raise SceneError(f"{path}: found no points, expected a whole {path.suffix[1:].upper()} file")
+    values = {name: cloud.point[name].numpy() for name in cloud.point}
+    columns = {name: value.ravel() for name, value in values.items() if value.ndim == 1 or value.shape[1] == 1}
+    columns |= dict(zip("xyz", values["positions"].T, strict=True))
+    if "colors" in values:
+        columns |= dict(zip(_COLOURS[0], values["colors"].T, strict=True))
+    return _from_columns(columns, grid)
+
+
+def _header(path: Path, end: str) -> str:
+    """The text before a file's numbers."""
+    with path.open("rb") as file:
+        return file.read(_HEADER_BYTES).decode("latin-1").partition(end)[0]
 
 
 def _e57(path: Path) -> ForeignCloud:
@@ -172,7 +180,7 @@ def _npz(path: Path) -> ForeignCloud:
 
 
 _READERS: dict[str, Callable[[Path], ForeignCloud]] = {".ply": _ply, ".pcd": _pcd, ".e57": _e57, ".npz": _npz}
-_PACKAGES = {".ply": "plyfile", ".pcd": "pypcd4", ".e57": "pye57"}
+_PACKAGES = {".e57": "pye57"}
 
 
 def _from_columns(values: Mapping[str, NDArray], grid: tuple[int, int] | None, mm: float = 1.0) -> ForeignCloud:
@@ -189,7 +197,8 @@ def _from_columns(values: Mapping[str, NDArray], grid: tuple[int, int] | None, m
             grey = np.stack([np.asarray(values[name], float) for name in names], axis=1) @ _RGB_TO_GREY
             break
     else:
-        grey = next((np.asarray(values[name], float) for name in _GREYS if name in values), None)
+        lower = {name.lower(): value for name, value in values.items()}
+        grey = next((np.asarray(lower[name], float) for name in _GREYS if name in lower), None)
     sigma = next((np.asarray(values[name], float) for name in _SIGMAS if name in values), None)
     return ForeignCloud(points, grid, None if grey is None else _as_levels(grey), sigma, mm)
 
@@ -212,9 +221,11 @@ def _empty(values: NDArray) -> Any:
     return np.nan if values.dtype.kind == "f" else 0
 
 
-def _told_grid(lines: list[str]) -> tuple[int, int] | None:
-    """Rows and columns as comments tell them."""
+def _told_grid(header: str, words: re.Pattern[str]) -> tuple[int, int] | None:
+    """Rows and columns as a header tells them."""
     found: dict[str, int] = {}
-    for word, number in (match for line in lines for match in _GRID_WORD.findall(line)):
-        found.setdefault("rows" if "row" in word.lower() or word.lower() == "height" else "columns", int(number))
+    for word, number in words.findall(header):
+        found.setdefault(
+            "rows" if word.lower().endswith("rows") or word.lower() == "height" else "columns", int(number)
+        )
     return (found["rows"], found["columns"]) if len(found) == 2 else None
