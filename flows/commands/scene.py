@@ -54,7 +54,7 @@ def _add_from_cloud(
         parents=[common],
         help="write a scene folder of another scanner's cloud",
         description="Reads an organised cloud (PLY, PCD, E57, npz) or a depth map with its picture, finds the camera "
-        "in whose pixels it lies, and writes a scene folder. Points without an order are laid on a grid, and says so.",
+        "in whose pixels it lies, and writes a scene folder. Points without an order are laid on a grid.",
     )
     parser.add_argument("file", type=Path, metavar="CLOUD")
     parser.add_argument("--out", type=Path, required=True, metavar="SCENE", help="the scene folder to write")
