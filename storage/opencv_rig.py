@@ -94,10 +94,11 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
     if path.suffix.lower() not in (".xml", ".yml", ".yaml", ".json"):
         raise RigError(f"{path}: found the ending {path.suffix!r}, expected .xml, .yml, .yaml or .json")
     path.parent.mkdir(parents=True, exist_ok=True)
+    right = rig.with_right()
     values: dict[str, Array] = {
         "size": np.array([[rig.left.width, rig.left.height]], float),
-        "R": rig.right.R,
-        "T": rig.right.t[:, None],
+        "R": right.R,
+        "T": right.t[:, None],
     }
     if rig.projector:
         values |= {
@@ -105,7 +106,7 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
             "R3": rig.projector.R,
             "T3": rig.projector.t[:, None],
         }
-    if (rig.right.width, rig.right.height) != (rig.left.width, rig.left.height):
+    if (right.width, right.height) != (rig.left.width, rig.left.height):
         raise RigError(f"{path}: found cameras of two image sizes, expected one: OpenCV's stereo files have but one")
     for number, device in enumerate(rig.devices.values(), start=1):
         values[f"M{number}"] = device.K
