@@ -60,7 +60,7 @@ def served(root: Path, port: int | None = None) -> Iterator[str]:
         preexec_fn=partial(die_with, os.getpid()),
     )  # fmt: skip
     try:
-        wait(lambda: process.poll() is not None or _answers(port))
+        wait(lambda: process.poll() is not None or _answers(port), 180)
         yield f"http://localhost:{port}"
     finally:
         process.terminate()
