@@ -20,9 +20,7 @@ CAMERA_SIZES = {name: size for name, size in SIZES.items() if name != "projector
 
 
 def sightings(poses: int = 7, dots: bool = True) -> list[Sighting]:
-    """What all poses show; of the projected dots every third, which is solved sooner."""
-    seen = see(bench_state(bench_rig(), poses), np.random.default_rng(1), SIGMA_PX, dots=dots)
-    return [s.only(s.index % 3 == 0) if s.kind == "dots" else s for s in seen]
+    return see(bench_state(bench_rig(), poses), np.random.default_rng(1), SIGMA_PX, dots=dots)
 
 
 def cameras() -> list[Sighting]:
