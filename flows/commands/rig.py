@@ -23,12 +23,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     check.set_defaults(run=run_check)
     load = actions.add_parser("import", parents=[common], help="a rig file from another program's calibration")
     load.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="OpenCV, MATLAB, Kalibr, ROS, JSON, NPZ; COLMAP's folder"
+        "files", type=Path, nargs="+", metavar="FILE", help="of OpenCV, MATLAB, Kalibr, ROS and others; COLMAP's folder"
     )
     load.add_argument("--out", type=Path, required=True, metavar="RIG")
     load.add_argument("--id", required=True, metavar="ID")
     load.add_argument("--size", type=parse_size, metavar="WxH", help="camera images, where the files do not tell")
     load.add_argument("--unit", help="of the translations: mm (default), cm, m, in, or millimetres of one")
+    load.add_argument("--projector-size", type=parse_size, metavar="WxH", help="where the files tell only its lens")
     load.add_argument("--projector-of", type=Path, metavar="RIG", help="rig file to take the projector from")
     load.set_defaults(run=run_import)
     save = actions.add_parser("export", parents=[common], help="an OpenCV FileStorage file from a rig file")
@@ -79,7 +80,13 @@ def run_import(options: argparse.Namespace) -> int:
     projector = load_rig(options.projector_of).projector if options.projector_of else None
     moment = datetime.now(UTC)
     rig = load_opencv_rig(
-        options.files, options.id, utc_text(moment.replace(microsecond=0)), options.size, options.unit, projector
+        options.files,
+        options.id,
+        utc_text(moment.replace(microsecond=0)),
+        options.size,
+        options.unit,
+        projector,
+        options.projector_size,
     )
     save_rig(rig, options.out)
     print(options.out)

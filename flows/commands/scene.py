@@ -32,8 +32,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     new.add_argument("--station", default="S1")
     new.add_argument("--captured-at", default=None, metavar="TIME", help="ISO 8601 with zone; by default the files'")
     new.add_argument("--axis", choices=("x", "y"), default="x", help="x: fringes change along columns (default)")
-    new.add_argument("--steps", type=int, nargs="+", default=(4,), help="phase steps, or one number per count")
-    new.add_argument("--counts", type=int, nargs="*", default=(70, 64, 59), help="fringes across (default 70 64 59)")
     new.add_argument("--as-declared", action="store_true", help="keep offsets, direction and borders as they are given")
     new.add_argument("--sheet", type=Path, metavar="PNG", help="picture of what was understood; by default in FOLDER")
     add_code_options(new)

@@ -99,11 +99,10 @@ class Calibration:
     board_layout: Layout | None = None
 
     def rig(self, rig_id: str, calibrated_at: str) -> Rig:
-        """The rig, its covariance and residuals in `extra`; without a projector where none was calibrated."""
+        """The rig, its covariance and residuals in `extra`; with the devices that were calibrated."""
         devices = self.adjusted.state.devices
-        missing = [name for name in ("left", "right") if name not in devices]
-        if missing:
-            raise CalibrationError(f"found no calibration of {' and '.join(missing)}, expected both cameras")
+        if "right" not in devices:
+            raise CalibrationError("found no calibration of right, expected both cameras")
         return Rig(
             rig_id,
             calibrated_at,
