@@ -128,7 +128,7 @@ def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
     sql = findings_sql(kinds, _among("decision", of_rows), worked, near, scenes)
     of_kind = [*of_rows, *near_selected, *near_selected, *worked_decisions, *of_rows]
     states = {OPEN: UNRESOLVED, ALL: ()}.get(wanted.state, (wanted.state,))
-    chosen = [("state", states)] if states else []
+    chosen: list[tuple[str, Sequence[str]]] = [("state", states)] if states else []
     chosen += [] if every else [("decision", decisions)]
     conditions = " AND ".join(_among(name, values) for name, values in chosen) or "true"
     parameters = [*selected, *of_kind * len(kinds), *(value for _, values in chosen for value in values)]

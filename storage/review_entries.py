@@ -146,7 +146,9 @@ class Entry(NamedTuple):
             self._replace(
                 feature_id=each["feature_id"],
                 decided_verdict=_text(each.get("decision")),
-                **{f"decided_{name}": _number(each.get(name)) for name in SHOWN_NUMBERS},
+                decided_value_mm=_number(each.get("value_mm")),
+                decided_tilt_deg=_number(each.get("tilt_deg")),
+                decided_width_mm=_number(each.get("width_mm")),
             )
             for each in self.shown[POSITIONS]
         )

@@ -17,11 +17,12 @@ from storage.report.sections import (
     entries_table,
     features,
     features_table,
+    findings_of,
     limits_table,
     traceability,
     verdict,
 )
-from storage.report.verdicts import KEY, gravest, needs_attention
+from storage.report.verdicts import KEY, gravest
 
 
 def panel_page(record: PanelRecord) -> str:
@@ -52,7 +53,7 @@ def _overview(record: PanelRecord) -> Markup:
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
             *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in KINDS),
-            str(sum(needs_attention(feature) for feature in s.features)),
+            str(sum(len(findings_of(kind, s.of_kind[kind.name])) for kind in KINDS)),
             said(s.standings),
             "; ".join(s.scene["warnings"] or ()),
         ]
@@ -72,7 +73,7 @@ def _map(record: PanelRecord) -> str:
 def _attention(record: PanelRecord) -> list[Markup]:
     tables = []
     for kind in KINDS:
-        rows = [row for scene in record.scenes for row in scene.of_kind[kind.name] if needs_attention(row)]
+        rows = [row for scene in record.scenes for row in findings_of(kind, scene.of_kind[kind.name])]
         tables += [features_table(kind, rows, where=True)] if rows else []
     return tables
 
