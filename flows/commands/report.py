@@ -1,4 +1,4 @@
-"""flushline report: a scene or a panel as one HTML page, and its rows as CSV."""
+"""flushline report: a scene or a panel as PDF or one HTML page, and its rows as CSV."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from storage.archive import Store
     from storage.archive.schema import Table
+    from storage.report import Report
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
@@ -16,55 +18,64 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser = commands.add_parser(
         "report",
         parents=[common],
-        help="a scene or a panel as one HTML page",
-        description="Writes pictures, values, verdicts and what they rest on as one page that needs nothing else: of a "
-        "scene, or of a panel: as it is assembled, else station by station.",
+        help="a scene or a panel as PDF or one HTML page",
+        description="Writes pictures, values, verdicts and what they rest on as PDF, or as one HTML page that needs "
+        "nothing else: of a scene, or of a panel: as it is assembled, else station by station. "
+        "'flushline report verify FILE' says whether a report is as it was written, and with --store whether the store "
+        "says the same.",
     )
-    parser.add_argument("scene_id", nargs="?", metavar="SCENE_ID", help="as the table scenes has it")
+    parser.add_argument(
+        "what", nargs="*", metavar="SCENE_ID | verify FILE", help="a scene, as the table scenes has it; or a report"
+    )
     parser.add_argument("--aircraft", metavar="SERIAL", help="with --panel: a whole panel")
     parser.add_argument("--panel", metavar="PANEL")
     parser.add_argument("--stations", action="store_true", help="a panel station by station, with their pictures")
-    parser.add_argument("--store", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="HTML")
+    parser.add_argument("--store", type=Path, metavar="DIR")
+    parser.add_argument("--out", type=Path, metavar="FILE", help=".pdf, else HTML")
     parser.add_argument("--csv", action="store_true", help="write FILE-rivets.csv and its like beside it")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the report."""
+    """Write a report, or verify one."""
     from metrology.errors import UsageError
-    from metrology.results import PanelKey
     from storage.archive import Store
-    from storage.archive.schema import OF_KIND, PANEL_OF_KIND
-    from storage.report import (
-        assembled_page,
-        assembled_record,
-        is_assembled,
-        panel_page,
-        panel_record,
-        scene_page,
-        scene_record,
-    )
 
-    store = Store(options.store)
-    if options.scene_id and not (options.aircraft or options.panel):
-        scene = scene_record(store, options.scene_id)
-        text, of_kinds, tables = scene_page(scene), [scene.of_kind], OF_KIND
-    elif options.aircraft and options.panel and not options.scene_id:
-        key = PanelKey(options.aircraft, options.panel)
-        if is_assembled(store, key) and not options.stations:
-            assembled = assembled_record(store, key)
-            text, of_kinds, tables = assembled_page(assembled), [assembled.of_kind], PANEL_OF_KIND
-        else:
-            panel = panel_record(store, options.aircraft, options.panel)
-            text, of_kinds, tables = panel_page(panel), [scene.of_kind for scene in panel.scenes], OF_KIND
-    else:
-        raise UsageError("report: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL")
+    what: list[str] = options.what
+    if what[:1] == ["verify"]:
+        return _verify(options, what[1:])
+    if options.store is None or options.out is None:
+        raise UsageError("report: found no --store DIR or no --out FILE, expected both")
+    report = _report(options, Store(options.store))
+    written = report.file(options.out.suffix)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(text, encoding="utf-8")
+    options.out.write_bytes(written)
     print(options.out)
     if options.csv:
-        _write_csv(options.out, of_kinds, tables)
+        _write_csv(options.out, report.of_kinds, report.tables)
+    return 0
+
+
+def _report(options: argparse.Namespace, store: Store) -> Report:
+    from metrology.errors import UsageError
+    from metrology.results import PanelKey
+    from storage.report import panel_report, scene_report
+
+    if len(options.what) == 1 and not (options.aircraft or options.panel):
+        return scene_report(store, options.what[0])
+    if options.aircraft and options.panel and not options.what:
+        return panel_report(store, PanelKey(options.aircraft, options.panel), options.stations)
+    raise UsageError("report: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL, or verify FILE")
+
+
+def _verify(options: argparse.Namespace, files: list[str]) -> int:
+    from metrology.errors import UsageError
+    from storage.archive import Store
+    from storage.report import verify
+
+    if len(files) != 1 or options.out or options.aircraft or options.panel:
+        raise UsageError(f"report verify: found {len(files)} files or further options, expected one FILE and --store")
+    print(verify(Path(files[0]), Store(options.store) if options.store else None))
     return 0
 
 

@@ -12,6 +12,7 @@ from metrology.verdicts import gravity
 from storage.archive.work import said
 from storage.report.assembled import AssembledRecord, Row
 from storage.report.drawings import panel_map
+from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, code, facts, figure, moment, number, page, section, table, with_u95
 from storage.report.sections import entries_table, limits_table, why
 from storage.report.verdicts import CLASSES, KEY, SIGNS, counted
@@ -30,13 +31,14 @@ _LIKE = {
 """Verdicts of panels and rules look like these decisions about features."""
 
 
-def assembled_page(record: AssembledRecord) -> str:
+def assembled_page(record: AssembledRecord, letterhead: Letterhead | None = None) -> str:
     """One HTML page; it needs nothing else. Twelve stations print on six pages at most."""
     panel = record.panel
     name = f"{panel['aircraft_serial']} {panel['panel']}"
     return page(
         "assembled.html",
         f"Panel {name}",
+        letterhead=letterhead,
         name=name,
         panel=panel,
         captured=moment(panel["captured_at"]),

@@ -10,6 +10,7 @@ from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
+from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, figure, link, moment, page, png_figure, table
 from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
@@ -25,12 +26,13 @@ from storage.report.sections import (
 from storage.report.verdicts import KEY, gravest
 
 
-def panel_page(record: PanelRecord) -> str:
+def panel_page(record: PanelRecord, letterhead: Letterhead | None = None) -> str:
     """One HTML page; it needs nothing else."""
     name = f"{record.aircraft_serial} {record.panel}"
     return page(
         "panel.html",
         f"Inspection {name}",
+        letterhead=letterhead,
         name=name,
         verdict=verdict(record.features),
         overview=_overview(record),
