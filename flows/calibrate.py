@@ -9,8 +9,8 @@ from pathlib import Path
 from flows.calibration_report import write_report
 from flows.inspect_scene import Call, directly
 from metrology.calibration.calibrate import Calibration
-from metrology.calibration.frames import CAMERAS
 from metrology.rig import Rig
+from storage.calibration import CalibrationCapture
 from tasks import calibration as steps
 
 
@@ -45,8 +45,19 @@ def calibrate_capture(
     on_step : callable
         Told the part that is done and what comes next.
     """
-    capture = call(steps.load_calibration_capture, folder)
-    views = [(pose, camera) for pose in range(len(capture)) for camera in CAMERAS]
+    return calibrate_loaded(call(steps.load_calibration_capture, folder), out, report, rig_id, call, on_step)
+
+
+def calibrate_loaded(
+    capture: CalibrationCapture,
+    out: Path,
+    report: Path,
+    rig_id: str | None = None,
+    call: Call = directly,
+    on_step: Callable[[float, str], None] = lambda _done, _text: None,
+) -> Calibrated:
+    """As `calibrate_capture`, of a capture whose manifest is read."""
+    views = [(pose, camera) for pose in range(len(capture)) for camera in capture.model.cameras]
     detections = []
     for done, (pose, camera) in enumerate(views):
         on_step(0.8 * done / len(views), f"pose {pose}, {camera} camera")

@@ -6,20 +6,29 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from metrology.fringe import FringeCode
+    from metrology.fringe import Axis, FringeCode
     from storage.scene import FringeModel
 
 
-def add_code_options(parser: argparse.ArgumentParser) -> None:
-    """What a code may have beside axis, steps and counts."""
-    group = parser.add_argument_group("code", "what other programs show differently")
+def add_code_options(parser: argparse.ArgumentParser, both_axes: bool = False) -> None:
+    """Steps and counts of a code, and what else it may have; for codes along both axes some take two numbers."""
+    group = parser.add_argument_group("code", "what the projector showed")
+    group.add_argument("--steps", type=int, nargs="+", default=(4,), help="phase steps, or one number per count")
+    counts, across = ((), "none") if both_axes else ((70, 64, 59), "70 64 59")
+    group.add_argument("--counts", type=int, nargs="*", default=counts, help=f"fringes across (default {across})")
+    if both_axes:
+        group.add_argument("--counts-y", type=int, nargs="*", help="those along y, where they are others")
     group.add_argument("--periods", type=int, nargs="+", metavar="PX", help="periods in projector pixels, not counts")
     group.add_argument("--over", type=int, metavar="PX", help="projector pixels that the counts are counted over")
     group.add_argument(
         "--direction", type=int, choices=(1, -1), default=1, help="-1: the phase falls from step to step"
     )
     group.add_argument("--offset", type=float, nargs="+", default=[0.0], metavar="RAD", help="phase at the border")
-    group.add_argument("--gray", type=int, metavar="STRIPES", help="Gray code of so many stripes after the fringes")
+    stripes = "Gray code of so many stripes after the fringes"
+    if both_axes:
+        group.add_argument("--gray", type=int, nargs=2, metavar=("X", "Y"), help=f"{stripes}, along x and y")
+    else:
+        group.add_argument("--gray", type=int, metavar="STRIPES", help=stripes)
     group.add_argument("--inverse", action="store_true", help="each Gray-code frame is followed by its inverse")
     group.add_argument("--references", action="store_true", help="an all-white and an all-black frame come last")
     group.add_argument("--lsb", action="store_true", help="Gray code begins with the finest stripes")
@@ -60,6 +69,20 @@ def fringe_model(options: argparse.Namespace) -> FringeModel:
     model = validate(FringeModel, document, Path("code"), UsageError)
     model.code  # noqa: B018 - refuses what no projector can show
     return model
+
+
+def both_fringe_models(options: argparse.Namespace) -> dict[Axis, FringeModel]:
+    """The codes along both axes as calibration.json has them."""
+    stripes = options.gray or (None, None)
+    own = {
+        "x": {"axis": "x", "gray": stripes[0]},
+        "y": {
+            "axis": "y",
+            "gray": stripes[1],
+            "counts": options.counts if options.counts_y is None else options.counts_y,
+        },
+    }
+    return {axis: fringe_model(argparse.Namespace(**vars(options) | said)) for axis, said in own.items()}  # type: ignore[misc]
 
 
 def frame_names(code: FringeCode) -> list[str]:

@@ -28,7 +28,7 @@ from metrology.errors import RigError
 from metrology.far_offset import measure_far_offsets
 from metrology.fringe import Axis
 from metrology.results import Rivet, RivetDetection
-from metrology.rig import Rig
+from metrology.rig import PROJECTOR_OF, Rig
 from metrology.texture_offset import TextureOffsets, measure_offsets
 
 Array = NDArray[np.float64]
@@ -140,7 +140,7 @@ def epipolar_health(
     verdict = max((found for found, _ in findings), key=_ORDER.index)
     reason = "; ".join(text for _, text in findings if text) or None
     if reason and verdict in _ADVICE:
-        reason = f"{reason}: {_ADVICE[verdict]}"
+        reason = f"{reason}: {_culprit(reconstruction.rig, findings) or _ADVICE[verdict]}"
     return RigHealth(
         epipolar_rms_px=epipolar.rms if epipolar else None,
         epipolar_drift_px=epipolar.drift if epipolar else None,
@@ -150,6 +150,14 @@ def epipolar_health(
         verdict=verdict,
         reason=reason,
     )
+
+
+def _culprit(rig: Rig, findings: Sequence[tuple[Verdict, str | None]]) -> str | None:
+    """A projector that was taken over from another rig, where it alone does not fit."""
+    other = rig.extra.get(PROJECTOR_OF)
+    if other is None or len(findings) < 2 or findings[0][0] in _ADVICE:
+        return None
+    return f"the projector was taken from rig {other!r} and stands elsewhere: `flushline rig fit-projector` finds it"
 
 
 def projector_rms(reconstruction: Reconstruction, axis: Axis, settings: HealthSettings | None = None) -> float | None:

@@ -15,8 +15,8 @@ from metrology.calibration.board import Board
 from metrology.calibration.frames import CameraName
 from metrology.calibration.observations import Sighting
 from metrology.errors import CalibrationError
+from storage.calibration_documents import flat, numbers, read_document
 from storage.frames import Frame, read_as_grey
-from storage.other_rigs import flat, numbers, read_document
 from storage.scene_names import cameras_of, matching, natural
 
 Array = NDArray[np.float64]
@@ -30,9 +30,9 @@ _NAMES = {
 _FIRST_SIGMA_PX = 0.1
 
 
-def parse_board(text: str) -> Board:
+def parse_board(text: str | None) -> Board:
     """A board such as ``chessboard:9x6:25`` (mm), ``circles:7x7:20:10``, ``charuco:8x6:30:22:DICT_5X5_100``."""
-    kind, *rest = text.split(":")
+    kind, *rest = (text or "").split(":")
     size = re.fullmatch(r"(\d+)x(\d+)", rest[0]) if len(rest) >= 2 else None
     try:
         if size is None:
@@ -45,8 +45,9 @@ def parse_board(text: str) -> Board:
         return Board(kind, int(size[1]), int(size[2]), float(rest[1]), **more)  # type: ignore[arg-type]
     except (ValueError, IndexError):
         raise CalibrationError(
-            f"--board: found {text!r}, expected such as chessboard:9x6:25 (inner corners, mm), circles:7x7:20:10 "
-            "(spacing, diameter) or charuco:8x6:30:22:DICT_5X5_100 (squares, side, marker, dictionary)"
+            f"--board: found {text or 'none'!r}, expected such as chessboard:9x6:25 (inner corners, mm), "
+            "circles:7x7:20:10 (spacing, diameter) or charuco:8x6:30:22:DICT_5X5_100 (squares, side, marker, "
+            "dictionary)"
         ) from None
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from metrology.calibration.board import Board, BoardKind
 from metrology.calibration.projected_dots import ProjectedDots
@@ -22,7 +22,7 @@ from storage.certificate import CertificateModel
 from storage.documents import check_format, read_json, utc_text
 from storage.frames import FrameHeader, read_frame, read_header, read_stack, write_frame
 from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
-from storage.scene import CAMERAS, Camera
+from storage.scene import CAMERAS, Camera, FringeModel
 
 FORMAT = "flushline-calibration/1"
 MANIFEST = "calibration.json"
@@ -55,18 +55,16 @@ class DotsModel(StrictModel):
     markers: tuple[tuple[WholeNumber, WholeNumber], ...]
 
 
-class AxisFringeModel(StrictModel):
-    """Steps and counts of the fringes along one axis."""
-
-    steps: WholeNumber
-    counts: tuple[WholeNumber, ...]
-
-
 class FringesModel(StrictModel):
-    """`projector.fringe`: fringes shown in both axes in place of dots."""
+    """`projector.fringe`: the codes shown in both axes in place of dots, each written as a scene's `fringe`."""
 
-    x: AxisFringeModel
-    y: AxisFringeModel
+    x: FringeModel
+    y: FringeModel
+
+    @field_validator("x", "y", mode="before")
+    @classmethod
+    def _axis_follows_from_the_place(cls, value: Any, info: ValidationInfo) -> Any:
+        return {"axis": info.field_name, **value} if isinstance(value, dict) else value
 
 
 class ProjectorModel(StrictModel):
@@ -88,17 +86,23 @@ class FringePathsModel(StrictModel):
 class CameraPoseModel(StrictModel):
     """One camera's pictures of one pose."""
 
-    white: InnerPath
+    white: InnerPath | None = None
     dark: InnerPath | None = None
     dots: InnerPath | None = None
     fringes: FringePathsModel | None = None
 
+    @model_validator(mode="after")
+    def _shows_the_board(self) -> CameraPoseModel:
+        if self.white is None and self.fringes is None:
+            raise ValueError("found no white frame, expected one, or fringes whose mean shows the board")
+        return self
+
 
 class PoseModel(StrictModel):
-    """One pose of the board."""
+    """One pose of the board; a capture of one camera has no right one."""
 
     left: CameraPoseModel
-    right: CameraPoseModel
+    right: CameraPoseModel | None = None
 
 
 class CaptureModel(StrictModel):
@@ -113,10 +117,19 @@ class CaptureModel(StrictModel):
     projector: ProjectorModel
     poses: Annotated[tuple[PoseModel, ...], Field(min_length=1)]
 
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras that took it."""
+        return CAMERAS if self.poses[0].right else CAMERAS[:1]
+
     @model_validator(mode="after")
     def _frames_match_the_patterns(self) -> CaptureModel:
         for index, pose in enumerate(self.poses):
-            for camera in CAMERAS:
+            if (pose.right is None) != (self.poses[0].right is None):
+                raise ValueError(
+                    f"found poses.{index} with other cameras than poses.0, expected the same in every pose"
+                )
+            for camera in self.cameras:
                 frames: CameraPoseModel = getattr(pose, camera)
                 place = f"poses.{index}.{camera}"
                 if frames.dots and not self.projector.dots:
@@ -129,7 +142,7 @@ class CaptureModel(StrictModel):
                     raise ValueError(f"found fringes in {place} but no projector.fringe, expected steps and counts")
                 for axis in ("x", "y"):
                     code = getattr(self.projector.fringe, axis)
-                    found, expected = len(getattr(frames.fringes, axis)), code.steps * len(code.counts)
+                    found, expected = len(getattr(frames.fringes, axis)), code.code.frames
                     if found != expected:
                         raise ValueError(f"found {found} frames in {place}.fringes.{axis}, expected {expected}")
         return self
@@ -142,7 +155,7 @@ class PoseImages:
     Attributes
     ----------
     white : (h, w) uint8 or uint16
-        Projector white all over.
+        Projector white all over; the fringe frames' mean where it was not captured.
     dark, dots : (h, w) array or None
         Projector black; projected dots.
     fringes : mapping of axis to (frames, h, w) array
@@ -195,9 +208,12 @@ class CalibrationCapture:
         fringes: dict[Axis, GreyFrame] = {}
         if frames.fringes:
             for axis in self.codes:
-                paths = [self.folder / path for path in getattr(frames.fringes, axis)]
+                shown: FringeModel = getattr(self.model.projector.fringe, axis)
+                paths = [self.folder / path for path in shown.ordered(getattr(frames.fringes, axis))]
                 fringes[axis] = read_stack(paths, header, CalibrationError, executor).frames
-        white = read_frame(self.folder / frames.white, header, CalibrationError)
+        white = read(frames.white)
+        if white is None:
+            white = np.rint(np.mean([stack.mean(0) for stack in fringes.values()], axis=0)).astype(header.dtype)
         return PoseImages(white, read(frames.dark), read(frames.dots), fringes)
 
 
@@ -208,7 +224,11 @@ def load_capture(folder: Path) -> CalibrationCapture:
     folder = manifest.parent
     document = read_json(manifest, CalibrationError)
     check_format(document, FORMAT, manifest, CalibrationError)
-    model = validate(CaptureModel, document, manifest, CalibrationError)
+    return capture_of(folder, validate(CaptureModel, document, manifest, CalibrationError), manifest)
+
+
+def capture_of(folder: Path, model: CaptureModel, source: Path) -> CalibrationCapture:
+    """The capture that a manifest describes; every frame's header is looked at. `source` names it in errors."""
     board, dots, fringe = model.board, model.projector.dots, model.projector.fringe
     try:
         return CalibrationCapture(
@@ -216,13 +236,13 @@ def load_capture(folder: Path) -> CalibrationCapture:
             board=Board(kind=board.type, **board.model_dump(exclude={"type", "certificate"})),
             projector_size=(model.projector.width, model.projector.height),
             dots=ProjectedDots(**dots.model_dump(exclude={"type"})) if dots else None,
-            codes=_codes(fringe) if fringe else {},
+            codes={"x": fringe.x.code, "y": fringe.y.code} if fringe else {},
             model=model,
-            headers={camera: _camera_header(folder, model, camera) for camera in CAMERAS},
+            headers={camera: _camera_header(folder, model, camera) for camera in model.cameras},
         )
     except CalibrationError as problem:
         text = str(problem)
-        raise CalibrationError(text if text.startswith(str(folder)) else f"{manifest}: {text}") from None
+        raise CalibrationError(text if text.startswith(str(folder)) else f"{source}: {text}") from None
 
 
 def write_capture(
@@ -281,13 +301,6 @@ def _frame_names(stem: str, frames: Mapping[str, GreyFrame]) -> dict[str, Any]:
     return single | ({"fringes": fringes} if fringes else {})
 
 
-def _codes(fringe: FringesModel) -> dict[Axis, FringeCode]:
-    return {
-        "x": FringeCode("x", fringe.x.steps, fringe.x.counts),
-        "y": FringeCode("y", fringe.y.steps, fringe.y.counts),
-    }
-
-
 def _camera_header(folder: Path, model: CaptureModel, camera: Camera) -> FrameHeader:
     """The header that all frames of a camera share."""
     first: FrameHeader | None = None
@@ -300,7 +313,9 @@ def _camera_header(folder: Path, model: CaptureModel, camera: Camera) -> FrameHe
             header = read_header(folder / name, CalibrationError)
             first = first or header
             if header != first:
-                raise CalibrationError(f"{folder / name}: found {header}, expected {first} as {frames.white} has")
+                raise CalibrationError(
+                    f"{folder / name}: found {header}, expected {first} as the frames before it have"
+                )
     if first is None:
         raise CalibrationError(f"{folder}: found no frames of the {camera} camera, expected some")
     return first

@@ -1,13 +1,12 @@
-"""Stereo calibrations of other programs: MATLAB, Kalibr, ROS, COLMAP, and plain JSON, YAML, MAT and NPZ files.
+"""Stereo calibrations in the formats of programs: MATLAB, Bouguet, Kalibr, ROS, EuRoC, KITTI, Middlebury, COLMAP.
 
-Whatever a file is called inside, it becomes the names of OpenCV's samples: M1, D1, M2, D2, R, T and the images' size.
+Whatever a value is called inside, it becomes the names of OpenCV's samples: M1, D1, M2, D2, R, T and the images' size.
 Conventions differ: MATLAB counts pixels from 1 and multiplies rows from the left, COLMAP puts pixel centres at halves,
 Kalibr and ROS measure in metres, ROS tells where the cameras stand by its rectification.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.errors import RigError
+from storage.calibration_documents import flat
+from storage.calibration_names import side_of_file
 
 Array = NDArray[np.float64]
 Found = dict[str, Array]
 
 _MM_PER_METRE = np.array(1000.0)
+_PINHOLE_LENSES = ("radtan", "radial-tangential", "plumb_bob", "none")
+_PREFIXES = ((1, "LEFT."), (2, "RIGHT."), (1, "left."), (2, "right."))
+_RECTIFIED = (
+    ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix"),
+    ("K", "D", "R", "P"),
+    ("k", "d", "r", "p"),
+)
 _MODELS = {  # COLMAP: which of its parameters are fx, fy, cx, cy, and which the distortion
     "SIMPLE_PINHOLE": ((0, 0, 1, 2), ()),
     "PINHOLE": ((0, 1, 2, 3), ()),
@@ -31,63 +39,33 @@ _MODELS = {  # COLMAP: which of its parameters are fx, fy, cx, cy, and which the
 }
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """A JSON, YAML, MAT or NPZ file as nested tables; RigError where it is none."""
-    try:
-        if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
-        if path.suffix.lower() == ".mat":
-            from scipy.io import loadmat
-
-            return {k: v for k, v in loadmat(path, simplify_cells=True).items() if not k.startswith("__")}
-        text = path.read_text(encoding="utf-8-sig")
-        if path.suffix.lower() == ".json":
-            document = json.loads(text)
-        else:
-            import yaml  # type: ignore[import-untyped]
-
-            document = yaml.safe_load(text)
-    except Exception as problem:  # what a damaged file makes of three libraries
-        said = " ".join(str(problem).split())[:100]
-        raise RigError(f"{path}: found a file that cannot be read ({said}), expected a calibration") from None
-    if not isinstance(document, dict):
-        raise RigError(f"{path}: found no table of keys, expected a calibration")
-    return document
-
-
-def from_document(document: Mapping[str, Any], name: str) -> Found | None:
-    """What a program's own file says; None where it is nobody's known format. `name` tells ROS's cameras apart."""
+def from_document(document: Mapping[str, Any], path: Path) -> Found | None:
+    """What a program's own file says; None where it is nobody's known format. `path` tells one camera's files apart."""
     document = _unwrapped(document)
+    values = flat(document)
     if "CameraParameters1" in document:
         return _matlab(document)
     if "cam0" in document and isinstance(document["cam0"], Mapping) and "intrinsics" in document["cam0"]:
         return _kalibr(document)
-    if "projection_matrix" in document and "rectification_matrix" in document:
-        return _ros(document, name)
+    if {"fc_left", "fc_right"} <= set(values):
+        return _bouguet(values)
+    if {"cam0", "cam1", "baseline"} <= set(values):
+        return _middlebury(values)
+    if {"P_rect_00", "P_rect_01"} <= set(values) or {"K_00", "K_01"} <= set(values):
+        return _kitti_raw(values)
+    if {"P0", "P1"} <= set(values) and np.size(values["P0"]) == 12:
+        return _kitti_odometry(values)
+    if "T_BS" in values and "intrinsics" in values:
+        return _euroc(values, path)
+    sides = [(number, _rectified_names(values, prefix)) for number, prefix in _PREFIXES]
+    both = [(number, names) for number, names in sides if names]
+    if len(both) == 2:
+        return {key: value for number, names in both for key, value in _rectified(values, names, number).items()}
+    if (alone := _rectified_names(values, "")) is not None:
+        said = f"{document.get('camera_name', '')} {path.name}".lower()
+        right = "right" in said or np.ravel(values[alone["P"]])[3] != 0 or side_of_file([path.stem]) == 2
+        return _rectified(values, alone, 2 if right else 1)
     return None
-
-
-def flat(document: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables as one, `left.K` for K inside left; matrices that are tables with `data` become lists."""
-    found: dict[str, Any] = {}
-    for key, value in document.items():
-        if isinstance(value, Mapping) and "data" in value and "rows" in value:
-            found[prefix + key] = np.reshape(value["data"], (int(value["rows"]), int(value["cols"])))
-        elif isinstance(value, Mapping):
-            found |= flat(value, f"{prefix}{key}.")
-        else:
-            found[prefix + key] = value
-    return found
-
-
-def numbers(value: Any) -> Array | None:
-    """A value as an array of numbers, None where it is none."""
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):
-        return None
-    return array if array.size else None
 
 
 def _unwrapped(document: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -130,35 +108,122 @@ def _kalibr(document: Mapping[str, Any]) -> Found:
     found: Found = {"unit": _MM_PER_METRE}
     for number, name in ((1, "cam0"), (2, "cam1")):
         camera = document[name]
-        model, lens = camera.get("camera_model", "pinhole"), camera.get("distortion_model", "none")
-        if model != "pinhole" or lens not in ("radtan", "none"):
-            raise RigError(f"{name}: found the model {model} with {lens}, expected pinhole with radtan")
+        _check_lens(name, str(camera.get("camera_model", "pinhole")), str(camera.get("distortion_model", "none")))
         fx, fy, cx, cy = (float(value) for value in camera["intrinsics"])
         found[f"M{number}"] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         found[f"D{number}"] = np.array([camera.get("distortion_coeffs", ())], float)
         if number == 1 and "resolution" in camera:
             found["size"] = np.array(camera["resolution"], float)
-    matrix = np.array(document["cam1"]["T_cn_cnm1"], float)
+    if "T_cn_cnm1" not in document["cam1"] and "T_cam_imu" in document["cam1"]:
+        left, right = (np.reshape(np.array(document[name]["T_cam_imu"], float), (4, 4)) for name in ("cam0", "cam1"))
+        return found | _relative(left[:3, :3], left[:3, 3], right[:3, :3], right[:3, 3])
+    matrix = np.reshape(np.array(document["cam1"]["T_cn_cnm1"], float), (4, 4))
     return found | {"R": matrix[:3, :3], "T": matrix[:3, 3]}
 
 
-def _ros(document: Mapping[str, Any], name: str) -> Found:
-    """One camera of `camera_calibration`; R and T follow once both are there (`ros_pose`)."""
-    values = flat(document)
-    said = f"{document.get('camera_name', '')} {name}".lower()
-    number = 2 if "right" in said or np.ravel(values["projection_matrix"])[3] != 0 else 1
-    return {
-        f"M{number}": np.reshape(values["camera_matrix"], (3, 3)),
-        f"D{number}": np.reshape(values["distortion_coefficients"], (1, -1)),
-        f"rectified{number}": np.reshape(values["rectification_matrix"], (3, 3)),
-        f"projection{number}": np.reshape(values["projection_matrix"], (3, 4)),
-        "size": np.array([document["image_width"], document["image_height"]], float),
+def _check_lens(name: str, model: str, lens: str) -> None:
+    if model != "pinhole" or lens not in _PINHOLE_LENSES:
+        raise RigError(f"{name}: found the model {model} with {lens}, expected pinhole with radtan")
+
+
+def _rectified_names(values: Mapping[str, Any], prefix: str) -> dict[str, str] | None:
+    """How one camera of ROS or ORB-SLAM calls K, D, R (its rectification) and P; None where it is not told by them."""
+    for names in _RECTIFIED:
+        found = {role: f"{prefix}{name}" for role, name in zip("KDRP", names, strict=True)}
+        if all(name in values for name in found.values()) and np.size(values[found["P"]]) == 12:
+            return found
+    return None
+
+
+def _rectified(values: Mapping[str, Any], names: Mapping[str, str], number: int) -> Found:
+    """One camera; R and T follow once both are there (`rectified_pose`). ROS measures in metres, as ORB-SLAM does."""
+    prefix = names["K"].rpartition(".")[0]
+    found = {
+        f"M{number}": np.reshape(np.asarray(values[names["K"]], float), (3, 3)),
+        f"D{number}": np.reshape(np.asarray(values[names["D"]], float), (1, -1)),
+        f"rectified{number}": np.reshape(np.asarray(values[names["R"]], float), (3, 3)),
+        f"projection{number}": np.reshape(np.asarray(values[names["P"]], float), (3, 4)),
         "unit": _MM_PER_METRE,
     }
+    for wide, high in (("image_width", "image_height"), ("width", "height")):
+        at = [f"{prefix}.{name}" if prefix else name for name in (wide, high)]
+        if all(name in values for name in at):
+            found["size"] = np.array([float(values[name]) for name in at])
+    return found
 
 
-def ros_pose(found: Mapping[str, Array]) -> Found:
-    """Where the right camera stands, from both cameras' rectification."""
+def _bouguet(values: Mapping[str, Any]) -> Found:
+    """Calib_Results_stereo of the Camera Calibration Toolbox for MATLAB, .mat or .m."""
+    found: Found = {}
+    for number, side in ((1, "left"), (2, "right")):
+        fc, cc = (np.ravel(np.asarray(values[f"{name}_{side}"], float)) for name in ("fc", "cc"))
+        skew = float(np.ravel(np.asarray(values.get(f"alpha_c_{side}", 0.0), float))[0])
+        found[f"M{number}"] = np.array([[fc[0], skew * fc[0], cc[0]], [0, fc[1], cc[1]], [0, 0, 1]])
+        found[f"D{number}"] = np.reshape(np.asarray(values[f"kc_{side}"], float), (1, -1))
+    found["R"] = np.asarray(values["R"] if "R" in values else values["om"], float)
+    found["T"] = np.ravel(np.asarray(values["T"], float))
+    if "nx" in values and "ny" in values:
+        found["size"] = np.array([float(values["nx"]), float(values["ny"])])
+    return found
+
+
+def _middlebury(values: Mapping[str, Any]) -> Found:
+    """calib.txt of a rectified pair: right of the left camera by the baseline, mm."""
+    found: Found = {f"M{n}": np.asarray(values[name], float) for n, name in ((1, "cam0"), (2, "cam1"))}
+    size = np.array([float(values["width"]), float(values["height"])])
+    none = np.zeros((1, 5))
+    pose = {"R": np.eye(3), "T": np.array([-float(values["baseline"]), 0.0, 0.0])}
+    return found | pose | {"D1": none, "D2": none, "size": size}
+
+
+def _kitti_raw(values: Mapping[str, Any]) -> Found:
+    """calib_cam_to_cam.txt: cameras 0 and 1, each posed to camera 0; metres."""
+    found: Found = {"unit": _MM_PER_METRE}
+    poses = []
+    for number, name in ((1, "00"), (2, "01")):
+        found[f"M{number}"] = np.reshape(values[f"K_{name}"], (3, 3))
+        found[f"D{number}"] = np.reshape(values[f"D_{name}"], (1, -1))
+        poses.append((np.reshape(values[f"R_{name}"], (3, 3)), np.ravel(values[f"T_{name}"])))
+    if "S_00" in values:
+        found["size"] = np.ravel(values["S_00"])
+    return found | _relative(*poses[0], *poses[1])
+
+
+def _kitti_odometry(values: Mapping[str, Any]) -> Found:
+    """calib.txt of rectified cameras 0 and 1 by their projections K [I | t]; metres."""
+    left, right = (np.reshape(np.asarray(values[name], float), (3, 4)) for name in ("P0", "P1"))
+    shift = np.linalg.solve(right[:, :3], right[:, 3]) - np.linalg.solve(left[:, :3], left[:, 3])
+    none = np.zeros((1, 5))
+    found: Found = {"M1": left[:, :3], "M2": right[:, :3], "D1": none, "D2": none, "R": np.eye(3), "T": shift}
+    return found | {"unit": _MM_PER_METRE}
+
+
+def _euroc(values: Mapping[str, Any], path: Path) -> Found:
+    """sensor.yaml of one camera of EuRoC's: `T_BS` is the camera's pose on the body; metres."""
+    _check_lens(path.name, str(values.get("camera_model", "pinhole")), str(values.get("distortion_model", "none")))
+    number = side_of_file([path.stem, path.parent.name])
+    if number is None:
+        raise RigError("found a sensor.yaml in a folder that names no camera, expected cam0 and cam1")
+    fx, fy, cx, cy = np.ravel(values["intrinsics"])
+    found = {
+        f"M{number}": np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        f"D{number}": np.reshape(np.asarray(values["distortion_coefficients"], float), (1, -1)),
+        f"placed{number}": np.reshape(np.asarray(values["T_BS"], float), (4, 4)),
+        "unit": _MM_PER_METRE,
+    }
+    return found | ({"size": np.ravel(np.asarray(values["resolution"], float))} if "resolution" in values else {})
+
+
+def _relative(R1: Array, t1: Array, R2: Array, t2: Array) -> Found:
+    """Pose of the second camera from the first, of two that are posed to one frame."""
+    return {"R": R2 @ R1.T, "T": t2 - R2 @ R1.T @ t1}
+
+
+def pose_of_both(found: Mapping[str, Array]) -> Found:
+    """Where the right camera stands, from what files of one camera each say of their rectification or their place."""
+    if "placed1" in found and "placed2" in found:
+        left, right = (np.asarray(np.linalg.inv(found[f"placed{number}"]), float) for number in (1, 2))
+        return _relative(left[:3, :3], left[:3, 3], right[:3, :3], right[:3, 3])
     if "rectified1" not in found or "rectified2" not in found:
         return {}
     left, right, projection = found["rectified1"], found["rectified2"], found["projection2"]
@@ -186,14 +251,14 @@ def from_colmap(folder: Path) -> Found:
         found[f"D{number}"] = np.array([terms + [0.0] * (max(4, len(terms)) - len(terms))])
         found["size"] = np.array([float(width), float(height)])
         poses.append((_turned([float(q) for q in image[1:5]]), np.array(image[5:8], float)))
-    (R1, t1), (R2, t2) = poses
-    return found | {"R": R2 @ R1.T, "T": t2 - R2 @ R1.T @ t1}
+    return found | _relative(*poses[0], *poses[1])
 
 
 def _rows(path: Path) -> list[list[str]]:
     """Words of the lines that are no comment; the line of points after each image may be empty."""
     if not path.is_file():
-        raise RigError(f"{path}: found no such file, expected COLMAP's text export")
+        binary = " but .bin" if path.with_suffix(".bin").is_file() else ""
+        raise RigError(f"{path}: found no such file{binary}, expected COLMAP's text export (colmap model_converter)")
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
     return [line.split() for line in lines if line.strip() or path.name == "images.txt"]
 

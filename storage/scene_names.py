@@ -11,7 +11,7 @@ from metrology.fringe import FringeCode
 from storage.frames import read_as_grey, read_header, write_frame
 from storage.scene import Camera
 
-FIELDS = ("camera", "count", "step", "frame", "bit", "inverse")
+FIELDS = ("camera", "pose", "count", "step", "frame", "bit", "inverse")
 GREY = "grey"
 _LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a")
 

@@ -59,10 +59,10 @@ def scene_figure(
     )
     for severity in reversed(SEVERITIES):
         for kind in reversed(KINDS):
-            _add_features(fig, kind, features[kind.name], severity, locale)
+            add_features(fig, kind, features[kind.name], severity, locale)
     for kind in KINDS if values else ():
         _add_values(fig, kind, features[kind.name], locale)
-    _mark_chosen(fig, features, chosen)
+    mark_chosen(fig, features, chosen)
     fig.update_xaxes(range=[-0.5, columns - 0.5], visible=False, constrain="domain")
     fig.update_yaxes(range=[rows - 0.5, -0.5], visible=False, scaleanchor="x", constrain="domain")
     return fig
@@ -72,14 +72,15 @@ def _with(rows: pd.DataFrame, severity: str | None) -> pd.DataFrame:
     return rows[rows["severity"].isna()] if severity is None else rows[rows["severity"] == severity]
 
 
-def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, locale: Locale) -> None:
+def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, locale: Locale) -> None:
+    """Symbols of a kind's features of one severity, with the rims of heads."""
     part = _with(rows, severity)
     part = part[part["u_px"].notna() & part["v_px"].notna()]
     if part.empty:
         return
     colour = SEVERITY_COLOURS[severity]
     if "major_px" in part:
-        u, v = _rims(part)
+        u, v = _rims(part, kind.along or "angle_deg")
         fig.add_scatter(
             x=u, y=v, mode="lines", line={"color": colour, "width": 2.5}, hoverinfo="skip", showlegend=False
         )
@@ -119,10 +120,10 @@ def _said(kind: Kind, row: Any, locale: Locale) -> str:
     return "<br>".join(lines)
 
 
-def _rims(rivets: pd.DataFrame) -> tuple[list[float | None], list[float | None]]:
-    """Outlines of the heads, with a gap after each."""
+def _rims(rivets: pd.DataFrame, direction: str) -> tuple[list[float | None], list[float | None]]:
+    """Outlines of the heads (or defects), with a gap after each; `direction` is the column of their major axes'."""
     turn = np.linspace(0, 2 * np.pi, _RIM_POINTS)
-    angle = np.radians(rivets["angle_deg"].to_numpy(float))[:, None]
+    angle = np.radians(rivets[direction].to_numpy(float))[:, None]
     a, b = (rivets[name].to_numpy(float)[:, None] / 2 * np.ones(_RIM_POINTS) for name in ("major_px", "minor_px"))
     x, y = a * np.cos(turn), b * np.sin(turn)
     u = rivets["u_px"].to_numpy(float)[:, None] + np.cos(angle) * x - np.sin(angle) * y
@@ -142,7 +143,7 @@ def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, locale: Locale) 
         said = "?" if pd.isna(value) else locale.number(value, 3, sign=first.signed)
         fig.add_annotation(
             x=row.u_px,
-            y=row.v_px - getattr(row, "minor_px", 0.0) / 2,
+            y=row.v_px - np.nan_to_num(float(getattr(row, "minor_px", 0.0))) / 2,
             text=f"{escape(row.feature_id)} {said}",
             showarrow=False,
             yshift=10,
@@ -152,7 +153,8 @@ def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, locale: Locale) 
         )
 
 
-def _mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None) -> None:
+def mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None, colour: str = "#FFFFFF") -> None:
+    """A ring around the feature that is looked at."""
     if chosen is None:
         return
     rows = features[chosen.kind]
@@ -160,14 +162,16 @@ def _mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None
     if found.empty:
         return
     place = found.iloc[0]
-    fig.add_scatter(
-        x=[place["u_px"]],
-        y=[place["v_px"]],
-        mode="markers",
-        marker={"symbol": "circle-open", "size": 34, "color": "#FFFFFF", "line": {"width": 3}},
-        hoverinfo="skip",
-        showlegend=False,
-    )
+    # Between lines of the other brightness: seen on bright skin and on dark.
+    for line, width in (("#000000" if colour == "#FFFFFF" else "#FFFFFF", 7), (colour, 3)):
+        fig.add_scatter(
+            x=[place["u_px"]],
+            y=[place["v_px"]],
+            mode="markers",
+            marker={"symbol": "circle-open", "size": 34, "color": line, "line": {"width": width}},
+            hoverinfo="skip",
+            showlegend=False,
+        )
 
 
 def deviation_map(field: FieldDeviation, locale: Locale, height: int = 520) -> go.Figure:

@@ -29,7 +29,7 @@ from dashboard.scenes import (
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.kinds import BY_NAME, HOLE, KINDS, RIVET, SEAM_STATION, Kind
+from metrology.kinds import BY_NAME, DEFECT, HOLE, KINDS, RIVET, SEAM_STATION, Kind
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.archive.views import NEWEST_FIRST
@@ -298,6 +298,8 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
         st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
+    if kind is DEFECT and (accepted := context.archive.accepted(str(row.scene_id)).get(chosen.id)):
+        st.markdown(f":small[:material/history: {plain(with_minus(str(accepted)).capitalize())}]")
     if compact:
         return
     try:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from flows.code_options import add_code_options, both_fringe_models
 
 if TYPE_CHECKING:
     from flows.calibrate import Calibrated
@@ -25,12 +28,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         metavar="CAPTURE",
         help="capture folder or its calibration.json; pictures; points",
     )
-    cameras = parser.add_argument_group("cameras alone", "without a projector")
-    cameras.add_argument("--pictures", metavar="PATTERN", help="pairs of pictures, such as '{camera}_{frame}.jpg'")
+    cameras = parser.add_argument_group("pictures of other programs")
+    cameras.add_argument(
+        "--pictures", metavar="PATTERN", help="of the board: '{camera}_{frame}.jpg'; with a code, '{pose}/{frame}.png'"
+    )
     cameras.add_argument("--board", metavar="BOARD", help="such as chessboard:9x6:25 (inner corners, mm)")
     cameras.add_argument("--left", metavar="NAME", help="what {camera} is of the left camera")
+    cameras.add_argument("--projector", metavar="WxH", help="a projector of this size showed a code along both axes")
+    cameras.add_argument("--sequence", nargs="+", default=(), help="what {frame} runs through: x y white black skip:N")
     cameras.add_argument("--points", action="store_true", help="CAPTURE is a list of points: CSV, JSON, MAT or NPZ")
     cameras.add_argument("--size", metavar="WxH", help="of the images that the points were found in")
+    add_code_options(parser, both_axes=True)
     parser.add_argument("--out", type=Path, required=True, metavar="RIG", help="rig file to write (JSON)")
     parser.add_argument("--report", type=Path, metavar="FILE", help="HTML; by default beside the rig file")
     parser.add_argument("--id", metavar="ID", help="the rig's id; by default the capture's, or one made of its date")
@@ -46,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
     from flows.prefect_server import runs_on_server
     from flows.progress import progress_bar
 
+    if options.pictures and options.projector:
+        return _with_code(options)
     if options.pictures or options.points:
         return _cameras(options)
     report = options.report or options.out.with_suffix(".html")
@@ -63,11 +73,32 @@ def run(options: argparse.Namespace) -> int:
                 options.id,
                 on_step=lambda done, text: progress.update(bar, completed=done, description=text),
             )
-    for line in describe(result):
-        print(line)
-    print(f"rig: {options.out}")
-    print(f"report: {report}")
-    return 0
+    return _say(result, options.out, report)
+
+
+def _with_code(options: argparse.Namespace) -> int:
+    """Calibrate one camera or two and the projector from pictures in which it showed a code on the board."""
+    from flows.calibrate import calibrate_loaded
+    from flows.commands.rig import parse_size
+    from flows.progress import progress_bar
+    from storage.board_pictures import parse_board
+    from storage.capture_names import named_capture
+
+    size, board, shown = parse_size(options.projector), parse_board(options.board), both_fringe_models(options)
+    capture, notes = named_capture(
+        options.capture, options.pictures, board, size, shown, options.sequence, options.left
+    )
+    report = options.report or options.out.with_suffix(".html")
+    with progress_bar(counted=False) as progress:
+        bar = progress.add_task("reading", total=1.0)
+        result = calibrate_loaded(
+            capture,
+            options.out,
+            report,
+            options.id,
+            on_step=lambda done, text: progress.update(bar, completed=done, description=text),
+        )
+    return _say(result, options.out, report, notes)
 
 
 def _cameras(options: argparse.Namespace) -> int:
@@ -83,15 +114,16 @@ def _cameras(options: argparse.Namespace) -> int:
             raise UsageError("--points: found no --size, expected the images' width and height such as 1624x1234")
         result = calibrate_points(options.capture, parse_size(options.size), options.out, options.id)
     else:
-        if not options.board:
-            raise UsageError("--pictures: found no --board, expected the board such as chessboard:9x6:25")
         board = parse_board(options.board)
         result, notes = calibrate_pictures(
             options.capture, options.pictures, board, options.left, options.out, options.id
         )
-    for line in [*describe(result), *(f"  note: {note}" for note in notes)]:
+    return _say(result, options.out, options.out.with_suffix(".html"), [f"note: {note}" for note in notes])
+
+
+def _say(result: Calibrated, out: Path, report: Path, notes: Sequence[str] = ()) -> int:
+    for line in [*describe(result), *(f"  {note}" for note in notes), f"rig: {out}", f"report: {report}"]:
         print(line)
-    print(f"rig: {options.out}\nreport: {options.out.with_suffix('.html')}")
     return 0
 
 

@@ -29,8 +29,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     )
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--axis", choices=("x", "y"), default="x", help="x: fringes change along columns (default)")
-    parser.add_argument("--steps", type=int, nargs="+", default=(4,), help="phase steps, or one number per count")
-    parser.add_argument("--counts", type=int, nargs="*", default=(70, 64, 59), help="fringes across (default 70 64 59)")
     add_code_options(parser)
     parser.set_defaults(run=run)
 

@@ -16,7 +16,7 @@ from metrology.rig import Device
 
 Array = NDArray[np.float64]
 
-LEAST_POSES = 4
+LEAST_POSES = 3  # as many planes as a pinhole device needs; what fewer than six leave uncertain is said
 _CAMERAS: tuple[DeviceName, ...] = ("left", "right")
 _SAME_TURN_DEG = 1.0
 _SAME_PLACE = 0.02  # of the distance to the board

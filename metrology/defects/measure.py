@@ -80,9 +80,8 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     outline = outline_at(patch, smoothed, 0.5 * bottom.depth, at) or outline
     x, y = (np.array([c]) for c in patch.reference.frame.local(patch.frame.rig([bottom.x, bottom.y, 0.0]))[:2])
     by_reference = float(patch.reference.variance(x, y)[0])
-    return _Found(
-        region, patch, bottom, outline, float(np.sqrt(bottom.sd**2 + by_reference + skin.waves[region.plate] ** 2))
-    )
+    sd = np.sqrt(bottom.sd**2 + by_reference + skin.waves[region.plate] ** 2 + region.doubt**2)
+    return _Found(region, patch, bottom, outline, float(sd))
 
 
 def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
@@ -162,7 +161,7 @@ def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, s
         length_u95_mm=length_u95,
         width_mm=outline.width,
         width_u95_mm=width_u95,
-        direction_deg=_direction(found, sighted),
+        **_in_image(found, sighted),
         area_mm2=outline.area,
         fastener_distance_mm=away.fastener,
         seam_distance_mm=away.seam,
@@ -200,9 +199,13 @@ def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, set
     return row
 
 
-def _direction(found: _Found, sighted: Sighted) -> float:
-    """Of its length in the left image, degrees."""
-    bottom, turn = found.bottom, found.outline.angle
-    ends = [[bottom.x + s * np.cos(turn), bottom.y + s * np.sin(turn), 0.0] for s in (-1.0, 1.0)]
-    (u0, v0), (u1, v1) = sighted.reconstruction.rig.left.project(found.patch.frame.rig(np.array(ends)))
-    return float(np.degrees(np.arctan2(v1 - v0, u1 - u0)) % 180)
+def _in_image(found: _Found, sighted: Sighted) -> dict[str, float]:
+    """Direction of its length, and extents of its outline along it and across, in the left image."""
+    outline, frame, project = found.outline, found.patch.frame, sighted.reconstruction.rig.left.project
+    along = np.array([np.cos(outline.angle), np.sin(outline.angle), 0.0])
+    start, end = project(frame.rig(np.stack([-along, along])))
+    way = (end - start) / np.linalg.norm(end - start)
+    border = project(frame.rig(np.stack([outline.x, outline.y, np.zeros_like(outline.x)], axis=1)))
+    major, minor = np.ptp(border @ way), np.ptp(border @ [-way[1], way[0]])
+    turn = float(np.degrees(np.arctan2(way[1], way[0])) % 180)
+    return {"direction_deg": turn, "major_px": float(major), "minor_px": float(minor)}

@@ -82,8 +82,7 @@ def _measured(
     height = patch.h - skin.height(patch.x, patch.y)
     pixel_mm, within = patch.guard / patch.guard_px, _SIZE * patch.radius
     cone = countersink(np.hypot(patch.x, patch.y), height, pixel_mm, within)
-    rig = reconstruction.rig
-    views = (rig.left, reconstruction.left.texture), (rig.right, reconstruction.right.texture)
+    views = tuple((device, view.texture) for device, view in reconstruction.cameras.values())
     edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
     rim = _rim(edges, patch, height, pixel_mm)
     if cone is not None and rim is not None and _smeared(cone, rim, pixel_mm):

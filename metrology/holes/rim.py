@@ -227,7 +227,7 @@ def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
     # Neighbouring edges share their pixels, and what scatters far is drawn by shadows, all to one side.
     if deviation > _SCATTER_PX * pixel_mm:
         return None
-    deeper, by_depth = _depth(edges, off, rows)
+    deeper, by_depth = _depth(edges, off, rows, pixel_mm)
     sd = float(np.linalg.norm([deviation, edges.sd_px * pixel_mm, _DRAWN * spread, by_depth]))
     radius = found.radius + 0.5 * (edges.blur_px * pixel_mm) ** 2 / found.radius
     return RimCircle(found.x, found.y, radius, sd, len(np.unique(edges.direction[kept])), deeper)
@@ -240,9 +240,13 @@ def _uncertainty(off: Array, rows: Array, kept: NDArray[np.bool_]) -> tuple[floa
     return spread, spread * float(np.sqrt(_SHARED * np.linalg.inv(normal)[2, 2]))
 
 
-def _depth(edges: Edges, off: Array, rows: Array) -> tuple[float, float]:
-    """By how much edges lie deeper than was taken, where that is beyond doubt, and how far it moves them, mm."""
-    if not edges.lean.any():
+def _depth(edges: Edges, off: Array, rows: Array, pixel_mm: float) -> tuple[float, float]:
+    """By how much edges lie deeper than was taken, where that is beyond doubt, and how far it moves them, mm.
+
+    One camera does not tell: there a circle that lies deeper is one that lies elsewhere.
+    """
+    lean = float(np.sqrt(np.mean(edges.lean**2)))
+    if lean == 0:
         return 0.0, 0.0
     design = np.column_stack([rows, edges.lean])
     leaning = reweighted(design, off, np.zeros(4), 20)
@@ -252,5 +256,6 @@ def _depth(edges: Edges, off: Array, rows: Array) -> tuple[float, float]:
     spread = float(np.sqrt(np.mean((off - design @ leaning.values)[kept] ** 2)))
     normal = design[kept].T @ design[kept] + 1e-9 * np.eye(4)
     depth, sd = float(leaning.values[3]), spread * float(np.sqrt(_SHARED * np.linalg.inv(normal)[3, 3]))
-    moved = abs(depth) * float(np.sqrt(np.mean(edges.lean**2)))
-    return (depth if abs(depth) > max(_SURE * sd, _DEEPER_MM) else 0.0), moved
+    if sd * lean > CLOUD_SD_PX * pixel_mm:
+        return 0.0, 0.0
+    return (depth if abs(depth) > max(_SURE * sd, _DEEPER_MM) else 0.0), abs(depth) * lean

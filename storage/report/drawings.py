@@ -61,18 +61,18 @@ def _named_mark(kind: Kind, row: Row, unit: float) -> Markup:
     u, v, title = row["u_px"], row["v_px"], _title(kind, row)
     reach = (row.get("major_px") or 0.0) / 2
     return (
-        (_rim(row, unit, title) if reach else Markup())
+        (_rim(kind, row, unit, title) if reach else Markup())
         + _placed(u, v, unit, row["severity"], title)
         + _drawn("name", u + reach + 7 * unit, v, unit, kind.id_of(row))
     )
 
 
-def _rim(row: Row, unit: float, title: str) -> Markup:
-    """The ellipse of a head in the picture."""
+def _rim(kind: Kind, row: Row, unit: float, title: str) -> Markup:
+    """The ellipse of a head, or of a defect, in the picture."""
     look = SEVERITIES[row["severity"]]
     width = (5.0 if look.symbol == "cross" else 3.0) * unit
     broken = [dash * unit for dash in _BROKEN] if look.symbol == "ring" else []
-    return _drawn("rim", row, unit, look.paper, width, broken, title)
+    return _drawn("rim", row, row[kind.along or "angle_deg"], unit, look.paper, width, broken, title)
 
 
 def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> Markup:

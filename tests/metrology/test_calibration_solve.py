@@ -143,16 +143,16 @@ def test_a_board_that_moved_before_its_dots_were_taken_is_refused_in_part() -> N
 
 
 def test_too_few_poses_are_an_error_and_few_a_warning() -> None:
-    with pytest.raises(CalibrationError, match=r"found 3 usable poses .* expected at least 4"):
-        calibrate_sightings(sightings(3), SIZES)
+    with pytest.raises(CalibrationError, match=r"found 2 usable poses .* expected at least 3"):
+        calibrate_sightings(sightings(2), SIZES)
     few = calibrate_sightings(sightings(4), SIZES)
     assert any("few poses" in warning for warning in few.warnings)
 
 
 def test_dots_missing_in_most_poses_are_an_error_and_in_half_a_warning() -> None:
     seen = sightings()
-    with pytest.raises(CalibrationError, match="projector: found 3 usable poses"):
-        calibrate_sightings([s for s in seen if s.kind == "board" or s.pose < 3], SIZES)
+    with pytest.raises(CalibrationError, match="projector: found 2 usable poses"):
+        calibrate_sightings([s for s in seen if s.kind == "board" or s.pose < 2], SIZES)
     half = calibrate_sightings([s for s in seen if s.kind == "board" or s.pose < 4], SIZES)
     assert any("usable in 4 of 7 poses" in warning for warning in half.warnings)
 

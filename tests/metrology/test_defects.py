@@ -10,14 +10,15 @@ import pytest
 
 from metrology.cloud import Reconstruction
 from metrology.defects.measure import measure_defects
-from metrology.defects.row import Defect
+from metrology.defects.row import Defect, DefectKind
 from metrology.kinds import DEFECT
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.registration import Registration, with_others
+from metrology.registration.known import with_known_names
 from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
 from metrology.sighted import Sighted
-from metrology.tolerance import judge
+from metrology.tolerance import as_measured, judge
 from tests.support.rivet_scan import Head, Skin, scan
 
 CURVED = Skin(radius_x=400.0, radius_y=900.0, sigma_z=0.012, correlated_px=0.8)
@@ -137,14 +138,22 @@ def test_limits_judge_depth_ratio_and_distance(rng: np.random.Generator) -> None
     cloud = bent(scan(FLAT, (), rng), FLAT, bowl(0.0, 0.0, 0.3, 20.0, 15.0))
     (found,) = measure_defects(sighted(cloud, FLAT))
 
+    def judged(**limits: Limit) -> Defect:
+        return judge(DEFECT, [found], PanelSpec("P", "1", {"default": limits}))[0]
+
     def decision(**limits: Limit) -> str:
-        return judge(DEFECT, [found], PanelSpec("P", "1", {"default": limits}))[0].decision
+        return judged(**limits).decision
 
     assert decision(defect_depth_mm=Limit(upper=0.5, lower=-0.5)) == "pass"
     assert decision(defect_depth_mm=Limit(upper=0.2, lower=-0.2)) == "fail"
     assert decision(defect_width_to_depth=Limit(lower=30.0)) == "pass"
     assert decision(defect_width_to_depth=Limit(lower=100.0)) == "fail"
-    assert decision(defect_fastener_distance_mm=Limit(lower=10.0)) == "no limit"
+    # No fastener in view, so that this limit says nothing of it: an inspector must not miss it for that.
+    assert decision(defect_fastener_distance_mm=Limit(lower=10.0)) == "conditional fail"
+    unlimited = judged()
+    assert unlimited.severity == "blue"
+    assert unlimited.reason == "dent without a limit that judges it: to be decided"
+    assert as_measured(DEFECT, unlimited) == found
 
 
 def test_points_matched_by_chance_do_not_lower_a_small_dent(rng: np.random.Generator) -> None:
@@ -169,3 +178,18 @@ def test_a_defect_is_judged_by_the_zone_of_what_is_nearest() -> None:
     ]
     found = with_others(Registration("recognised", place, (), ()), {DEFECT.name: rows}, layout)
     assert [row.zone for row in found.others[DEFECT.name]] == ["row", "edge", "corner"]
+
+
+def test_defects_keep_their_names_from_scan_to_scan() -> None:
+    def defect(name: str, x: float, kind: DefectKind = "dent", length: float = 20.0) -> Defect:
+        return Defect(
+            name, x_mm=None, y_mm=None, z_mm=None, u_px=0.0, v_px=0.0, kind=kind, length_mm=length,
+            x_panel_mm=x, y_panel_mm=0.0, z_panel_mm=0.0,
+        )  # fmt: skip
+
+    earlier = [defect("D01", 0.0), defect("D02", 100.0), defect("D04", 200.0), defect("D01", 500.0)]
+    rows = [defect("D01", 104.0), defect("D02", 2.0, "bump"), defect("D03", -4.0), defect("D04", 212.0)]
+    named = with_known_names(rows, earlier)
+    # A bump where a dent was is another; 12 mm away at 20 mm of length is another, too.
+    assert {row.defect_id: row.x_panel_mm for row in named} == {"D01": -4.0, "D02": 104.0, "D05": 2.0, "D06": 212.0}
+    assert [row.defect_id for row in with_known_names(rows, [])] == ["D01", "D02", "D03", "D04"]

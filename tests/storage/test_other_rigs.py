@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import h5py
 import numpy as np
 import pytest
 import yaml
@@ -132,6 +134,128 @@ def plain(names: dict[str, str]) -> Callable[[Rig, Path], list[Path]]:
     return write
 
 
+def as_bouguet(rig: Rig, folder: Path) -> list[Path]:
+    """A script that the MATLAB toolbox's results were printed into, with what it says of their uncertainty."""
+    lines = ["% Stereo calibration parameters:"]
+    for side, device in (("left", rig.left), ("right", rig.right)):
+        K, terms = device.K, " ".join(f"{term:.15g}" for term in device.distortion)
+        lines += [
+            f"Focal Length:  fc_{side} = [ {K[0, 0]:.15g}   {K[1, 1]:.15g} ] ± [ 1.1   1.2 ]",
+            f"cc_{side} = [ {K[0, 2]:.15g} {K[1, 2]:.15g} ]; % Principal point",
+            f"alpha_c_{side} = [ 0.00000 ];\nkc_{side} = [ {terms} ];",
+        ]
+    vector = Rotation.from_matrix(rig.right.R).as_rotvec()
+    lines += [f"om = [ {' '.join(f'{v:.15g}' for v in vector)} ];", f"T = [ {'; '.join(map(str, rig.right.t))} ];"]
+    lines += [f"nx = {rig.left.width};", f"ny = {rig.left.height};"]
+    (folder / "Calib_Results_stereo.m").write_text("\n".join(lines))
+    return [folder / "Calib_Results_stereo.m"]
+
+
+def as_hdf5(rig: Rig, folder: Path) -> list[Path]:
+    with h5py.File(folder / "stereo_calib_data.h5", "w") as file:
+        for name, value in (("M1", rig.left.K), ("d1", rig.left.distortion[None]), ("M2", rig.right.K),
+                            ("d2", rig.right.distortion[None]), ("R", rig.right.R), ("t", rig.right.t[:, None]),
+                            ("image_size", [rig.left.width, rig.left.height])):  # fmt: skip
+            file[name] = value
+    return [folder / "stereo_calib_data.h5"]
+
+
+def as_euroc(rig: Rig, folder: Path) -> list[Path]:
+    """One sensor.yaml in a folder of its own per camera, each placed on a body."""
+    body = np.eye(4)
+    body[:3, :3], body[:3, 3] = Rotation.from_euler("xyz", [80, 10, -5], degrees=True).as_matrix(), [0.1, 0.2, 0.3]
+    for name, device in (("cam0", rig.left), ("cam1", rig.right)):
+        placed = np.eye(4)
+        placed[:3, :3], placed[:3, 3] = device.R, device.t / 1000
+        document = {
+            "sensor_type": "camera",
+            "T_BS": {"cols": 4, "rows": 4, "data": (body @ np.linalg.inv(placed)).ravel().tolist()},
+            "resolution": [device.width, device.height],
+            "camera_model": "pinhole",
+            "intrinsics": [float(device.K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))],
+            "distortion_model": "radial-tangential",
+            "distortion_coefficients": device.distortion[:4].tolist(),
+        }
+        (folder / name).mkdir()
+        (folder / name / "sensor.yaml").write_text(yaml.safe_dump(document))
+    return [folder / name / "sensor.yaml" for name in ("cam0", "cam1")]
+
+
+def as_kitti(rig: Rig, folder: Path) -> list[Path]:
+    lines = ["calib_time: 09-Jan-2012 13:57:47", "corner_dist: 9.950000e-02"]
+    for name, device in (("00", rig.left), ("01", rig.right)):
+        for key, value in (("S", [device.width, device.height]), ("K", device.K), ("D", device.distortion),
+                           ("R", device.R), ("T", device.t / 1000), ("R_rect", np.eye(3))):  # fmt: skip
+            lines.append(f"{key}_{name}: {' '.join(f'{v:.15e}' for v in np.ravel(value))}")
+    (folder / "calib_cam_to_cam.txt").write_text("\n".join(lines))
+    return [folder / "calib_cam_to_cam.txt"]
+
+
+def as_orb_slam(rig: Rig, folder: Path) -> list[Path]:
+    """OpenCV's YAML with nothing but the rectification of both cameras, in metres."""
+    lines = ["%YAML:1.0", 'Camera.type: "PinHole"']
+    for path, side in zip(as_ros(rig, folder), ("LEFT", "RIGHT"), strict=True):
+        document = yaml.safe_load(path.read_text())
+        lines += [f"{side}.height: {document['image_height']}", f"{side}.width: {document['image_width']}"]
+        for key, name in (("D", "distortion_coefficients"), ("K", "camera_matrix"), ("R", "rectification_matrix"),
+                          ("P", "projection_matrix")):  # fmt: skip
+            value = document[name]
+            lines += [f"{side}.{key}: !!opencv-matrix", f"   rows: {value['rows']}", f"   cols: {value['cols']}",
+                      "   dt: d", f"   data: {value['data']}"]  # fmt: skip
+    (folder / "stereo.yaml").write_text("\n".join(lines) + "\n")
+    return [folder / "stereo.yaml"]
+
+
+def as_camera_info(rig: Rig, folder: Path) -> list[Path]:
+    """Messages as ROS prints them: lists in a row."""
+    paths = []
+    for path in as_ros(rig, folder):
+        document = yaml.safe_load(path.read_text())
+        names = {"K": "camera_matrix", "D": "distortion_coefficients", "R": "rectification_matrix",
+                 "P": "projection_matrix"}  # fmt: skip
+        message = {key: document[name]["data"] for key, name in names.items()}
+        message |= {"width": document["image_width"], "height": document["image_height"]}
+        message["distortion_model"] = "plumb_bob"
+        paths.append(folder / f"{path.stem}_info.json")
+        paths[-1].write_text(json.dumps(message))
+    return paths
+
+
+def as_nested(rig: Rig, folder: Path) -> list[Path]:
+    """Cameras as tables of single numbers, the pose as one matrix."""
+
+    def camera(device: Any) -> dict[str, Any]:
+        names = ("k1", "k2", "p1", "p2", "k3")
+        places = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
+        intrinsics = {name: float(device.K[place]) for name, place in places.items()}
+        terms = dict(zip(names, device.distortion.tolist(), strict=True))
+        return {"intrinsics": intrinsics, "distortion": terms, "width": device.width, "height": device.height}
+
+    pose = np.column_stack([rig.right.R, rig.right.t])
+    document = {"left_camera": camera(rig.left), "right_camera": camera(rig.right), "extrinsics": pose.tolist()}
+    (folder / "rig.json").write_text(json.dumps(document))
+    return [folder / "rig.json"]
+
+
+def as_file_storage_per_camera(rig: Rig, folder: Path) -> list[Path]:
+    """OpenCV's calibration sample run for each camera, and a file of what lies between them."""
+    paths = []
+    for name, device in (("left", rig.left), ("right", rig.right)):
+        storage = cv2.FileStorage(str(folder / f"{name}.xml"), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", device.width)
+        storage.write("image_height", device.height)
+        storage.write("board_width", 9)
+        storage.write("camera_matrix", device.K)
+        storage.write("distortion_coefficients", device.distortion[:, None])
+        storage.release()
+        paths.append(folder / f"{name}.xml")
+    storage = cv2.FileStorage(str(folder / "between.yml"), cv2.FILE_STORAGE_WRITE)
+    for name, value in (("R", rig.right.R), ("T", rig.right.t[:, None]), ("R1", np.eye(3)), ("R2", rig.right.R.T)):
+        storage.write(name, value)
+    storage.release()
+    return [*paths, folder / "between.yml"]
+
+
 @pytest.mark.parametrize(
     ("write", "terms"),
     [
@@ -140,10 +264,49 @@ def plain(names: dict[str, str]) -> Callable[[Rig, Path], list[Path]]:
         (as_kalibr, 4),
         (as_ros, 5),
         (as_colmap, 8),
+        (as_bouguet, 5),
+        (as_hdf5, 5),
+        (as_euroc, 4),
+        (as_kitti, 5),
+        (as_orb_slam, 5),
+        (as_camera_info, 5),
+        (as_nested, 5),
+        (as_file_storage_per_camera, 5),
         (plain({}), 5),
         (plain({"K1": "M1", "K2": "M2", "R": "Rlr", "T": "Tlr"}), 5),
         (plain({"K1": "Kl", "K2": "Kr", "D1": "Dl", "D2": "Dr"}), 5),
         (plain({"K1": "mtx_left", "K2": "mtx_right", "D1": "dist_left", "D2": "dist_right"}), 5),
+        (plain({"K1": "K0", "K2": "K1", "D1": "D0", "D2": "D1", "size": "img_size"}), 5),
+        (plain({"K1": "mtxL", "K2": "mtxR", "D1": "distL", "D2": "distR", "R": "Rot", "T": "Trns"}), 5),
+        (plain({"K1": "M1", "K2": "M2", "R": "Rlr", "T": "Tlr", "size": "S"}), 5),
+        (
+            plain(
+                {
+                    "K1": "Camera_Matrix_1",
+                    "K2": "Camera_Matrix_2",
+                    "D1": "Distortion_Coefficients_1",
+                    "D2": "Distortion_Coefficients_2",
+                    "R": "Rotation_Matrix",
+                    "T": "Translation_Vector",
+                }
+            ),
+            5,
+        ),
+        (
+            plain(
+                {
+                    "K1": "intrinsicMatrix1",
+                    "K2": "intrinsicMatrix2",
+                    "D1": "distortionCoefficients1",
+                    "D2": "distortionCoefficients2",
+                    "R": "rotationOfCamera2",
+                    "T": "translationOfCamera2",
+                }
+            ),
+            5,
+        ),
+        (plain({"K1": "K_left", "K2": "K_right", "D1": "dist_coeffs_left", "D2": "dist_coeffs_right"}), 5),
+        (plain({"K1": "cam1_mtx", "K2": "cam2_mtx", "D1": "cam1_dist", "D2": "cam2_dist", "R": "R_stereo"}), 5),
         (plain({"K1": "cameraMatrix1", "K2": "cameraMatrix2", "D1": "distCoeffs1", "D2": "distCoeffs2"}), 5),
     ],
 )
@@ -174,4 +337,55 @@ def test_what_is_missing_is_named(cameras: Rig, tmp_path: Path) -> None:
     del document["CameraParameters2"]
     path.write_text(json.dumps(document))
     with pytest.raises(RigError, match=r"stereo.json: found no 'CameraParameters2'"):
+        load_opencv_rig([path], "other", WHEN)
+
+
+def test_a_shape_of_height_and_width_is_turned(cameras: Rig, tmp_path: Path) -> None:
+    device = cameras.left
+    values = {"size": "img_shape"}
+    (path,) = plain(values)(cameras, tmp_path)
+    with np.load(path) as archive:
+        document = {name: archive[name] for name in archive.files}
+    np.savez(path, **{**document, "img_shape": np.array([device.height, device.width])})
+    found = load_opencv_rig([path], "other", WHEN)
+    assert (found.left.width, found.left.height) == (device.width, device.height)
+
+
+def test_a_rectified_pair_is_read_by_its_baseline(cameras: Rig, tmp_path: Path) -> None:
+    f, base = 120.0, 50.0
+    (tmp_path / "calib.txt").write_text(
+        f"cam0=[{f} 0 31; 0 {f} 23; 0 0 1]\ncam1=[{f} 0 33; 0 {f} 23; 0 0 1]\ndoffs=2\nbaseline={base}\n"
+        "width=64\nheight=48\nndisp=20\n"
+    )
+    found = load_opencv_rig([tmp_path / "calib.txt"], "pair", WHEN)
+    np.testing.assert_allclose(found.right.centre, [base, 0, 0])
+    assert found.right.K[0, 2] - found.left.K[0, 2] == 2
+    rows = [[f, 0, 32, 0, 0, f, 24, 0, 0, 0, 1, 0], [f, 0, 32, -f * base / 1000, 0, f, 24, 0, 0, 0, 1, 0]]
+    lines = [f"P{k}: {' '.join(f'{v:.9e}' for v in row)}" for k, row in enumerate(rows)]
+    (tmp_path / "odometry.txt").write_text("\n".join(lines))
+    found = load_opencv_rig([tmp_path / "odometry.txt"], "pair", WHEN, (64, 48))
+    np.testing.assert_allclose(found.right.centre, [base, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("rig.mat", b"MATLAB 5.0 MAT-file, broken", "found a file that cannot be read"),
+        ("rig.h5", b"\x89HDF\r\n\x1a\nbroken", "found a file that cannot be read"),
+        ("rig.txt", b"nothing of a rig", "expected a calibration"),
+        ("rig.json", b"[1, 2]", "found no table of keys"),
+        ("rig.m", b"K = [1 2 3];", "found no M1, D1, M2, D2, R, T"),
+    ],
+)
+def test_what_is_no_calibration_is_one_line(tmp_path: Path, name: str, content: bytes, said: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RigError, match=said) as problem:
+        load_opencv_rig([tmp_path / name], "other", WHEN)
+    assert "\n" not in str(problem.value)
+    assert name in str(problem.value)
+
+
+def test_a_board_s_size_is_no_image_s(cameras: Rig, tmp_path: Path) -> None:
+    (path,) = plain({"size": "board_size"})(cameras, tmp_path)
+    with pytest.raises(RigError, match="image_size"):
         load_opencv_rig([path], "other", WHEN)

@@ -1,0 +1,151 @@
+"""Calibration files of any program as nested tables of names and values, whatever their format.
+
+OpenCV's FileStorage (XML, YAML, JSON), plain JSON and YAML, NPZ, MAT, HDF5, and text of `name: numbers` or
+`name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.errors import RigError
+from storage.documents import check_regular_file
+
+Array = NDArray[np.float64]
+
+_LARGEST_BYTES = 64 * 2**20
+_HDF5 = b"\x89HDF"
+_ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)\s*[=:]\s*\[([^\]]*)\]")
+_LINE = re.compile(r"^\s*([A-Za-z_][\w.]*)\s*[=:]\s*([-+\d.eE,;\s]+)$")
+_COMMENT = re.compile(r"\s*(?:#|%|//).*$", re.MULTILINE)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """A file as nested tables; RigError in one line where it is none."""
+    check_regular_file(path, RigError)
+    if path.stat().st_size > _LARGEST_BYTES:
+        raise RigError(f"{path}: found {path.stat().st_size} bytes, expected a calibration")
+    try:
+        document = _document(path)
+    except Exception as problem:  # what a damaged file makes of five libraries
+        said = " ".join(str(problem).split())[:100]
+        raise RigError(f"{path}: found a file that cannot be read ({said}), expected a calibration") from None
+    if not isinstance(document, dict) or not document:
+        raise RigError(f"{path}: found no table of keys, expected a calibration")
+    return document
+
+
+def flat(document: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables as one, `left.K` for K inside left; matrices that are tables with `data` become arrays."""
+    found: dict[str, Any] = {}
+    for key, value in document.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping) and "data" in value and "rows" in value and "cols" in value:
+            found[name] = np.reshape(value["data"], (int(value["rows"]), int(value["cols"])))
+        elif isinstance(value, Mapping):
+            found |= flat(value, f"{name}.")
+        else:
+            found[name] = value
+    return found
+
+
+def numbers(value: Any) -> Array | None:
+    """A value as an array of numbers, None where it is none."""
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        return None
+    return array if array.size else None
+
+
+def _document(path: Path) -> Any:
+    suffix, head = path.suffix.lower(), path.read_bytes()[:65536]
+    if suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    if head.startswith(_HDF5) or (suffix == ".mat" and _HDF5 in head[:1024]):
+        return _hdf5(path)
+    if suffix == ".mat":
+        return _mat(path)
+    if b"opencv" in head or head.lstrip().startswith((b"%YAML", b"<")):
+        return _file_storage(path)
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    if suffix == ".json":
+        return json.loads(text)
+    if suffix not in (".yaml", ".yml") and (found := _text(text)):
+        return found
+    import yaml  # type: ignore[import-untyped]
+
+    return yaml.safe_load(text)
+
+
+def _mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabOpaque
+
+    document = {key: value for key, value in loadmat(path, simplify_cells=True).items() if not key.startswith("__")}
+    if not document or any(isinstance(value, MatlabOpaque) for value in document.values()):
+        raise RigError("a MATLAB object; save toStruct(stereoParams)")
+    return document
+
+
+def _hdf5(path: Path) -> dict[str, Any]:
+    import h5py  # type: ignore[import-untyped]
+
+    def tables(group: Any) -> dict[str, Any]:
+        return {
+            name: tables(item) if isinstance(item, h5py.Group) else np.asarray(item)
+            for name, item in group.items()
+            if not name.startswith("#")
+        }
+
+    with h5py.File(path, "r") as file:
+        document = tables(file)
+    if "MCOS" in document or any("MCOS" in str(key) for key in document):
+        raise RigError("a MATLAB object; save toStruct(stereoParams)")
+    return document
+
+
+def _file_storage(path: Path) -> dict[str, Any]:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    try:
+        root = storage.root()
+        return {name: _node(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 - a FileNode is no mapping
+    finally:
+        storage.release()
+
+
+def _node(node: cv2.FileNode) -> Any:
+    """A matrix, a table, a list, text or a number."""
+    if node.isString():
+        return node.string()
+    if node.isSeq():
+        return [_node(node.at(k)) for k in range(node.size())]
+    if node.isMap():
+        names = list(node.keys())
+        return node.mat() if "data" in names else {name: _node(node.getNode(name)) for name in names}
+    return node.real()
+
+
+def _text(text: str) -> dict[str, Any]:
+    """Values by name of `name: numbers` lines and `name = [rows; of numbers]`, comments left out."""
+    plain = _COMMENT.sub("", text)
+    found: dict[str, Any] = {}
+    for name, inside in _ASSIGNED.findall(plain):
+        rows = [re.split(r"[,\s]+", row.strip()) for row in re.split(r"[;\n]", inside) if row.strip()]
+        if (value := numbers(rows[0] if len(rows) == 1 else rows)) is not None:
+            found.setdefault(name, value)
+    for line in plain.splitlines():
+        if match := _LINE.match(line):
+            words = re.split(r"[,;\s]+", match[2].strip(" ,;\t"))
+            if (value := numbers(words)) is not None:
+                found.setdefault(match[1], value if value.size > 1 else float(value[0]))
+    return found

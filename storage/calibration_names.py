@@ -1,0 +1,238 @@
+"""What the values of somebody's calibration are: matrices, distortions and poses by the words of their names.
+
+`cameraMatrix1`, `K_left`, `left.camera_matrix`, `mtxL`, `cam_int`, `Rlr`: a name says a role and, mostly, a device. The
+names of OpenCV's samples are what they become: M1, D1, M2, D2, R, T; M3, D3, R3, T3 of the projector.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.calibration_documents import numbers
+
+Array = NDArray[np.float64]
+Found = dict[str, Array]
+
+NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size3")
+# Names whose device or role their words do not tell.
+_EXACT = {
+    "projector_matrix": "M3", "projector_distortion": "D3", "projector_rotation": "R3", "projector_translation": "T3",
+    "projector_size": "size3", "M4": "M3", "D4": "D3", "Rlp": "R3", "Tlp": "T3", "Rlr": "R", "Tlr": "T",
+    "R_lr": "R", "T_lr": "T", "R12": "R", "T12": "T", "S": "size", "roration": "R", "R3": "R3",
+    "T3": "T3",
+}  # fmt: skip
+_ROLES = {
+    "M": ("k", "m", "a", "mtx", "matrix", "camk", "int", "intrinsic", "intrinsics", "intrinsicmatrix",
+          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cameraintrinsics", "kmat", "intr"),
+    "D": ("d", "kc", "dist", "distortion", "distcoeff", "distcoeffs", "distcoef", "distcoefs", "coeffs", "discoeff",
+          "distortioncoefficients", "distortioncoefficient", "distortioncoeffs", "distortionparameters", "distvec",
+          "distortioncoefs", "distvector", "distortionvector", "coef", "distortions"),
+    "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
+          "stereor", "rstereo", "rodrigues", "rotationofcamera"),
+    "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
+          "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
+          "transformationmatrix", "rt", "translationofcamera", "tvector"),
+    "size": ("imagesize", "imgsize", "imgshape", "imageshape", "resolution", "size", "shape", "imageresolution",
+             "framesize", "frameshape", "imsize"),
+}  # fmt: skip
+_SIDES = {"left": 1, "l": 1, "right": 2, "r": 2, "projector": 3, "proj": 3, "prj": 3}
+_SPELLED = {name: role for role, names in _ROLES.items() for name in names}
+_PAIRS = {
+    f"{role.lower()}{side}": (as_, _SIDES[side]) for role, as_ in (("K", "M"), ("M", "M"), ("D", "D")) for side in "lr"
+}
+_OTHER_THINGS = (
+    "new",
+    "optimal",
+    "rect",
+    "proj_mat",
+    "essential",
+    "fundamental",
+    "err",
+    "std",
+    "inv",
+    "homography",
+    "initial",
+)
+_CAMERA = ("cam", "camera", "stereo", "calib", "calibration", "params", "parameters", "the")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+
+
+def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found:
+    """The values by the names of OpenCV's samples.
+
+    Parameters
+    ----------
+    values : mapping
+        Flat names to values.
+    file_side : 1 or 2, optional
+        The camera that the file as a whole is of, for names that tell none.
+    """
+    arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
+    found: Found = {}
+    told: list[tuple[str, int | None, str]] = []
+    for name, array in arrays.items():
+        exact = _EXACT.get(name) or _EXACT.get(name.rsplit(".", 1)[-1])
+        if exact is not None:
+            found[exact] = array
+        elif (read := _role_and_side(name)) is not None and (name in NAMES or _fits(read[0], array)):
+            told.append((*read, name))
+    first = 10 if any(side == 10 for _, side, _ in told) else 11
+    one_camera = any(side == 3 for _, side, _ in told)
+    poses: Found = {}
+    for role, side, name in told:
+        number = side - first + 1 if side is not None and side >= 10 else side
+        if role == "size":
+            found.setdefault("size3" if number == 3 else "size", _ordered(name, arrays))
+        elif role in "MD":
+            found.setdefault(f"{role}{number or file_side or (1 if one_camera else 0)}", arrays[name])
+        else:
+            poses.setdefault(f"{role}{number or 0}", arrays[name])
+    found |= {key: value for key, value in _poses(poses).items() if key not in found}
+    found |= {key: value for key, value in _scalars(values, file_side).items() if key not in found}
+    found |= {key: value for key, value in _size(arrays).items() if key not in found}
+    return _shaped({key: value for key, value in found.items() if key in NAMES})
+
+
+def _role_and_side(name: str) -> tuple[str, int | None] | None:
+    """Role (M, D, R, T, size) and device (1, 2, 3; 10 + n where it is numbered n) that a name's words tell."""
+    words = [word.lower() for word in _WORD.findall(name)]
+    if any(word.startswith(_OTHER_THINGS) for word in words):
+        return None
+    if len(words) == 1 and words[0] in _PAIRS:
+        return _PAIRS[words[0]]
+    if len(words) == 2 and words[1].isdigit() and words[0] in ("r", "t"):
+        return None  # OpenCV's R1 and R2 are rotations of a rectification
+    side: int | None = None
+    rest: list[str] = []
+    for place, word in enumerate(words):
+        letter_of_role = word == "r" and (len(words) == 1 or place == 0) and _role(words[1:]) is None
+        if word.isdigit():
+            side = 10 + int(word) if side is None else side
+        elif word in _SIDES and not letter_of_role and len(words) > 1:
+            side = _SIDES[word] if side is None or side >= 10 else side
+        else:
+            rest.append(word)
+    role = _role(rest)
+    return None if role is None else (role, side)
+
+
+def _role(words: list[str]) -> str | None:
+    """The role that words without any device's spell, by all of them, the last two, or the last."""
+    while len(words) > 1 and words[0] in _CAMERA and "".join(words) not in _SPELLED:
+        words = words[1:]
+    whole = "".join(words)
+    if whole in _SPELLED:
+        return _SPELLED[whole]
+    last = [_SPELLED.get("".join(words[-2:])), _SPELLED.get(words[-1])] if words else []
+    return next((role for role in last if role is not None and role != "size"), None)
+
+
+def _fits(role: str, array: Array) -> bool:
+    """Whether a value can be what its name says: `T` may be a time, `d` a distance."""
+    if role == "M":
+        return array.shape in ((3, 3), (9,), (1, 9))
+    if role == "D":
+        return array.size in (4, 5, 8, 12, 14) and max(array.shape) == array.size
+    if role == "R":
+        return array.size in (3, 9)
+    return array.size in (3, 12, 16) if role == "T" else array.size == 2
+
+
+def _poses(said: Found) -> Found:
+    """R and T of the second camera from the first, and those of the projector."""
+    found: Found = {}
+    for role in "RT":
+        pose = next((said[f"{role}{side}"] for side in ("0", "2") if f"{role}{side}" in said), None)
+        found |= {role: pose} if pose is not None else {}
+        found |= {f"{role}3": said[f"{role}3"]} if f"{role}3" in said else {}
+    if {"R1", "R2", "T1", "T2"} <= set(said) and said["R1"].size == said["R2"].size == 9 and "R0" not in said:
+        first, second = said["R1"].reshape(3, 3), said["R2"].reshape(3, 3)
+        turn = second @ first.T  # both stand to the same object
+        found |= {"R": turn, "T": said["T2"].ravel() - turn @ said["T1"].ravel()}
+    return found
+
+
+def _ordered(name: str, arrays: Mapping[str, Array]) -> Array:
+    """Width, height: what is called a shape may be height, width, as the middle of the image tells."""
+    size = arrays[name].ravel()
+    matrices = [array.reshape(3, 3) for other, array in arrays.items() if (_role_and_side(other) or "R")[0] == "M"
+                and array.size == 9]  # fmt: skip
+    if "shape" not in name.lower() or not matrices:
+        return size
+    centre = matrices[0][:2, 2]
+    return size if np.abs(size / 2 - centre).sum() <= np.abs(size[::-1] / 2 - centre).sum() else size[::-1]
+
+
+def _scalars(values: Mapping[str, Any], file_side: int | None) -> Found:
+    """Cameras told by fx, fy, cx, cy and k1, k2, p1, p2, k3 each by itself."""
+    groups: dict[int, dict[str, float]] = {}
+    for name, value in values.items():
+        words = re.match(r"(.*?)[._]?(fx|fy|cx|cy|k1|k2|k3|p1|p2)[._]?(.*)$", name, re.IGNORECASE)
+        if words is None or isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        side = _side_of(f"{words[1]} {words[3]}") or file_side
+        if side:
+            groups.setdefault(side, {})[words[2].lower()] = float(value)
+    first = 10 if 10 in groups else 11
+    found: Found = {}
+    for side, said in groups.items():
+        if not {"fx", "fy", "cx", "cy"} <= set(said):
+            continue
+        number = side - first + 1 if side >= 10 else side
+        found[f"M{number}"] = np.array([[said["fx"], 0, said["cx"]], [0, said["fy"], said["cy"]], [0, 0, 1]])
+        found[f"D{number}"] = np.array([[said.get(term, 0.0) for term in ("k1", "k2", "p1", "p2", "k3")]])
+    return found
+
+
+def _side_of(text: str) -> int | None:
+    for word in _WORD.findall(text):
+        if word.isdigit():
+            return 10 + int(word)
+        if word.lower() in _SIDES:
+            return _SIDES[word.lower()]
+    return None
+
+
+def side_of_file(parts: Iterable[str]) -> int | None:
+    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml."""
+    for part in parts:
+        for word in re.findall(r"[A-Za-z]+", part):
+            if word.lower() in ("left", "l", "right", "r"):
+                return _SIDES[word.lower()]
+    numbered = [re.search(r"(?:cam|camera)_?(\d)", part, re.IGNORECASE) for part in parts]
+    number = next((int(match[1]) for match in numbered if match), None)
+    return None if number is None else {0: 1, 1: 2}.get(number)
+
+
+def _size(arrays: Mapping[str, Array]) -> Found:
+    """Width and height told each by itself."""
+    found: Found = {}
+    for wide, high in (("width", "height"), ("image_width", "image_height"), ("imageWidth", "imageHeight"),
+                       ("w", "h"), ("nx", "ny"), ("img_width", "img_height")):  # fmt: skip
+        for name in arrays:
+            head, _, last = name.rpartition(".")
+            other = f"{head}.{high}" if head else high
+            if last == wide and other in arrays and arrays[name].size == arrays[other].size == 1:
+                side = "size3" if _side_of(head) == 3 else "size"
+                found.setdefault(side, np.array([arrays[name].item(), arrays[other].item()]))
+    return found
+
+
+def _shaped(found: Found) -> Found:
+    """Matrices in their shapes, R and T apart; of one camera's file the pose is the projector's."""
+    for suffix in ("", "3"):
+        pose = found.get(f"T{suffix}")
+        if pose is not None and pose.size in (12, 16):
+            matrix = pose.reshape(-1, 4)
+            found[f"R{suffix}"], found[f"T{suffix}"] = matrix[:3, :3], matrix[:3, 3]
+    found = {key: value.reshape(3, 3) if key[0] in "MR" and value.size == 9 else value for key, value in found.items()}
+    if "M3" in found and "M2" not in found:
+        for name in ("R", "T"):
+            if name in found and f"{name}3" not in found:
+                found[f"{name}3"] = found.pop(name)
+    return found
