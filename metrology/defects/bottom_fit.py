@@ -113,7 +113,7 @@ def _solved(points: Points, form: Form, place: Array, scale: float) -> tuple[Arr
     left = off - design @ change
     evidence = -0.5 * float(left @ left + np.sum((change / sd) ** 2))
     evidence -= 0.5 * float(np.linalg.slogdet(normal)[1]) + float(np.log(sd).sum())
-    return mean + change, covariance, evidence
+    return mean + change, np.asarray(covariance, float), evidence
 
 
 def _prior(form: Form, scale: float) -> tuple[Array, Array]:
