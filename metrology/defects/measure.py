@@ -22,6 +22,8 @@ from metrology.sighted import Sighted
 Array = NDArray[np.float64]
 
 _SURE = 2.5  # U95 of the skin that a defect must be deep: five standard deviations
+_SURE_AT_END = 7.5  # where it deepens up to the end of the view: beyond the skin's last points nothing holds it
+_OPEN = 0.25  # share of such an outline that lies there
 _FOOT = 0.1  # of its depth
 _FOOT_SDS = 2.5
 _CUT = 0.04  # share of an outline that may lie elsewhere
@@ -103,10 +105,12 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 
 
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
-    """Whether it is one for certain; what the view cuts may be the rim of a head."""
-    if found.bottom.depth < settings.least_depth_mm or found.seen < _SURE * COVERAGE_95 * found.seen_sd:
+    """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
+    cut = found.outline.cut_by_view
+    sure = COVERAGE_95 * found.seen_sd * (_SURE_AT_END if cut > _OPEN and found.bottom.hidden else _SURE)
+    if found.bottom.depth < settings.least_depth_mm or found.seen < sure:
         return False
-    return found.outline.cut_by_view < _CUT or found.outline.length > _LEAST_VIEW_MM
+    return cut < _CUT or found.outline.length > _LEAST_VIEW_MM
 
 
 def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
