@@ -91,10 +91,13 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     window = region.rows, region.columns
     smoothed = np.where(region.cells, region.sign * skin.smoothed[window], -np.inf)
     place = np.unravel_index(int(smoothed.argmax()), smoothed.shape)
+    seen = float(smoothed[place])
+    if bottom.depth < seen:  # a form that does not follow its points
+        bottom = replace(bottom, depth=seen, sd=float(np.hypot(bottom.sd, seen - bottom.depth)))
     skin_variance = by_reference + region.doubt**2
     sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
     seen_sd = np.sqrt(skin.sd[window][place] ** 2 + skin_variance)
-    return _Found(region, patch, bottom, outline, float(sd), float(smoothed[place]), float(seen_sd))
+    return _Found(region, patch, bottom, outline, float(sd), seen, float(seen_sd))
 
 
 def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
@@ -108,7 +111,7 @@ def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
     cut = found.outline.cut_by_view
     sure = COVERAGE_95 * found.seen_sd * (_SURE_AT_END if cut > _OPEN and found.bottom.hidden else _SURE)
-    if found.bottom.depth < settings.least_depth_mm or found.seen < sure:
+    if found.seen < max(settings.least_depth_mm, sure):
         return False
     return cut < _CUT or found.outline.length > _LEAST_VIEW_MM
 
@@ -139,9 +142,9 @@ def _height(found: _Found) -> float:
 
 def _with_depth(row: Defect, found: _Found, settings: DefectSettings) -> Defect:
     """Depth with its U95, and whether all of the defect was seen."""
-    pixels = found.outline.width / found.patch.step_mm * found.patch.step_px
+    pixels = found.patch.true_pixels(found.outline.width)
     if row.kind == "scratch" and pixels < settings.scratch_pixels:
-        reason = f"line without measurable depth: {pixels:.1f} pixels wide, and points average over as many"
+        reason = f"line without measurable depth: narrower than the {settings.scratch_pixels:g} pixels that tell one"
         return replace(row, decision="not measured", reason=reason)
     if row.kind == "scratch" and COVERAGE_95 * found.depth_sd > _VAGUE * found.bottom.depth:
         reason = f"line without measurable depth: its points leave ±{COVERAGE_95 * found.depth_sd:.3f} mm"
