@@ -81,6 +81,7 @@ def describe_fit(fitted: FittedProjector) -> list[str]:
         missing = "y" if fitted.assumed == "rows" else "x"
         lines.append(
             f"  warning: no scan has fringes along {missing}: the projector's {fitted.assumed} are assumed (square "
-            f"pixels, light over all that was seen) to ±{fitted.assumed_u95_px:.1f} px (95 %); it watches over the rig, and overlays are not drawn for it"
+            f"pixels, light over all that was seen) to ±{fitted.assumed_u95_px:.1f} px (95 %); it watches "
+            "over the rig, and overlays are not drawn for it"
         )
     return lines
