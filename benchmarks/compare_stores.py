@@ -43,7 +43,7 @@ def dump(store: Store, out: Path) -> None:
         pictures = {path.name: _checksum(path) for pattern in _PICTURES for path in bundle.glob(pattern)}
         manifest = json.loads((bundle / "manifest.json").read_text(encoding="utf-8"))
         manifest["files"] = {**dict.fromkeys(manifest["files"]), **pictures}
-        for name in ("run_id", "seconds", "versions", "first_stored_at", "review_head"):
+        for name in ("run_id", "seconds", "versions", "first_stored_at", "review_head", "verification"):
             manifest.pop(name, None)
         _write(out / f"manifest-{scene['scene_id']}.json", json.dumps(manifest, indent=1, sort_keys=True))
         _write(out / f"report-{scene['scene_id']}.html", _page(scene_page(scene_record(store, scene["scene_id"]))))

@@ -6,8 +6,8 @@ Dents, bumps and creases 0.02–2 mm deep and 5–80 mm long among rivets and se
 recall, errors of depth and extents, and how often U95 covers the error; the same panels without defects; one panel
 scanned again and again; and depths by what people do otherwise: a plane, and a cylinder, fitted by least squares.
 
-Clouds are traced with the noise of a scan (0.012 mm a point, correlated over two pixels), heads and seams are where
-they are: a few seconds for each panel. With --rendered fringes are rendered, decoded and matched, and heads and seams
+Clouds are traced with the noise of a scan (0.012 mm a point, correlated over two pixels) and are means over the area
+that a point of a scan is one of; heads and seams are where they are: a few seconds for each panel. With --rendered fringes are rendered, decoded and matched, and heads and seams
 are looked for: a minute or two for each.
 """
 
@@ -47,7 +47,7 @@ from simulator.truth import Truth
 from simulator.truth import truth as true_of
 
 PER_PANEL = 4
-NOISE_MM, CORRELATED_PX = 0.012, 0.8
+NOISE_MM, CORRELATED_PX, SUPPORT_PX = 0.012, 0.8, 1.4
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,16 @@ def _traced(spec: SimulationSpec, repeats: int, rng: np.random.Generator) -> lis
     points, kinds = meet(relief, camera.centre, rays.reshape(-1, 3))
     half = 0.5 * np.array([spec.panel.width_mm, spec.panel.height_mm])
     points[(np.abs(points[:, :2]) > half).any(axis=1) | (kinds < 0)] = np.nan
-    exact = pose.to_rig(points).reshape(camera.height, camera.width, 3)
+    exact = _meant(pose.to_rig(points).reshape(camera.height, camera.width, 3))
     return [Scan(_sighted(exact, known, rig, rng), known.dents) for _ in range(repeats)]
+
+
+def _meant(points: np.ndarray) -> np.ndarray:
+    """Points as means over their support."""
+    known = np.isfinite(points[..., 2])
+    total = cv2.GaussianBlur(np.where(known[..., None], points, 0.0), (0, 0), SUPPORT_PX)
+    share = cv2.GaussianBlur(known.astype(float), (0, 0), SUPPORT_PX)
+    return np.where(known[..., None], total / np.maximum(share, 1e-6)[..., None], np.nan)
 
 
 def _sighted(exact: np.ndarray, known: Truth, rig: Rig, rng: np.random.Generator) -> Sighted:

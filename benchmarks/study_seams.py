@@ -21,10 +21,10 @@ import pickle
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rigs import RIGS
 
 from metrology.cloud import Reconstruction
 from metrology.reconstruct import reconstruct
@@ -126,29 +126,6 @@ def errors(stations: list, truth: dict) -> np.ndarray:
     return np.array(rows, float).reshape(-1, 5)
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A rig: what a pixel shows, mm; distance of the cameras and of the panel, mm; blur, px."""
-
-    px_mm: float
-    baseline_mm: float
-    stand_off_mm: float
-    blur_px: float
-
-    @property
-    def design(self) -> RigDesign:
-        """Small cameras, and a projector whose pixels are as large on the panel as the usual one's."""
-        away = self.stand_off_mm
-        return RigDesign(
-            camera_width=400, camera_height=320, camera_focal_px=away / self.px_mm,
-            projector_focal_px=2550.0 * away / 700.0, baseline_mm=self.baseline_mm, stand_off_mm=away,
-        )  # fmt: skip
-
-
-RIGS = {
-    1: Kind(0.15, 240.0, 550.0, 0.9), 2: Kind(0.19, 300.0, 700.0, 0.75), 3: Kind(0.24, 400.0, 700.0, 0.6),
-    4: Kind(0.28, 300.0, 900.0, 1.1), 5: Kind(0.35, 250.0, 1050.0, 0.7), 6: Kind(0.42, 500.0, 1260.0, 0.85),
-}  # fmt: skip
 # In turn, so that every rig has all of them in all directions.
 JOINTS = ("butt", "lap", "butt", "butt sealed", "butt", "lap", "butt", "butt sealed", "butt", "butt")
 GAPS_MM = (0.05, 2.0)
@@ -185,7 +162,7 @@ def rig_seam(number: int, i: int, count: int, draw: int = 21) -> SimulationSpec:
     panel = Panel(side, side, Skin(1 / bends[0], 1 / bends[1], rng.uniform(0, 180)), (), (seam,), surface=surface)
     brightness = 186.0 / reflectance / (1 + 1.6 * specular)
     return SimulationSpec(
-        "flushline-simulation/1", KEYS, panel, RigSpec(seed=number, design=kind.design),
+        "flushline-simulation/1", KEYS, panel, RigSpec(seed=number, design=kind.design(400, 320)),
         (random_placement(rng, 10, 3),), camera=Camera(blur_px=kind.blur_px, samples=200),
         light=Lighting(min(500.0, brightness), rng.uniform(10, 40), rng.uniform(0.3, 0.8)), seed=100 + i,
     )  # fmt: skip

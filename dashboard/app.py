@@ -5,12 +5,13 @@ from __future__ import annotations
 import streamlit as st
 
 from dashboard import frame
-from dashboard.views import archive, overview, review, runs, scene, sql, trends
+from dashboard.views import archive, overview, panel, review, runs, scene, sql, trends
 
 # Title, icon and body of each page by its place in the URL.
 PAGES = {
     "overview": (overview.TITLE, ":material/dashboard:", frame.guarded(overview.TITLE, overview.render)),
     "archive": (archive.TITLE, ":material/inventory_2:", frame.guarded(archive.TITLE, archive.render)),
+    "panel": (panel.TITLE, ":material/grid_on:", frame.guarded(panel.TITLE, panel.render)),
     "scene": (scene.TITLE, ":material/center_focus_strong:", frame.guarded(scene.TITLE, scene.render)),
     "review": (review.TITLE, ":material/fact_check:", frame.guarded(review.TITLE, review.render)),
     "trends": (trends.TITLE, ":material/show_chart:", frame.guarded(trends.TITLE, trends.render)),
@@ -26,6 +27,23 @@ _STYLE = """<style>
 </style>"""
 
 
+# Where a page leads to another one with a query, Streamlit first writes the query behind the address of the page that is
+# left: the browser's back button would lead there, to a page that nobody saw. This puts the next page in its place.
+_ONE_STEP = """<script>
+if (!window.flushlineOneStep) {
+  window.flushlineOneStep = true;
+  const push = history.pushState.bind(history);
+  let pushed = 0;
+  history.pushState = (state, title, url) => {
+    const next = new URL(url ?? location.href, location.href);
+    const onlyPath = next.search && next.search === location.search && next.pathname !== location.pathname;
+    if (onlyPath && Date.now() - pushed < 10000) history.replaceState(state, title, url);
+    else push(state, title, url);
+    pushed = next.pathname === location.pathname ? Date.now() : 0;
+  };
+}
+</script>"""
+
 # A rivet in a skin. Drawn here: a symbol's name would make the browser ask a server on the internet for it.
 _ICON = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 24">
 <rect width="24" height="24" rx="5" fill="#0072B2"/>
@@ -38,6 +56,7 @@ def main() -> None:
     """Build the pages and run the one that the URL names."""
     st.set_page_config("Flushline", _ICON, layout="wide", initial_sidebar_state="collapsed")
     st.html(_STYLE)
+    st.html(_ONE_STEP, unsafe_allow_javascript=True)
     pages = {
         name: st.Page(body, title=title, icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)
         for name, (title, icon, body) in PAGES.items()

@@ -19,7 +19,7 @@ import streamlit as st
 
 from dashboard.frame import PageContext, link, plain
 from metrology.errors import FlushlineError, OutdatedError
-from storage.archive.decisions import close_work, dispose, sign_off
+from storage.archive.decisions import close_work, dispose, sign_off_all
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, said
 from storage.review import DISPOSITIONS, MAX_COMMENT, Entry, Review, ShownFinding, ShownScene
 
@@ -216,28 +216,35 @@ def _record_close(
 
 def offer_sign_off(context: PageContext, scene: Any) -> None:
     """The sign-off of a scan, with the decisions that it would lock."""
+    offer_sign_off_of(context, [scene], plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}"))
+
+
+def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, meaning: str = "") -> None:
+    """The sign-off of scans, all of them or none; nothing where they are signed off.
+
+    Parameters
+    ----------
+    scenes : sequence of rows of the table scenes
+    place : str
+        What the button calls them.
+    meaning : str
+        What the signature says, kept with it.
+    """
     review = context.archive.review()
-    if review.problem or not context.person.may_review or scene.scene_id in review.sign_offs():
+    scenes = [scene for scene in scenes if scene.scene_id not in review.sign_offs()]
+    if review.problem or not context.person.may_review or not scenes:
         return
-    standings = context.archive.standings(scene.scene_id)
-    left = any(standing.state in UNRESOLVED for standing in standings)
-    place = plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}")
-    shown = ShownScene(
-        str(scene.scene_id),
-        str(scene.run_id),
-        {
-            "n_rivets": None if pd.isna(scene.n_rivets) else int(scene.n_rivets),
-            "n_stations": None if pd.isna(scene.n_stations) else int(scene.n_stations),
-            "panel_spec": str(scene.panel_spec),
-            "software_version": str(scene.software_version),
-            "n_decided": len(standings),
-        },
-        review.last_of_scene(str(scene.scene_id)),
-    )
+    standings = {str(scene.scene_id): context.archive.standings(scene.scene_id) for scene in scenes}
+    found = [standing for of_scene in standings.values() for standing in of_scene]
+    left = any(standing.state in UNRESOLVED for standing in found)
+    shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]
     key = _checksum(shown)
     with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
-        decided = [e for (scene_id, _), e in review.current().items() if scene_id == scene.scene_id]
-        st.markdown(f"Scanned {context.locale.time(scene.captured_at)}, {_counted(decided)}.")
+        decided = [e for (scene_id, _), e in review.current().items() if scene_id in standings]
+        taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
+        st.markdown(f"Scanned {taken}, {_counted(decided)}.")
+        if meaning:
+            st.markdown(f"Says: **{plain(meaning)}**")
         st.caption("Its dispositions can not be changed afterwards.")
         who = _who(context)
         st.markdown(f"Signs: **{plain(who) or 'give your name first'}**")
@@ -246,10 +253,21 @@ def offer_sign_off(context: PageContext, scene: Any) -> None:
             type="primary",
             disabled=not who,
             key=f"sign-off-{key}",
-            on_click=partial(_record_sign_off, context, shown, place),
+            on_click=partial(_record_sign_off, context, shown, place, meaning),
         )
     if left:
-        st.caption(f"It can be signed off when nothing waits and no work is open. Findings: {said(standings)}.")
+        st.caption(f"It can be signed off when nothing waits and no work is open. Findings: {said(found)}.")
+
+
+def _shown_scene(review: Review, scene: Any, decided: int) -> ShownScene:
+    values = {
+        "n_rivets": None if pd.isna(scene.n_rivets) else int(scene.n_rivets),
+        "n_stations": None if pd.isna(scene.n_stations) else int(scene.n_stations),
+        "panel_spec": str(scene.panel_spec),
+        "software_version": str(scene.software_version),
+        "n_decided": decided,
+    }
+    return ShownScene(str(scene.scene_id), str(scene.run_id), values, review.last_of_scene(str(scene.scene_id)))
 
 
 def _counted(decided: Sequence[Entry]) -> str:
@@ -258,8 +276,13 @@ def _counted(decided: Sequence[Entry]) -> str:
     return f"dispositions: {text}" if text else "nothing needed a disposition"
 
 
-def _record_sign_off(context: PageContext, shown: ShownScene, place: str) -> None:
-    _try(lambda: sign_off(context.archive.root, _who(context), shown), f"Signed off {place}.", None, lambda: None)
+def _record_sign_off(context: PageContext, shown: Sequence[ShownScene], place: str, meaning: str) -> None:
+    _try(
+        lambda: sign_off_all(context.archive.root, _who(context), shown, meaning),
+        f"Signed off {place}.",
+        None,
+        lambda: None,
+    )
 
 
 def _try(act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:

@@ -1,4 +1,4 @@
-"""Findings: rivets and seam stations of the newest scans, as the pages list them."""
+"""Findings of the newest scans, as the pages list them."""
 
 from __future__ import annotations
 
@@ -39,6 +39,8 @@ class Selection:
     aircraft, panels, stations, rigs : tuple of str
     since, until : datetime or None
         Of the scan.
+    without : tuple of str
+        Patterns of serial numbers that are left out, such as STD-*.
     """
 
     aircraft: tuple[str, ...] = ()
@@ -47,6 +49,7 @@ class Selection:
     rigs: tuple[str, ...] = ()
     since: datetime | None = None
     until: datetime | None = None
+    without: tuple[str, ...] = ()
 
     def where(self) -> tuple[str, list[Any]]:
         """A SQL condition on a table's key columns, and its parameters."""
@@ -64,6 +67,9 @@ class Selection:
             if moment is not None:
                 conditions.append(f"{column} ?")
                 parameters.append(moment)
+        for pattern in self.without:
+            conditions.append("NOT aircraft_serial GLOB ?")
+            parameters.append(pattern)
         return " AND ".join(conditions), parameters
 
 

@@ -2,6 +2,7 @@
 
 title = "Hall 7"
 numbers = "de"                       # us, de, iso; by default the browser's
+not_aircraft = ["STD-*"]             # serial numbers of gauges and standard parts: the overview leaves them out
 inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
 prefect_api = "http://flows:4200/api"  # whose flow runs it shows; by default PREFECT_API_URL
 [roles]
@@ -49,6 +50,7 @@ class SettingsModel(StrictModel):
 
     title: str = "Flushline"
     numbers: str | None = None
+    not_aircraft: tuple[str, ...] = ()
     inboxes: tuple[str, ...] = ()
     prefect_api: str | None = None
     roles: RolesModel = RolesModel()

@@ -9,7 +9,7 @@ from typing import Any
 
 from metrology.calibration.board import Board
 from storage.evidence.artefact import Artefact, load_artefact, shipped_artefact
-from storage.evidence.drawings import board_svg, dxf, plate_shapes, plate_svg
+from storage.evidence.drawings import board_svg, dxf, shapes, svg
 
 _POSITIONS = (
     ((0, 0, 0), (0, 0, 0)), ((0, 0, 0), (12, 0, 90)), ((5, -5, 15), (0, 12, 0)), ((-5, 5, -15), (-12, 0, 45)),
@@ -37,11 +37,9 @@ def write_artefact(name: str, out: Path) -> list[Path]:
         files.append(out / f"{name}.svg")
         files[-1].write_text(board_svg(Board(kind=file.board.type, **_sizes(artefact))), encoding="utf-8")
         return files
-    if file.size_mm:
-        files += [out / f"{name}.dxf", out / f"{name}.svg"]
-        files[-2].write_text(dxf(plate_shapes(file)), encoding="ascii")
-        files[-1].write_text(plate_svg(file), encoding="utf-8")
-    files.append(out / f"{name}-simulation.toml")
+    files += [out / f"{name}.dxf", out / f"{name}.svg", out / f"{name}-simulation.toml"]
+    files[1].write_text(dxf(shapes(file)), encoding="ascii")
+    files[2].write_text(svg(file), encoding="utf-8")
     files[-1].write_text("\n".join(simulation(artefact)) + "\n", encoding="utf-8")
     return files
 

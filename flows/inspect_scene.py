@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
 from functools import partial
@@ -138,17 +138,20 @@ def _measure(job: Job, run: _Run) -> _Measured:
     loaded = run.step(steps.load, job.folder, job.rig_path, job.store, settings.verification)
     reconstruction = run.step(steps.reconstruct_scene, loaded, settings)
     with ThreadPoolExecutor(2) as helpers:
-        # What nobody waits for yet, each in the run's own context.
-        encoding = helpers.submit(copy_context().run, steps.encode, reconstruction)
+
+        def beside(function: Callable[[], Result]) -> Future[Result]:
+            """Start what nobody waits for yet, in the run's own context."""
+            return helpers.submit(copy_context().run, function)
+
+        encoding = beside(partial(steps.encode, reconstruction))
         fasteners = run.step(steps.detect_rivets, reconstruction, settings)
         detections = fasteners.rivets
-        check = partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings)
-        checking = helpers.submit(copy_context().run, check)
+        checking = beside(partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings))
         lines = run.step(steps.detect_seams, reconstruction, detections, settings)
         health = checking.result()  # refused before anything is measured with a rig that does not fit
-        rivets = run.step(steps.measure_rivets, detections, reconstruction, lines, settings)
+        measuring = beside(partial(run.step, steps.measure_rivets, detections, reconstruction, lines, settings))
         stations = run.step(steps.measure_seams, lines, reconstruction, detections, settings)
-        features: dict[str, Sequence[Feature]] = {RIVET.name: rivets, SEAM_STATION.name: stations}
+        features: dict[str, Sequence[Feature]] = {RIVET.name: measuring.result(), SEAM_STATION.name: stations}
         for kind in KINDS:
             if kind.measure:
                 sighted = Sighted(reconstruction, detections, lines, dict(features), fasteners.openings)

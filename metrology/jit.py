@@ -14,7 +14,7 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from types import CodeType
@@ -22,6 +22,7 @@ from typing import Any
 
 import numba
 import numpy
+from numba.core.compiler_lock import global_compiler_lock
 
 # NaN marks missing values throughout, so "nnan" and "ninf" stay off.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -41,7 +42,7 @@ def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     neither: kernels then go into a folder of this user's under the system's folder for temporary files.
     """
     try:
-        return _saved_in_turn(_stamped(compiler(function)))
+        return _compiled_in_turn(_stamped(compiler(function)))
     except RuntimeError as problem:
         if "cannot cache" not in str(problem):
             raise
@@ -54,7 +55,7 @@ def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
     # Processes that are started from here find it, and need not say it again.
     os.environ["NUMBA_CACHE_DIR"] = folder
     numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
-    return _saved_in_turn(_stamped(compiler(function)))
+    return _compiled_in_turn(_stamped(compiler(function)))
 
 
 def _stamped(dispatcher: Any) -> Any:
@@ -92,25 +93,34 @@ def _stamp(value: Any) -> str | None:
     return None if file is None else repr(file._source_stamp)
 
 
-def _saved_in_turn(dispatcher: Any) -> Any:
-    """Let processes that compile a kernel at the same time save it one after the other.
+def _compiled_in_turn(dispatcher: Any) -> Any:
+    """Let processes that need a kernel at the same time compile it once: the others wait, and load what was saved.
 
-    Numba reads the kernel's index, chooses the next file name and writes both: two processes that compile for
-    different types would choose the same name, and one type's code would be taken for the other's.
+    Nor must two save at once: numba reads the kernel's index, chooses the next file name and writes both, and one
+    type's code would be taken for the other's.
     """
     file = _cache_file(dispatcher)
     if file is None:
         return dispatcher
-    save = file.save
+    compile_ = dispatcher.compile
 
-    def save_in_turn(key: Any, data: Any) -> None:
-        with open(f"{file._index_path}.lock", "ab") as lock:
-            with contextlib.suppress(OSError):  # some network file systems have no locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            save(key, data)
+    def compile_in_turn(signature: Any) -> Any:
+        # Numba's own lock first, as it takes it anyway: of a process's threads one at a time then waits for a file.
+        with global_compiler_lock, _turn(f"{file._index_path}.lock"):
+            return compile_(signature)
 
-    file.save = save_in_turn
+    dispatcher.compile = compile_in_turn
     return dispatcher
+
+
+@contextlib.contextmanager
+def _turn(path: str) -> Iterator[None]:
+    """Wait for other processes to let go of a file; where a file cannot be locked, nobody waits."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):  # a folder that cannot be written, a network file system without locks
+            # This process's own: one that is forked meanwhile does not hold it on.
+            fcntl.lockf(held.enter_context(open(path, "ab")), fcntl.LOCK_EX)
+        yield
 
 
 def _temporary_cache() -> str:

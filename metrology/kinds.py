@@ -377,6 +377,7 @@ DEFECT = Kind(
     subject="defect",
     parameter="defect",
     verdict="metrology.defects.verdict:defect_finding",
+    unlimited="metrology.defects.verdict:unlimited_defect",
     note="metrology.defects.verdict:defect_note",
     size=("length_mm", "foot_length_mm"),
     measure="metrology.defects.measure:measure_defects",

@@ -93,7 +93,8 @@ def as_measured(kind: Kind, row: Row) -> Row:
     reason = re.sub(rf"(?:^|; )(?:{names})(?: [^;±]*)? ± .*?; {re.escape(RULE)}", "", row.reason or "")
     parts = [rf"(?:{names})(?: [^;]*)? not measured"]
     otherwise: Verdict | None = load(kind.verdict)(row) if kind.verdict else None
-    parts += [re.escape(otherwise.reason)] if otherwise and otherwise.reason else []
+    unlimited: Verdict | None = load(kind.unlimited)(row) if kind.unlimited else None
+    parts += [re.escape(said.reason) for said in (otherwise, unlimited) if said and said.reason]
     for part in parts:
         reason = re.sub(rf"(?:^|; ){part}(?=$|; )", "", reason)
     decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "no limit"

@@ -136,30 +136,28 @@ class ReviewLog:
         return self._append(who, reason, wanted, check)
 
     def sign_off(self, who: str, shown: ShownScene, comment: str = "") -> Entry:
-        """Close a scene: from now on its dispositions and the run that was signed off stay as they are.
+        """Close a scene; see `sign_off_all`."""
+        return self.sign_off_all(who, [shown], comment)[0]
 
-        Refused where something was decided about the scene since it was shown. `storage.archive.decisions` also sees
-        to it that the archive still shows that run, and that nothing of the scene waits.
+    def sign_off_all(self, who: str, shown: Sequence[ShownScene], comment: str = "") -> list[Entry]:
+        """Close scenes, all of them or none: from now on their dispositions and the runs that were signed off stay.
+
+        Refused where something was decided about one of them since it was shown. `storage.archive.decisions` also sees
+        to it that the archive still shows those runs, and that nothing of the scenes waits.
         """
-        wanted = {
-            "action": "sign-off",
-            "scene_id": shown.scene_id,
-            "run_id": shown.run_id,
-            "shown": dict(shown.values),
-        }
+        if not shown:
+            raise UsageError("sign-off: found no scene, expected at least one")
+        wanted = [
+            {"action": "sign-off", "scene_id": scene.scene_id, "run_id": scene.run_id, "shown": dict(scene.values)}
+            for scene in shown
+        ]
 
         def check(review: Review) -> None:
-            _check_open(review, shown.scene_id)
-            last = review.last_entry_of_scene(shown.scene_id)
-            if (last.number if last else 0) != shown.last_entry:
-                about = f"{last.feature.id} was decided" if last and last.feature else "other decisions"
-                said = f" ({last.said})" if last else ""
-                raise OutdatedError(
-                    f"{shown.scene_id}: found that {about} since it was shown{said}, expected the "
-                    "decisions that were on the screen"
-                )
+            for scene in shown:
+                _check_open(review, scene.scene_id)
+                _check_nothing_decided_since(review, scene)
 
-        return self._append(who, comment, [wanted], check)[0]
+        return self._append(who, comment, wanted, check)
 
     def _append(self, who: str, comment: str, wanted: list[dict[str, Any]], check: Check) -> list[Entry]:
         for what, text in (("name", who), ("comment", comment)):
@@ -187,6 +185,17 @@ def _of_feature(shown: ShownFinding) -> dict[str, Any]:
 def _check_open(review: Review, scene_id: str) -> None:
     if signed := review.sign_offs().get(scene_id):
         raise UsageError(f"{scene_id}: found it {signed.said}, expected an open scene")
+
+
+def _check_nothing_decided_since(review: Review, shown: ShownScene) -> None:
+    last = review.last_entry_of_scene(shown.scene_id)
+    if (last.number if last else 0) != shown.last_entry:
+        about = f"{last.feature.id} was decided" if last and last.feature else "other decisions"
+        said = f" ({last.said})" if last else ""
+        raise OutdatedError(
+            f"{shown.scene_id}: found that {about} since it was shown{said}, expected the "
+            "decisions that were on the screen"
+        )
 
 
 def _check_undecided_since(review: Review, shown: ShownFinding) -> None:

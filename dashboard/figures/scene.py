@@ -59,10 +59,10 @@ def scene_figure(
     )
     for severity in reversed(SEVERITIES):
         for kind in reversed(KINDS):
-            _add_features(fig, kind, features[kind.name], severity, locale)
+            add_features(fig, kind, features[kind.name], severity, locale)
     for kind in KINDS if values else ():
         _add_values(fig, kind, features[kind.name], locale)
-    _mark_chosen(fig, features, chosen)
+    mark_chosen(fig, features, chosen)
     fig.update_xaxes(range=[-0.5, columns - 0.5], visible=False, constrain="domain")
     fig.update_yaxes(range=[rows - 0.5, -0.5], visible=False, scaleanchor="x", constrain="domain")
     return fig
@@ -72,7 +72,8 @@ def _with(rows: pd.DataFrame, severity: str | None) -> pd.DataFrame:
     return rows[rows["severity"].isna()] if severity is None else rows[rows["severity"] == severity]
 
 
-def _add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, locale: Locale) -> None:
+def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, locale: Locale) -> None:
+    """Symbols of a kind's features of one severity, with the rims of heads."""
     part = _with(rows, severity)
     part = part[part["u_px"].notna() & part["v_px"].notna()]
     if part.empty:
@@ -152,7 +153,8 @@ def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, locale: Locale) 
         )
 
 
-def _mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None) -> None:
+def mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None, colour: str = "#FFFFFF") -> None:
+    """A ring around the feature that is looked at."""
     if chosen is None:
         return
     rows = features[chosen.kind]
@@ -164,7 +166,7 @@ def _mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None
         x=[place["u_px"]],
         y=[place["v_px"]],
         mode="markers",
-        marker={"symbol": "circle-open", "size": 34, "color": "#FFFFFF", "line": {"width": 3}},
+        marker={"symbol": "circle-open", "size": 34, "color": colour, "line": {"width": 3}},
         hoverinfo="skip",
         showlegend=False,
     )

@@ -1,173 +1,23 @@
-"""Overview: aircraft × panels, when they were last scanned, how they stand, and what waits for a person."""
+"""Overview: what is new since this person looked before, and where work waits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import pandas as pd
 import streamlit as st
 
-from dashboard.figures.overview import decision_bar, panel_matrix
-from dashboard.filters import newest_scan, scene_filters
-from dashboard.findings import Selection
-from dashboard.frame import PageContext, go, link, plain
-from dashboard.locale import Locale
-from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
-from dashboard.picking import clickable_chart
-from dashboard.tables import show_table
-from metrology.kinds import KINDS, Kind
-from storage.archive.views import NEWEST_TIME
-from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
+from dashboard.address import one_of
+from dashboard.frame import PageContext, plain
+from dashboard.views.morning import what_is_new
+from dashboard.views.waiting import where_work_waits
 
 TITLE = "Overview"
-_MOST_ROWS = 200
-# The column of each open decision's count.
-_COLUMNS = {decision: decision.replace(" ", "_") for decision in OPEN_DECISIONS}
+_VIEWS = {"What is new": what_is_new, "Where work waits": where_work_waits}
 
 
 def render(context: PageContext) -> None:
     """Show the page."""
-    selection = scene_filters(context.archive)
-    panels = panel_states(context, selection)
-    if panels.empty:
-        st.info("No scan matches these filters. Clear one of them to see more.")
-        return
-    _totals(context, panels)
     problem = context.archive.review().problem
     if problem:
         st.warning(f"The review log needs attention: {plain(problem)}", icon=":material/warning:")
-    left, right = st.columns([3, 2])
-    with left:
-        _waiting(context, panels, selection)
-    with right:
-        _matrix(context.locale, panels)
-
-
-def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
-    """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
-    condition, selected = selection.where()
-    features = " + ".join(f"coalesce({_rows(kind)}, 0)" for kind in KINDS)
-    by_decision = ", ".join(
-        f"count(*) FILTER (newest AND decision = '{decision}') AS {column}" for decision, column in _COLUMNS.items()
-    )
-    sql = f"""
-WITH s AS (
-    SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, rig_verdict,
-        {features} AS features
-    FROM latest_scenes WHERE {condition}
-), f AS (
-    SELECT *, scene_id IN (SELECT scene_id FROM s) AS newest FROM ({findings_sql(near=condition, scenes=condition)})
-), per_panel AS (
-    SELECT aircraft_serial, panel,
-        {by_decision},
-        max(abs(value_mm)) FILTER (newest) AS worst_mm,
-        count(*) FILTER (state <> '{DECIDED}') AS waiting,
-        count(*) FILTER (state = '{OPEN_WORK}') AS open_work
-    FROM f GROUP BY ALL
-), panels AS (
-    SELECT aircraft_serial, panel, sum(features) AS features, count(*) AS scenes,
-        count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, {NEWEST_TIME} AS last_scan
-    FROM s GROUP BY ALL
-)
-SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.values(), "features")},
-    worst_mm, scenes, unjudged, last_scan
-FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
-ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
-"""
-    return context.archive.rows_with_review(sql, [*selected, *selected, *selected * (2 * len(KINDS))])
-
-
-def _rows(kind: Kind) -> str:
-    """The column of `scenes` that counts a kind's features."""
-    return next(count.column for count in kind.counts if count.of != "names")
-
-
-def _counted(*columns: str) -> str:
-    return ", ".join(f"coalesce({name}, 0)::BIGINT AS {name}" for name in columns)
-
-
-def _totals(context: PageContext, panels: pd.DataFrame) -> None:
-    locale = context.locale
-    boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 1.8, 3.2], vertical_alignment="center")
-    boxes[0].metric(
-        "Waiting for a person",
-        locale.whole(panels["waiting"].sum()),
-        help="Rivets and seam stations of the newest scans that do not simply pass and have no disposition, on scenes "
-        "that are not signed off; and open work.",
-    )
-    boxes[1].metric(
-        "Open work",
-        locale.whole(panels["open_work"].sum()),
-        help="Rework, repair or re-scan was asked for. It is done when the feature passes on a later scan of its "
-        "station, or when a person closes it with a reason.",
-    )
-    boxes[2].metric("Aircraft", locale.whole(panels["aircraft_serial"].nunique()))
-    boxes[3].metric("Panels", locale.whole(len(panels)), help="Panels counted on each aircraft.")
-    boxes[4].metric("Scans", locale.whole(panels["scenes"].sum()), help="The newest scan of each station.")
-    boxes[5].metric("Last scan", locale.time(newest_scan(context.archive)))
-    with boxes[6]:
-        counts = _counts(panels)
-        st.html(decision_bar(counts, locale))
-        said = " · ".join(f"{DECISION_MARKS[name]} {locale.whole(count)}" for name, count in counts.items())
-        st.markdown(f":small[{said}]")
-    if unjudged := int(panels["unjudged"].sum()):
-        st.markdown(
-            f":orange[:material/help: Scans whose rig could not be judged: {locale.whole(unjudged)}. Nobody can vouch "
-            "for their values, passes included; scan them again.]"
-        )
-
-
-def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    counts: dict[str, int] = {decision: int(panels[column].sum()) for decision, column in _COLUMNS.items()}
-    # What is unconfirmed is not counted among the features.
-    judged = sum(count for decision, count in counts.items() if decision != "unconfirmed")
-    return {**counts, "pass": max(0, int(panels["features"].sum()) - judged)}
-
-
-def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -> None:
-    shown = panels.head(_MOST_ROWS)
-    more = len(panels) - len(shown)
-    st.markdown(
-        "**Where work waits** · select a row to review that panel"
-        + (f" · {context.locale.whole(len(shown))} of {context.locale.whole(len(panels))} panels" if more else "")
-    )
-    show_table(
-        shown,
-        {
-            "aircraft_serial": "Aircraft",
-            "panel": "Panel",
-            "waiting": "Waiting",
-            "open_work": "Open work",
-            **({"unjudged": "Rig unjudged"} if shown["unjudged"].any() else {}),
-            "fail": f"{DECISION_SIGNS['fail']} Fail",
-            "conditional_fail": f"{DECISION_SIGNS['conditional fail']} Cond. fail",
-            "not_measured": "? Unmeasured",
-            "worst_mm": "Worst, mm",
-            "last_scan": "Last scan",
-        },
-        context.locale,
-        key="panels",
-        height=430,
-        names=list(zip(shown["aircraft_serial"].astype(str), shown["panel"].astype(str), strict=True)),
-        picked=_review,
-    )
-    if panels["waiting"].sum() == 0:
-        st.success(
-            "Nothing waits: every finding of these panels has a disposition, and no work is open.",
-            icon=":material/check:",
-        )
-    elif not selection.aircraft and not selection.panels:
-        link("review", "Review what waits, the worst first", icon=":material/fact_check:")
-
-
-def _matrix(locale: Locale, panels: pd.DataFrame) -> None:
-    aircraft = panels.groupby("aircraft_serial")["last_scan"].max().sort_values(ascending=False)
-    fig, shown = panel_matrix(panels, list(aircraft.index), locale)
-    note = f" · the newest {shown} of {len(aircraft)} aircraft" if shown < len(aircraft) else ""
-    st.markdown(f"**Aircraft × panels** · findings waiting, click to review{note}")
-    clickable_chart(fig, "matrix", _review, {"displayModeBar": False})
-
-
-def _review(panel: Sequence[str]) -> None:
-    """Open the review of a panel of an aircraft."""
-    go("review", aircraft=str(panel[0]), panel=str(panel[1]))
+    left, right, _ = st.columns([3, 4, 5])
+    view = left.segmented_control("View", list(_VIEWS), label_visibility="collapsed", **one_of("view", list(_VIEWS)))
+    _VIEWS.get(str(view), what_is_new)(context, right)

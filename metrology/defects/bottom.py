@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.defects.bottom_fit import Form, Points, Vertex, fitted
 from metrology.defects.patch import Patch
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_SHARES = (0.4, 0.25, 0.15, 0.1)  # of the radius at half depth: paraboloids through so much of the bottom
-_LEAST_STEPS, _LEAST_PX = 2.3, 5.0
+_REACH = 0.75  # of the radii at half depth: points that far from the deepest one tell its shape
+_LEAST_STEPS, _LEAST_PX = 3.0, 6.0
 _FEWEST = 12
-_DEEPER = 2.5  # standard deviations by which a narrower paraboloid must lie deeper
 _CORRELATED = 1.3  # standard deviation of means over areas against that of the grid's cells alone
-_POINT, _POINT_SD = 0.6, 0.25  # of what a perfect point would lie deeper: bottoms are rounded
+_FORMS: tuple[Form, ...] = ("smooth", "point", "fold")
+_TEMPERED = 0.5  # evidence counts half: real forms are none of these exactly
 _FLATTEST = 1e-6  # 1/mm
-_MOST_BENT = 3.0  # times depth over radius² is a bottom bent: 1.23 in a cos² bowl
 _SUPPORT_PX = 1.4  # standard deviation of the area that a point is an average of
 
 
@@ -32,7 +32,7 @@ class Bottom:
     x, y : float
         mm in the patch's frame.
     depth, sd : float
-        mm; standard deviation by the noise of the points and by how the paraboloids differ.
+        mm; standard deviation by the noise of the points and by what its form may be.
     radius, radius_sd : float
         Least radius of curvature, the skin's own left out, mm.
     hidden : bool
@@ -48,22 +48,11 @@ class Bottom:
     hidden: bool
 
 
-@dataclass(frozen=True)
-class _Vertex:
-    x: float
-    y: float
-    depth: float
-    sd: float
-    curvature: float
-    curvature_sd: float
-    reach: float
-
-
 def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[float, float, float]) -> Bottom | None:
     """Depth at the bottom of a defect; None where too little of it was seen.
 
-    The widest paraboloid that a narrower one does not contradict: a smooth bottom is known the better the more of it
-    is used, a pointed one is not a paraboloid but at its end.
+    A bottom is smooth, pointed, or a fold. Each form is fitted; the depth is their mean, weighted by how probable the
+    points make each (its evidence), and their scatter is part of its uncertainty.
 
     Parameters
     ----------
@@ -75,80 +64,52 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
     radii : (float, float, float)
         Half its length and width at half depth, mm, and the length's direction.
     """
-    noise = patch.reference.noise * _CORRELATED
-    chosen: _Vertex | None = None
-    centre = float(patch.x[at]), float(patch.y[at])
-    for share in _SHARES:
-        vertex = _vertex(patch, inside, centre, radii, share, noise)
-        if vertex is None or (chosen is not None and vertex.reach >= chosen.reach):
-            continue
-        if chosen is None:
-            chosen = vertex
-        elif vertex.depth - chosen.depth > _DEEPER * float(np.hypot(vertex.sd, chosen.sd)):
-            chosen = _sharpened(vertex, chosen)
-        else:
-            doubt = 0.5 * max(0.0, abs(vertex.depth - chosen.depth) - vertex.sd)
-            chosen = replace(chosen, sd=float(np.hypot(chosen.sd, doubt)))
-            break
-    if chosen is None:
+    points = _points(patch, inside, (float(patch.x[at]), float(patch.y[at])), radii)
+    if points is None:
         return None
-    near = np.hypot(patch.x - chosen.x, patch.y - chosen.y) < max(2.5 * patch.step_mm, 0.15 * radii[1])
+    found = [fitted(points, form) for form in _FORMS]
+    evidence = np.array([vertex.evidence for vertex in found])
+    weights = np.exp(_TEMPERED * (evidence - evidence.max()))
+    weights /= weights.sum()
+    x, y, depth, curvature = (_mean(weights, found, name) for name in ("x", "y", "depth", "curvature"))
+    sd = _scatter(weights, found, "depth", depth)
+    bent = max(curvature, _FLATTEST)
+    near = np.hypot(patch.x - x, patch.y - y) < max(2.5 * patch.step_mm, 0.15 * radii[1])
     hidden = bool((~patch.skin[near]).mean() > 0.2)
-    curvature = max(chosen.curvature, _FLATTEST)
-    radius_sd = chosen.curvature_sd / curvature**2
-    return Bottom(chosen.x, chosen.y, chosen.depth, chosen.sd, 1 / curvature, radius_sd, hidden)
+    return Bottom(x, y, depth, sd, 1 / bent, _scatter(weights, found, "curvature", curvature) / bent**2, hidden)
 
 
-def _sharpened(narrow: _Vertex, wide: _Vertex) -> _Vertex:
-    """The narrow paraboloid's top, lowered: a point lies below every paraboloid, the less the narrower that is."""
-    lost = (narrow.depth - wide.depth) * narrow.reach / (wide.reach - narrow.reach)
-    sd = float(np.hypot(narrow.sd, _POINT_SD * lost))
-    return replace(narrow, depth=narrow.depth + _POINT * lost, sd=sd)
+def _mean(weights: Array, found: list[Vertex], name: str) -> float:
+    return float(weights @ [getattr(vertex, name) for vertex in found])
 
 
-def _vertex(
-    patch: Patch, inside: Mask, centre: tuple[float, float], radii: tuple[float, float, float], share: float,
-    noise: float,
-) -> _Vertex | None:  # fmt: skip
-    """Top of a paraboloid through the points near the bottom; None of too few, or of one that has no top there."""
+def _scatter(weights: Array, found: list[Vertex], name: str, mean: float) -> float:
+    """Standard deviation of a mixture: of the forms' own and of their difference."""
+    off = np.array([np.hypot(getattr(vertex, f"{name}_sd"), getattr(vertex, name) - mean) for vertex in found])
+    return float(np.sqrt(weights @ off**2))
+
+
+def _points(
+    patch: Patch, inside: Mask, centre: tuple[float, float], radii: tuple[float, float, float]
+) -> Points | None:
+    """The points near the bottom in units of its radii; None of too few."""
     half_length, half_width, turn = radii
-    least = max(_LEAST_STEPS, _LEAST_PX / patch.step_px) * patch.step_mm
-    a, b = max(share * half_length, least), max(share * half_width, least)
+    step_mm, pixel_mm = patch.step_mm, patch.step_mm / patch.step_px
+    least = max(_LEAST_STEPS, _LEAST_PX / patch.step_px) * step_mm
     c, s = np.cos(turn), np.sin(turn)
     dx, dy = patch.x - centre[0], patch.y - centre[1]
-    along, across = (c * dx + s * dy) / a, (c * dy - s * dx) / b
-    near = inside & patch.skin & (along**2 + across**2 < 1)
+    p, q = (c * dx + s * dy) / half_length, (c * dy - s * dx) / half_width
+    reach = max(_REACH, least / half_length), max(_REACH, least / half_width)
+    near = inside & patch.skin & ((p / reach[0]) ** 2 + (q / reach[1]) ** 2 < 1)
     if near.sum() < _FEWEST:
         return None
-    p, q, depth = along[near], across[near], patch.depth[near]
-    sd = patch.sigma[near] * noise
-    design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) / sd[:, None]
-    normal = design.T @ design
-    if np.linalg.cond(normal) > 1e8:
-        return None
-    covariance = np.linalg.inv(normal)
-    f = covariance @ (design.T @ (depth / sd))
-    bend = np.array([[2 * f[3], f[4]], [f[4], 2 * f[5]]])
-    steepest = np.linalg.eigvalsh(bend)
-    if steepest[1] < 0:
-        top = -np.linalg.solve(bend, f[1:3])
-        top /= max(1.0, float(np.linalg.norm(top)))
-    else:
-        # No top within: the deepest of what is there.
-        top = np.array([p[depth.argmax()], q[depth.argmax()]]) if steepest[0] > 0 else np.zeros(2)
-    row = np.array([1, *top, top[0] ** 2, top[0] * top[1], top[1] ** 2])
-    by_mm = np.linalg.eigvalsh(bend / np.outer([a, b], [a, b]))
-    # Points and grid cells are means over an area, which a bent bottom lies below.
-    area = (patch.step_mm**2 - (patch.step_mm / patch.step_px) ** 2) / 12
-    area += (_SUPPORT_PX * patch.step_mm / patch.step_px) ** 2
-    most = _MOST_BENT * float(f[0]) * (half_length**-2 + half_width**-2)
-    lost = 0.5 * min(max(-float(by_mm.sum()), 0.0), most) * area
-    return _Vertex(
-        centre[0] + c * a * top[0] - s * b * top[1],
-        centre[1] + s * a * top[0] + c * b * top[1],
-        float(row @ f) + max(lost, 0.0),
-        float(np.sqrt(row @ covariance @ row)),
-        max(-float(by_mm[0]), 0.0),
-        2 * float(np.sqrt(max(covariance[3, 3] / a**4, covariance[5, 5] / b**4))),
-        float(np.sqrt(a * b)),
+    return Points(
+        p=p[near],
+        q=q[near],
+        depth=patch.depth[near],
+        sd=patch.sigma[near] * patch.reference.noise * _CORRELATED,
+        centre=centre,
+        radii=radii,
+        # Points and grid cells are means over an area.
+        blur_mm=float(np.sqrt((_SUPPORT_PX * pixel_mm) ** 2 + (step_mm**2 - pixel_mm**2) / 12)),
     )

@@ -80,9 +80,8 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     outline = outline_at(patch, smoothed, 0.5 * bottom.depth, at) or outline
     x, y = (np.array([c]) for c in patch.reference.frame.local(patch.frame.rig([bottom.x, bottom.y, 0.0]))[:2])
     by_reference = float(patch.reference.variance(x, y)[0])
-    return _Found(
-        region, patch, bottom, outline, float(np.sqrt(bottom.sd**2 + by_reference + skin.waves[region.plate] ** 2))
-    )
+    sd = np.sqrt(bottom.sd**2 + by_reference + skin.waves[region.plate] ** 2 + region.doubt**2)
+    return _Found(region, patch, bottom, outline, float(sd))
 
 
 def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ _WAVES_CELLS = 8.0  # over which the skin's own waviness is told from noise
 _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
 _LEAST_CELLS = 8
 _MARGIN = 0.25  # of a defect's radius round it is not taken for skin
+_WIDE_MARGIN = 0.5  # of it left out to see how well the rest tells the skin under it
 _NEAR = 0.05  # of a Gaussian's weight must be known
 
 
@@ -43,6 +44,8 @@ class Region:
         Its window.
     cells : (…) bool
         Its cells in the window.
+    doubt : float
+        By how much its depth changes if more round it is not taken for skin, mm: how well the rest tells the skin.
     """
 
     plate: int
@@ -50,6 +53,7 @@ class Region:
     rows: slice
     columns: slice
     cells: Mask
+    doubt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,21 +103,42 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
     for number in range(_ROUNDS):
         for plate in due:
             on_plate = (cells.plate == plate) & sound
-            use = on_plate & cells.free & ~covered
-            reference = fit_reference(cells.points[use], cells.sigma[use], seams, settings.largest_mm)
             depth[on_plate] = np.nan
             references.pop(plate, None)
+            reference = _reference(cells, plate, covered, seams, settings)
             if reference is not None:
                 reference.depths(cells.points, on_plate, depth)
                 references[plate] = reference
         smoothed, sd, waves = _smoothed(depth, cells, covered)
         regions = _regions(smoothed, sd, cells, settings)
         left_out = _undisputed(regions, smoothed, cells, references) if number < _DOUBTFUL_ROUNDS else regions
-        before, covered = covered, _footprints(left_out, covered.shape)
+        before, covered = covered, _footprints(left_out, covered.shape, _MARGIN)
         due = [p for p in cells.plates if (before != covered)[cells.plate == p].any()]
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
-    return SkinMap(cells, references, depth, smoothed, sd, waves, regions)
+    wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
+    others = {p: _reference(cells, p, wide, seams, settings) for p in {region.plate for region in regions}}
+    doubted = tuple(replace(region, doubt=_doubt(region, depth, cells, others[region.plate])) for region in regions)
+    return SkinMap(cells, references, depth, smoothed, sd, waves, doubted)
+
+
+def _reference(
+    cells: CellMap, plate: int, covered: Mask, seams: list[tuple[Array, Array]], settings: DefectSettings
+) -> Reference | None:
+    """The skin of a plate by its bare cells."""
+    use = (cells.plate == plate) & cells.free & ~covered
+    return fit_reference(cells.points[use], cells.sigma[use], seams, settings.largest_mm)
+
+
+def _doubt(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> float:
+    """How much deeper or less deep the middle of a region is by another reference, mm."""
+    here = np.abs(np.where(region.cells, np.nan_to_num(depth[region.rows, region.columns]), 0.0))
+    middle = here > 0.7 * here.max()
+    if other is None or not middle.any():
+        return 0.0
+    again = np.zeros(here.shape)
+    other.depths(cells.points[region.rows, region.columns], middle, again)
+    return float(np.abs(again - depth[region.rows, region.columns])[middle].mean())
 
 
 def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:
@@ -216,11 +241,11 @@ def _undisputed(
     return [region for region, _ in kept]
 
 
-def _footprints(regions: Sequence[Region], shape: tuple[int, ...]) -> Mask:
-    """What is not to be taken for skin: all regions, with a margin."""
+def _footprints(regions: Sequence[Region], shape: tuple[int, ...], margin: float) -> Mask:
+    """What is not to be taken for skin: all regions, with a margin in radii of theirs."""
     mask = np.zeros(shape, np.uint8)
     for region in regions:
-        reach = 2 + round(_MARGIN * np.sqrt(region.cells.sum() / np.pi))
+        reach = 2 + round(margin * np.sqrt(region.cells.sum() / np.pi))
         padded = np.pad(region.cells.astype(np.uint8), reach)
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
         wide = cv2.dilate(padded, disc)

@@ -1,4 +1,4 @@
-"""What a defect is judged by beside its limits: whether all of it was seen."""
+"""What a defect is judged by beside its limits: whether all of it was seen, and whether any limit speaks of it."""
 
 from __future__ import annotations
 
@@ -16,3 +16,10 @@ def defect_finding(defect: Defect) -> Verdict | None:
     if defect.depth_mm is None or defect.hidden_by:
         return Verdict(None, "not measured", defect.reason)
     return None
+
+
+def unlimited_defect(defect: Defect) -> Verdict | None:
+    """A defect that no limit of its zone judges: somebody must decide."""
+    if defect.depth_mm is None:
+        return None
+    return Verdict("blue", "conditional fail", f"{defect.kind} without a limit that judges it: to be decided")

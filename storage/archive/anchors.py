@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from metrology.errors import FlushlineError, StoreError
 from storage.archive.bundle import MANIFEST
@@ -15,8 +16,13 @@ from storage.review import ReviewLog
 from storage.review_checking import CheckedLog, check_log
 from storage.review_head import Head
 
+if TYPE_CHECKING:
+    from storage.evidence.verifications import Mark
+
 REVIEW_HEAD = "review_head"
 """Key of a manifest: the head of the review log when the run was stored."""
+VERIFICATION = "verification"
+"""Key of a manifest: the rig's last verification when the run was stored."""
 SIGNED_MANIFEST = "manifest_sha256"
 """Key of what a sign-off was shown: the checksum of the run's manifest, which has those of its tables."""
 
@@ -49,17 +55,33 @@ def review_problems(bundles: Bundles, runs: Iterable[Path], heads: Iterable[Head
     """
     log = check_log(bundles.layout.root)
     found = [log.contradiction(head, "the head that was kept elsewhere") for head in heads]
-    found += [log.contradiction(head, f"{run / MANIFEST}") for run, head in _named_heads(bundles, runs)]
+    found += [log.contradiction(head, str(manifest)) for manifest, head in _named_heads(bundles, runs)]
     return [*log.problems, *dict.fromkeys(text for text in found if text), *_signed_problems(bundles, log)]
 
 
 def _named_heads(bundles: Bundles, runs: Iterable[Path]) -> Iterator[tuple[Path, Head]]:
-    """Heads that manifests name; damaged manifests are named by whoever checks the bundles."""
-    for run in runs:
+    """Heads of the review log that manifests name, each with its manifest."""
+    for manifest, named in _named(bundles, runs, REVIEW_HEAD):
         with contextlib.suppress(FlushlineError):
-            bundles.bring_file(run / MANIFEST)
-            if isinstance(named := read_json(run / MANIFEST, StoreError).get(REVIEW_HEAD), str):
-                yield run, Head.parse(named)
+            yield manifest, Head.parse(named)
+
+
+def named_verifications(bundles: Bundles, runs: Iterable[Path]) -> Iterator[tuple[str, Mark]]:
+    """Verifications of rigs that manifests name, each with its manifest."""
+    from storage.evidence.verifications import Mark
+
+    for manifest, named in _named(bundles, runs, VERIFICATION):
+        with contextlib.suppress(ValueError):
+            yield str(manifest), Mark.model_validate(named)
+
+
+def _named(bundles: Bundles, runs: Iterable[Path], key: str) -> Iterator[tuple[Path, Any]]:
+    """What manifests say under a key; damaged ones are named by whoever checks the bundles."""
+    for manifest in (run / MANIFEST for run in runs):
+        with contextlib.suppress(FlushlineError):
+            bundles.bring_file(manifest)
+            if named := read_json(manifest, StoreError).get(key):
+                yield manifest, named
 
 
 def _signed_problems(bundles: Bundles, log: CheckedLog) -> Iterator[str]:

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
 import numpy as np
@@ -33,6 +33,9 @@ from storage.documents import read_json, utc_text
 from storage.fits import write_fits
 from storage.models import FileName, Identifier, UtcTime, validate
 from storage.panel_spec import pattern_toml
+
+if TYPE_CHECKING:
+    from storage.evidence.verifications import Mark
 
 FORMAT = "flushline-bundle/1"
 PANEL_FORMAT = "flushline-panel-run/1"
@@ -110,6 +113,7 @@ def write_bundle(
     result: InspectionResult,
     first_stored_at: datetime | None = None,
     review_head: str | None = None,
+    verification: Mark | None = None,
 ) -> None:
     """Write and sync a run's files into an empty folder; manifest.json comes last.
 
@@ -121,6 +125,8 @@ def write_bundle(
         When the scene's first run was stored; now, where this is the first one.
     review_head : str, optional
         Number and checksum of the last entry of the review log.
+    verification : Mark, optional
+        The rig's last verification.
     """
     first_stored_at = first_stored_at or datetime.now(UTC)
     with ThreadPoolExecutor(1) as painter:
@@ -149,6 +155,7 @@ def write_bundle(
         "files_state": result.files_state,
         "first_stored_at": utc_text(first_stored_at),
         "review_head": review_head,
+        "verification": verification.model_dump() if verification else None,
         "settings": result.settings,
         "panel_spec": result.panel_spec,
         "registration": result.registration,

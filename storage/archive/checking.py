@@ -16,7 +16,7 @@ import duckdb
 
 from metrology.errors import StoreError
 from storage.archive import bookkeeping, generations, index, snapshot, views
-from storage.archive.anchors import review_problems
+from storage.archive.anchors import named_verifications, review_problems
 from storage.archive.bundle import MANIFEST, check_bundle
 from storage.archive.bundles import Bundles
 from storage.archive.files import companions
@@ -47,11 +47,15 @@ class Check:
 def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequence[Head] = ()) -> Check:
     """Compare every bundle with its checksums, every row of the index with the bundles, and the review log with both.
 
+    Verifications of rigs are held against the checksums that later ones and the bundles name.
+
     Parameters
     ----------
     heads : sequence of Head
         Of the review log, as they were kept elsewhere.
     """
+    from storage.evidence.verification_checking import verification_problems
+
     bundles = Bundles(layout)
     runs = bundles.runs()
     damaged: dict[Path, str] = {}
@@ -74,21 +78,42 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequ
     other_runs = _run_problems(layout, shown)
     digests = {run.parent.name: digest for run, digest in expected.loaded.items() if run.parent.name not in other_runs}
     problems += [*other_runs.values(), *_rows_problems(layout, digests)]
+    problems += verification_problems(layout, named_verifications(bundles, runs))
     return Check(len(runs), (*problems, *review_problems(bundles, runs, heads)))
 
 
 def check_fast(layout: Layout, heads: Sequence[Head] = ()) -> Check:
     """Compare the rows of the index with their digests, and its runs with the names of the bundles, opening none.
 
+    A run that has its folder and has lost its manifest is found by `check` only.
+
     Of the review log the chain is looked at, and the runs that were signed off.
     """
+    from storage.evidence.verification_checking import verification_problems
+
     bundles = Bundles(layout)
     with ThreadPoolExecutor(1) as thread:
         rows = thread.submit(list, _rows_problems(layout))  # while the folders are walked
-        runs = bundles.runs()
-    shown = {run.parent.name: run.name for run in reversed(by_preference(runs, signed_runs(layout.root)))}
-    problems = (*_run_problems(layout, shown).values(), *rows.result(), *review_problems(bundles, (), heads))
+        runs = bundles.named()
+    signed = signed_runs(layout.root)
+    other_runs = _run_problems(layout, _preferred(runs, signed))
+    if other_runs:  # a folder without a manifest is no run
+        scenes = {run.parent for run in runs if run.parent.name in other_runs}
+        runs = [run for run in runs if run.parent not in scenes]
+        runs += [run for scene in sorted(scenes) for run in bundles.runs_of(scene)]
+        other_runs = _run_problems(layout, _preferred(runs, signed))
+    problems = (
+        *other_runs.values(),
+        *rows.result(),
+        *verification_problems(layout),
+        *review_problems(bundles, (), heads),
+    )
     return Check(len(runs), problems)
+
+
+def _preferred(runs: Sequence[Path], signed: dict[str, str]) -> dict[str, str]:
+    """The run that is to be shown of each scene, by the scene's id."""
+    return {run.parent.name: run.name for run in reversed(by_preference(runs, signed))}
 
 
 def incomplete(bundles: Bundles) -> list[str]:

@@ -69,19 +69,29 @@ def close_work(root: Path, who: str, shown: Sequence[ShownFinding], reason: str)
 
 
 def sign_off(root: Path, who: str, shown: ShownScene, comment: str = "") -> Entry:
-    """Close a scene of a store.
+    """Close a scene of a store; see `sign_off_all`."""
+    return sign_off_all(root, who, [shown], comment)[0]
 
-    Refused where another run has taken the place of the one that was shown, where something was decided since, or where
-    a finding of the scene waits or has open work.
+
+def sign_off_all(root: Path, who: str, shown: Sequence[ShownScene], comment: str = "") -> list[Entry]:
+    """Close scenes of a store, all of them or none.
+
+    Refused where another run has taken the place of one that was shown, where something was decided since, or where
+    a finding waits or has open work.
     """
     layout, log = Layout(root), ReviewLog(root)
     with _held(layout) as connection:
         if connection:
-            _check_run(connection, shown)
-            _check_resolved(connection, log.of_scenes(same_place(connection, shown.scene_id)), shown.scene_id)
-            signed = {SIGNED_MANIFEST: manifest_checksum(Bundles(layout), shown.scene_id, shown.run_id)}
-            shown = replace(shown, values={**shown.values, **signed})
-        return log.sign_off(who, shown, comment)
+            shown = [_ready(connection, layout, log, scene) for scene in shown]
+        return log.sign_off_all(who, shown, comment)
+
+
+def _ready(connection: duckdb.DuckDBPyConnection, layout: Layout, log: ReviewLog, shown: ShownScene) -> ShownScene:
+    """A scene that may be signed off, with the checksum of its run's manifest."""
+    _check_run(connection, shown)
+    _check_resolved(connection, log.of_scenes(same_place(connection, shown.scene_id)), shown.scene_id)
+    signed = {SIGNED_MANIFEST: manifest_checksum(Bundles(layout), shown.scene_id, shown.run_id)}
+    return replace(shown, values={**shown.values, **signed})
 
 
 def same_place(connection: duckdb.DuckDBPyConnection, scene_id: str) -> list[str]:

@@ -176,9 +176,10 @@ class Store:
         refuse_signed_off(self.root, key.scene_id)
         pattern = self.panels.pattern_path(key.panel, key.station)
         digest = result.reconstruction.frames_digest
+        verification = self.verifications.last(result.reconstruction.rig.id)
 
         def write(run: StagedRun, place: str, head: str | None) -> None:
-            write_bundle(run.folder, run.run_id, place, result, run.first_stored_at, head)
+            write_bundle(run.folder, run.run_id, place, result, run.first_stored_at, head, verification)
 
         run = self._store(self.layout.scene(key), pattern, write, digest)
         taken, refused = self._entered(run)

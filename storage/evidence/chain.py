@@ -5,7 +5,7 @@ A link that is missing is there by name, and says what would close it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -80,20 +80,29 @@ class Sources:
 
 def sources(store: Store, scene_id: str) -> Sources:
     """Read what the chain of a scene rests on."""
-    bundle = store.paths(scene_id).bundle
-    scene = store.query("SELECT * FROM scenes WHERE scene_id = ?", [scene_id]).to_pylist()[0]
-    manifest = read_json(bundle / MANIFEST, StoreError)
-    entries = ReviewLog(store.root).of_scenes([scene_id])
-    return Sources(
-        scene,
-        manifest,
-        read_json(bundle / RIG, StoreError),
-        sha256(bundle / MANIFEST),
-        judged_by(manifest, bundle / MANIFEST),
-        store.verifications.of_rig(scene["rig_id"]),
-        tuple(entries.entries),
-        entries.problem,
-    )
+    found = store.query("SELECT * FROM scenes WHERE scene_id = ?", [scene_id]).to_pylist()
+    for one in sources_of(store, found):
+        return one
+    raise StoreError(f"{store.root}: found no scene {scene_id!r}, expected a scene_id of the table scenes")
+
+
+def sources_of(store: Store, scenes: Sequence[Row]) -> Iterator[Sources]:
+    """What the chains of some scenes rest on, each given by its row of the table scenes."""
+    review = ReviewLog(store.root).of_scenes([scene["scene_id"] for scene in scenes])
+    verifications = {rig_id: store.verifications.of_rig(rig_id) for rig_id in {scene["rig_id"] for scene in scenes}}
+    for scene in scenes:
+        path = store.file(f"{scene['bundle_path']}/{MANIFEST}")
+        manifest = read_json(path, StoreError)
+        yield Sources(
+            scene,
+            manifest,
+            read_json(store.file(f"{scene['bundle_path']}/{RIG}"), StoreError),
+            sha256(path),
+            judged_by(manifest, path),
+            verifications[scene["rig_id"]],
+            tuple(entry for entry in review.entries if entry.scene_id == scene["scene_id"]),
+            review.problem,
+        )
 
 
 def trace(store: Store, name: str) -> tuple[Link, ...]:

@@ -4,10 +4,12 @@
     verifications/RIG/20261128T101500Z-1.html     the report
 
 Files are written once and protected; a verification is never changed nor taken back, a later one counts in its place.
+Each names the checksums of its report and of the verifications before it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from metrology.errors import StoreError
 from metrology.results import Decision
 from metrology.verdicts import gravity
-from storage.archive.files import make_folders, write_first
+from storage.archive.files import make_folders, sha256, write_first
 from storage.archive.layout import Layout
 from storage.certificate import CertificateModel
 from storage.documents import read_json, utc_text
@@ -88,8 +90,18 @@ class ScanModel(_Kept):
     operator: str | None = None
 
 
+class Mark(_Kept):
+    """A verification as it was kept: its name in the store and the SHA-256 of its file."""
+
+    name: str
+    sha256: str
+
+
 class VerificationModel(_Kept):
-    """A verification: rig, artefact, scans, measures and the verdict."""
+    """A verification: rig, artefact, scans, measures and the verdict.
+
+    `earlier` and `report_sha256` are filled in when it is kept; one kept by an earlier version has neither.
+    """
 
     format: Literal["flushline-verification/1"] = "flushline-verification/1"
     rig_id: Identifier
@@ -104,6 +116,8 @@ class VerificationModel(_Kept):
     scans: tuple[ScanModel, ...]
     measures: tuple[MeasureModel, ...]
     warnings: tuple[str, ...] = ()
+    earlier: tuple[Mark, ...] = ()
+    report_sha256: str | None = None
     document: Annotated[dict[str, Any], Field(default_factory=dict)]
 
     @property
@@ -161,6 +175,12 @@ class Verifications:
     def keep(self, model: VerificationModel, report: str) -> Path:
         """Keep a verification with its report (HTML); returns its file."""
         folder = self._layout.verifications / model.rig_id
+        model = model.model_copy(
+            update={
+                "earlier": tuple(map(self._mark, self._files(folder))),
+                "report_sha256": hashlib.sha256(report.encode()).hexdigest(),
+            }
+        )
         content = json.dumps(model.model_dump(mode="json"), indent=1, ensure_ascii=False, default=utc_text).encode()
         make_folders(folder, self._layout.root)
         for number in count(1):
@@ -172,13 +192,33 @@ class Verifications:
 
     def of_rig(self, rig_id: str) -> tuple[Verification, ...]:
         """Of one rig, the earliest first."""
-        return tuple(self._read(path) for path in sorted((self._layout.verifications / rig_id).glob("[!.]*.json")))
+        return tuple(map(self.read, self._files(self._layout.verifications / rig_id)))
 
     def all(self) -> tuple[Verification, ...]:
         """Of every rig, rig by rig, the earliest first."""
-        return tuple(self._read(path) for path in sorted(self._layout.verifications.glob("[!.]*/[!.]*.json")))
+        return tuple(map(self.read, self.files()))
 
-    def _read(self, path: Path) -> Verification:
+    def last(self, rig_id: str) -> Mark | None:
+        """The last one of a rig, by its name, as it lies in the store."""
+        files = self._files(self._layout.verifications / rig_id)
+        return self._mark(files[-1]) if files else None
+
+    def files(self) -> list[Path]:
+        """Of every rig, rig by rig, the earliest first."""
+        return sorted(self._layout.verifications.glob("[!.]*/[!.]*.json"))
+
+    def path(self, name: str) -> Path:
+        """The file of a verification, by its name."""
+        return self._layout.verifications / f"{name}.json"
+
+    def _files(self, folder: Path) -> list[Path]:
+        return sorted(folder.glob("[!.]*.json"))
+
+    def _mark(self, path: Path) -> Mark:
+        return Mark(name=f"{path.parent.name}/{path.stem}", sha256=sha256(path))
+
+    def read(self, path: Path) -> Verification:
+        """The verification that a file holds."""
         model = validate(VerificationModel, read_json(path, StoreError), path, StoreError)
         return Verification(f"{path.parent.name}/{path.stem}", model)
 

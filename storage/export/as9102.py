@@ -14,6 +14,7 @@ from storage.export.balloons import ballooned_map
 from storage.export.delimited import write_delimited
 from storage.export.formats import Place
 from storage.export.subject import Characteristic, ExportedScene, Subject
+from storage.export.traceability import traceability_sheet
 from storage.export.workbook import Sheet, SheetColumn, write_workbook
 
 
@@ -87,7 +88,8 @@ def write(subject: Subject, place: Place) -> list[Path]:
     units = {"9 Results": "mm", "U95": "mm", "Lower": "mm", "Upper": "mm"}
     columns = [SheetColumn(head, units.get(head, "")) for head in heads]
     newest = max(scene.row["captured_at"] for scene in subject.scenes)
-    write_workbook(book, [Sheet("Form 3", columns, rows, _head(subject))], newest)
+    form = Sheet("Form 3", columns, rows, _head(subject))
+    write_workbook(book, [form, traceability_sheet(subject, place.store)], newest)
     write_delimited(text, heads, rows, place.decimal)
     drawing.write_text(ballooned_map(subject, place.store), encoding="utf-8")
     return [book, text, drawing]

@@ -15,6 +15,7 @@ from storage.archive.schema import OF_KIND, SCENES, Table
 from storage.export.delimited import write_delimited
 from storage.export.formats import Place
 from storage.export.subject import Subject
+from storage.export.traceability import traceability_sheet
 from storage.export.workbook import Sheet, SheetColumn, write_workbook
 
 _UNITS = ("mm", "deg", "px")
@@ -22,12 +23,13 @@ _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def write_xlsx(subject: Subject, place: Place) -> list[Path]:
-    """One workbook with a sheet for each table, and one that says what the columns mean."""
+    """One workbook with a sheet for each table, one with what they rest on, and one with what the columns mean."""
     path = place.file(".xlsx")
     sheets = [
         Sheet(table.name, _sheet_columns(table), [[row.get(c.name) for c in table.columns] for row in rows])
         for table, rows in _tables(subject)
     ]
+    sheets.append(traceability_sheet(subject, place.store))
     write_workbook(path, [*sheets, _meanings(sheets)], max(scene.row["captured_at"] for scene in subject.scenes))
     return [path]
 

@@ -56,7 +56,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
     address, root = server
     page = new_page(chromium)
     page.goto(address)
-    page.get_by_text("Where work waits").wait_for()
+    page.get_by_text("Select one for its picture").wait_for()
     settle(page)
     shoot(page, pictures, "overview")
 

@@ -37,10 +37,47 @@ def page(server: tuple[str, Path], chromium: Any) -> Any:
     return new_page(chromium)
 
 
-def test_from_the_overview_to_the_review(server: tuple[str, Path], page: Any) -> None:
+def test_from_what_is_new_to_its_picture_its_trend_and_its_panel(server: tuple[str, Path], page: Any) -> None:
     home = server[0]
     page.goto(home)
-    page.get_by_text("Where work waits").wait_for()
+    page.get_by_role("radio", name="New 5").or_(page.get_by_role("button", name="New 5")).first.wait_for()
+    settle(page)
+    click_row(page, 0)
+    at(page, "scene", scene=LAST, feature="rivet:R04")
+    page.goto(f"{home}/?list=drifting")
+    page.get_by_text("Moves each scan by").or_(page.get_by_text("its chart over time")).first.wait_for()
+    settle(page)
+    click_row(page, 0)
+    at(page, "trends", what="rivet", panel="LH-F12", name="R09")
+    page.goto(home)
+    page.get_by_text("select one to see it whole").wait_for()
+    settle(page)
+    click_row(page, 0, table=1)
+    at(page, "panel", aircraft="MSN-0425", panel="LH-F12")
+
+
+def test_a_panel_shows_a_feature_of_its_map_and_its_findings(server: tuple[str, Path], page: Any) -> None:
+    page.goto(f"{server[0]}/panel?aircraft=MSN-0425&panel=LH-F12")
+    page.get_by_text("the panel's own frame").wait_for()
+    settle(page)
+    assert page.get_by_text("Rivet R04").count()  # the gravest first
+    click_point(page, 3)
+    page.wait_for_url("**feature=*", wait_until="commit")
+    settle(page)
+    page.goto(f"{server[0]}/panel?aircraft=MSN-0425&panel=LH-F12&view=Findings")
+    page.get_by_text("A stretch of a seam is one finding").wait_for()
+    settle(page)
+    click_row(page, 0)
+    page.wait_for_url("**feature=rivet*", wait_until="commit")
+    page.get_by_text("as station").wait_for()
+    page.goto(f"{server[0]}/panel?aircraft=MSN-0421&panel=LH-F12")
+    page.get_by_text("were not put together yet").wait_for()
+
+
+def test_from_the_overview_to_the_review(server: tuple[str, Path], page: Any) -> None:
+    work = f"{server[0]}/?view=Where+work+waits"
+    page.goto(work)
+    page.get_by_text("select a row to review that panel").wait_for()
     settle(page)
     click_row(page, 0)
     at(page, "review", panel="LH-F12")
@@ -48,21 +85,21 @@ def test_from_the_overview_to_the_review(server: tuple[str, Path], page: Any) ->
     page.get_by_text(f"{aircraft} · LH-F12").first.wait_for()
     # Back, and by a cell of the matrix.
     page.go_back()
-    page.get_by_text("Where work waits").wait_for()
+    page.get_by_text("select a row to review that panel").wait_for()
     at(page, "")
-    page.goto(home)
-    page.get_by_text("Where work waits").wait_for()
+    page.goto(work)
+    page.get_by_text("select a row to review that panel").wait_for()
     settle(page)
     click_point(page, 2)
     at(page, "review", panel="LH-F12")
     # With a filter of its own, to another panel's review, the filter of the one page is not the other's.
-    page.goto(f"{home}/?aircraft=MSN-0424&period=last+30+days")
-    page.get_by_text("Where work waits").wait_for()
+    page.goto(f"{work}&aircraft=MSN-0424&period=last+30+days")
+    page.get_by_text("select a row to review that panel").wait_for()
     settle(page)
     click_row(page, 0)
     at(page, "review", aircraft="MSN-0424", panel="LH-F12")
     assert chosen(page, "Scanned") == "any time"
-    page.goto(home)
+    page.goto(work)
     page.get_by_role("link", name="Review what waits").click()
     at(page, "review")
 

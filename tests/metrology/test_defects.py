@@ -17,7 +17,7 @@ from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.registration import Registration, with_others
 from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
 from metrology.sighted import Sighted
-from metrology.tolerance import judge
+from metrology.tolerance import as_measured, judge
 from tests.support.rivet_scan import Head, Skin, scan
 
 CURVED = Skin(radius_x=400.0, radius_y=900.0, sigma_z=0.012, correlated_px=0.8)
@@ -137,14 +137,22 @@ def test_limits_judge_depth_ratio_and_distance(rng: np.random.Generator) -> None
     cloud = bent(scan(FLAT, (), rng), FLAT, bowl(0.0, 0.0, 0.3, 20.0, 15.0))
     (found,) = measure_defects(sighted(cloud, FLAT))
 
+    def judged(**limits: Limit) -> Defect:
+        return judge(DEFECT, [found], PanelSpec("P", "1", {"default": limits}))[0]
+
     def decision(**limits: Limit) -> str:
-        return judge(DEFECT, [found], PanelSpec("P", "1", {"default": limits}))[0].decision
+        return judged(**limits).decision
 
     assert decision(defect_depth_mm=Limit(upper=0.5, lower=-0.5)) == "pass"
     assert decision(defect_depth_mm=Limit(upper=0.2, lower=-0.2)) == "fail"
     assert decision(defect_width_to_depth=Limit(lower=30.0)) == "pass"
     assert decision(defect_width_to_depth=Limit(lower=100.0)) == "fail"
-    assert decision(defect_fastener_distance_mm=Limit(lower=10.0)) == "no limit"
+    # No fastener in view, so that this limit says nothing of it: an inspector must not miss it for that.
+    assert decision(defect_fastener_distance_mm=Limit(lower=10.0)) == "conditional fail"
+    unlimited = judged()
+    assert unlimited.severity == "blue"
+    assert unlimited.reason == "dent without a limit that judges it: to be decided"
+    assert as_measured(DEFECT, unlimited) == found
 
 
 def test_points_matched_by_chance_do_not_lower_a_small_dent(rng: np.random.Generator) -> None:

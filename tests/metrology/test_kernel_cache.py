@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import importlib
 import os
 import shutil
 import stat
+import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import numba
 import pytest
@@ -64,28 +62,19 @@ def test_other_problems_are_not_hidden() -> None:
         cached(fail, len)
 
 
-class Index:
-    """As numba keeps a kernel's files: which name holds the code for which types."""
-
-    def __init__(self, folder: Path) -> None:
-        self._index_path = str(folder / "f.nbi")
-        self.saved: list[str] = []
-
-    def save(self, key: str, data: bytes) -> None:
-        self.saved.append(key)
-
-
-def test_processes_save_a_kernel_one_after_the_other(tmp_path: Path) -> None:
-    index = Index(tmp_path)
-    cached(lambda _: SimpleNamespace(_cache=SimpleNamespace(_cache_file=index)), len)
-    with open(f"{index._index_path}.lock", "ab") as other:
-        fcntl.flock(other, fcntl.LOCK_EX)
-        saving = threading.Thread(target=index.save, args=("float64", b"code"))
-        saving.start()
-        saving.join(0.2)
-        assert index.saved == []
-    saving.join(10)
-    assert index.saved == ["float64"]
+def test_processes_compile_a_kernel_once(tmp_path: Path) -> None:
+    entry = "import numba, sys\nfrom metrology.jit import kernel\n"
+    (tmp_path / "lender.py").write_text(entry + "@kernel\ndef inner(x):\n    return x + 1\n")
+    (tmp_path / "borrower.py").write_text(
+        entry + "from lender import inner\n@kernel\ndef outer(x):\n    return inner(2 * x)\n"
+        "print(outer(1.5), *(sum(f.stats.cache_misses.values()) for f in (inner, outer)))\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, str(tmp_path / "borrower.py")]
+    both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=120)[0].split() for process in both]
+    assert [words[0] for words in said] == ["4.0", "4.0"]
+    assert [sum(map(int, counts)) for counts in zip(*(words[1:] for words in said), strict=True)] == [1, 1]
 
 
 def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

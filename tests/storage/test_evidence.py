@@ -16,7 +16,7 @@ from flows.cli import main
 from metrology.errors import StoreError, UsageError
 from metrology.inspection import InspectionResult
 from metrology.results import Hole
-from storage.archive import Store
+from storage.archive import Store, maintenance
 from storage.archive.bundle import document_hash
 from storage.certificate import CertificateModel
 from storage.evidence.chain import missing, trace
@@ -205,3 +205,40 @@ def test_a_rig_is_told_of_when_it_is_soon_due(tmp_path: Path) -> None:
     (same,) = rigs_due(store, CAPTURED + timedelta(days=29))
     assert same.id == event.id
     assert list(rigs_due(store, CAPTURED + timedelta(days=31))) == []  # nobody scans with it any more
+
+
+def test_a_verification_that_was_changed_or_removed_is_found(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    first = store.keep_verification(verification(days=-2), "<p>first</p>")
+    last = store.keep_verification(verification(), "<p>last</p>")
+    store.publish(result(tmp_path))
+    assert maintenance.check(store.layout).problems == ()
+    assert maintenance.check_fast(store.layout).problems == ()
+    text = first.read_text()
+    replaced(first, text.replace("0.003", "0.001"))
+    for check in (maintenance.check, maintenance.check_fast):
+        [problem] = check(store.layout).problems
+        assert problem == f"{first}: found another content than was kept, expected it as {last} names it"
+    replaced(first, text)
+    replaced(first.with_suffix(".html"), "<p>better</p>")
+    [problem] = maintenance.check_fast(store.layout).problems
+    assert problem.startswith(f"{first.with_suffix('.html')}: found another content")
+    replaced(first.with_suffix(".html"), "<p>first</p>")
+    last.unlink()
+    [problem] = maintenance.check(store.layout).problems  # only the run that rests on it knows the last one
+    assert problem.startswith(f"{last}: found no such file, expected the verification that {store.layout.bundles}")
+
+
+def test_a_verification_of_an_earlier_version_names_nothing_and_is_no_problem(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(result(tmp_path))
+    kept = store.keep_verification(verification(), "<p>report</p>")
+    document = json.loads(kept.read_text())
+    del document["earlier"], document["report_sha256"]
+    replaced(kept, json.dumps(document))
+    assert maintenance.check(store.layout).problems == ()
+
+
+def replaced(path: Path, text: str) -> None:
+    path.unlink()
+    path.write_text(text)

@@ -17,6 +17,7 @@ import pandas as pd
 import pytest
 
 from storage.archive import Store
+from storage.archive.files import sha256
 from storage.export.as9102 import FORM_3, NONCONFORMANCE
 from storage.export.formats import Place, writer_of
 from storage.export.qif import FAMILY, NAMESPACE
@@ -99,6 +100,22 @@ def test_workbook_parquet_and_csv_hold_the_tables(store: Store, tmp_path: Path) 
     parquet = duckdb.sql(f"SELECT * FROM '{files['-rivets.parquet']}' ORDER BY station, rivet_id").to_arrow_table()
     assert parquet.to_pylist() == expected
     assert len(subject.scenes) == 2
+
+
+@pytest.mark.parametrize(("format_name", "ending"), [("as9102", "-as9102.xlsx"), ("xlsx", ".xlsx")])
+def test_a_workbook_says_what_its_values_rest_on(store: Store, tmp_path: Path, format_name: str, ending: str) -> None:
+    subject, files = exported(store, tmp_path, format_name)
+    sheet = openpyxl.load_workbook(files[ending])["traceability"]
+    rows = [[cell.value for cell in row] for row in sheet.iter_rows(min_row=2)]
+    for scene in subject.scenes:
+        links = {name: (lacking, said) for scene_id, name, lacking, said in rows if scene_id == scene.scene_id}
+        manifest = sha256(store.root / scene.row["bundle_path"] / "manifest.json")
+        assert links["run"][1].endswith(f"manifest SHA-256 {manifest}")
+        assert links["verification"][0] == "missing"
+        assert "never verified" in links["verification"][1]
+        assert {"frames", "rig", "calibration", "board certificate", "software", "specification", "sign-off"} <= {
+            *links
+        }
 
 
 def _key(row: dict[str, object]) -> tuple[object, object]:

@@ -288,3 +288,12 @@ def test_a_link_in_a_bundle_is_no_file_of_it(store: Store, tmp_path: Path) -> No
     preview.symlink_to(tmp_path / "elsewhere.png")
     [problem] = maintenance.check(store.layout).problems
     assert f"{preview}: found a link" in problem
+
+
+def test_the_check_by_names_looks_into_a_folder_only_where_they_differ(store: Store) -> None:
+    *others, run = Bundles(store.layout).runs()
+    (run.parent / "99990101T000000000000Z-0").mkdir()  # a copy that was broken off: no run
+    assert maintenance.check_fast(store.layout) == maintenance.Check(len(others) + 1, ())
+    shutil.rmtree(run)
+    [problem] = maintenance.check_fast(store.layout).problems
+    assert f"found scene {run.parent.name} without an undamaged run" in problem

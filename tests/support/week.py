@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from streamlit.testing.v1 import AppTest
 
-from metrology.results import SceneKey
+from metrology.results import PanelKey, SceneKey
+from storage.archive.panel_bundle import panel_document
 from storage.archive.store import Store
+from tasks.panel import assemble
 from tests.support.synthetic_scene import Recipe, synthetic_result
 
 ROOT = Path(__file__).parents[2]
@@ -41,11 +43,12 @@ def recipe(night: int, station: str, panel: str = "LH-F12") -> Recipe:
 
 
 def fill(root: Path) -> Path:
-    """Publish the week into a store."""
+    """Publish the week into a store, and put the last aircraft's panel together."""
     store = Store(root)
     for night in range(len(AIRCRAFT)):
         for station in ("S1", "S2"):
             store.publish(synthetic_result(recipe(night, station)))
+    store.publish_panel(panel_document(assemble(store, PanelKey(AIRCRAFT[-1], "LH-F12"))))
     return root
 
 

@@ -1,0 +1,162 @@
+"""One assembled panel as the pages need it, and the way from its features to the scans that measured them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dashboard.data import Archive
+from dashboard.figures.scene import SceneFeatures
+from dashboard.scenes import load_features, load_scene_row
+from metrology.kinds import BY_NAME, KINDS
+from storage.archive.schema import (
+    PANEL_COVERAGE,
+    PANEL_FINDINGS,
+    PANEL_OF_KIND,
+    PANEL_RULES,
+    PANEL_STATIONS,
+    PANEL_VERDICTS,
+    PANELS,
+    Table,
+)
+from storage.review import Feature
+
+_SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
+
+
+@dataclass(frozen=True)
+class PanelView:
+    """An assembled panel.
+
+    Attributes
+    ----------
+    row : Any
+        Of the table `panels`.
+    features : mapping of str to DataFrame
+        Rows of the panel by the names of the kinds, with `feature_id`; u_px, v_px are mm in the panel's frame, v
+        downwards, as pictures are drawn.
+    findings, coverage, rules, stations, verdicts : DataFrame
+        Of the tables of the panel.
+    """
+
+    row: Any
+    features: SceneFeatures
+    findings: pd.DataFrame
+    coverage: pd.DataFrame
+    rules: pd.DataFrame
+    stations: pd.DataFrame
+    verdicts: pd.DataFrame
+
+    @property
+    def parts(self) -> list[str]:
+        """Names of the parts that have no common frame, such as "part 1 (S1, S2)"."""
+        placed = self.stations[self.stations["part"].notna()]
+        stations = placed.groupby(placed["part"].astype(int))["station"].agg(", ".join)
+        return [f"part {part} ({named})" for part, named in stations.items()]
+
+    def of_part(self, number: int) -> PanelView:
+        """One part, counted from 1; findings and coverage stay those of the whole panel."""
+        features = {name: rows[rows["part"].fillna(1) == number] for name, rows in self.features.items()}
+        return replace(self, features=features)
+
+
+@dataclass(frozen=True)
+class InScan:
+    """A panel's feature as one scan has it: the row of `scenes`, what was found there, and its name there."""
+
+    scene: Any
+    features: SceneFeatures
+    feature: Feature
+
+
+def panel_names(archive: Archive) -> pd.DataFrame:
+    """Panels that have scans, the newest first: aircraft_serial, panel, last_scan."""
+    return archive.rows(
+        "SELECT aircraft_serial, panel, max(captured_at) AS last_scan FROM latest_scenes GROUP BY ALL "
+        "ORDER BY last_scan DESC, aircraft_serial, panel"
+    )
+
+
+def load_panel(archive: Archive, aircraft: str, panel: str) -> PanelView | None:
+    """The newest assembly of a panel; None where it was never put together."""
+
+    def rows(table: Table, more: str = "", order: str = "ALL") -> pd.DataFrame:
+        columns = ", ".join(column.name for column in table.columns)
+        return archive.rows(
+            f"SELECT {columns}{more} FROM {table.name} WHERE aircraft_serial = ? AND panel = ? ORDER BY {order}",
+            [aircraft, panel],
+        )
+
+    whole = next(rows(PANELS).itertuples(), None)
+    if whole is None:
+        return None
+    features = {
+        kind.name: _drawable(rows(PANEL_OF_KIND[kind.name], f", {kind.id_sql} AS feature_id")) for kind in KINDS
+    }
+    return PanelView(
+        whole, features, rows(PANEL_FINDINGS), rows(PANEL_COVERAGE), rows(PANEL_RULES), rows(PANEL_STATIONS),
+        rows(PANEL_VERDICTS, order="judged_at"),
+    )  # fmt: skip
+
+
+def _drawable(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows as figures of pictures take them: millimetres of the panel stand for pixels."""
+    numbers = rows.select_dtypes("number").replace([np.inf, -np.inf], np.nan)
+    drawn = rows.assign(**{name: numbers[name] for name in numbers})
+    drawn = drawn.assign(u_px=drawn["x_panel_mm"].astype(float), v_px=-drawn["y_panel_mm"].astype(float))
+    if "diameter_mm" in drawn:
+        drawn = drawn.assign(major_px=drawn["diameter_mm"], minor_px=drawn["diameter_mm"])
+        drawn["angle_deg"] = 0.0
+    return drawn
+
+
+def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str | None = None) -> InScan | None:
+    """A panel's feature as a scan has it, by default the scan that measured it best; None where it has none there.
+
+    Names of the panel are not those of its scans: the feature is the one at the same place.
+    """
+    rows = view.features[feature.kind]
+    found = next(rows[rows["feature_id"] == feature.id].itertuples(), None)
+    scene_id = scene_id or (str(found.best_scene_id) if found is not None else None)
+    placed = view.stations[view.stations["station_scene_id"] == scene_id]
+    scene = load_scene_row(archive, scene_id) if scene_id else None
+    if found is None or scene is None or placed.empty or placed.iloc[0]["rotation"] is None:
+        return None
+    features = load_features(archive, scene)
+    there = features[feature.kind]
+    R = np.array(list(placed.iloc[0]["rotation"]), float).reshape(3, 3)
+    t = placed.iloc[0][["x_mm", "y_mm", "z_mm"]].to_numpy(float)
+    at = R.T @ (np.array([found.x_panel_mm, found.y_panel_mm, found.z_panel_mm], float) - t)
+    away = np.linalg.norm(there[["x_mm", "y_mm", "z_mm"]].to_numpy(float) - at, axis=1)
+    if not np.isfinite(away).any() or np.nanmin(away) > _SAME_MM:
+        return None
+    return InScan(scene, features, Feature(feature.kind, str(there["feature_id"].iloc[int(np.nanargmin(away))])))
+
+
+def of_stretch(view: PanelView, kind_name: str, feature_id: str) -> Feature:
+    """The feature that a finding is shown by: itself, or the worst position of a stretch."""
+    kind, rows = BY_NAME[kind_name], view.features[kind_name]
+    if not kind.is_course or rows.empty:
+        return Feature(kind_name, feature_id)
+    row = next(view.findings[view.findings["feature_id"] == feature_id].itertuples(), None)
+    if row is None or row.x_panel_mm is None:
+        return Feature(kind_name, feature_id)
+    course = rows[rows[kind.id_columns[0]] == feature_id.split("@")[0]]
+    away = np.hypot(course["x_panel_mm"] - row.x_panel_mm, course["y_panel_mm"] - row.y_panel_mm)
+    return (
+        Feature(kind_name, str(course["feature_id"].loc[away.idxmin()]))
+        if away.notna().any()
+        else Feature(kind_name, feature_id)
+    )
+
+
+def earlier_scans(archive: Archive, scene: Any) -> pd.DataFrame:
+    """All scans of a scan's station of that aircraft, the first one first: scene_id, captured_at."""
+    return archive.rows(
+        "SELECT scene_id, captured_at FROM scenes WHERE aircraft_serial = ? AND panel = ? AND station = ? "
+        "ORDER BY captured_at",
+        [scene.aircraft_serial, scene.panel, scene.station],
+    )

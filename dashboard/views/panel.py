@@ -1,0 +1,280 @@
+"""Panel: one panel of one aircraft, put together from its scans: map, verdict, findings, coverage, sign-off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
+
+from dashboard.address import one_of, put
+from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
+from dashboard.figures.panel import panel_figure
+from dashboard.findings import feature_from_parameter, feature_parameter
+from dashboard.frame import PageContext, go, link, plain
+from dashboard.locale import with_minus
+from dashboard.panels import InScan, PanelView, earlier_scans, in_scan, load_panel, of_stretch, panel_names
+from dashboard.picking import clickable_chart
+from dashboard.scenes import load_features, load_scene_row, worst_feature
+from dashboard.tables import show_table
+from dashboard.views.scene import close_up
+from metrology.kinds import BY_NAME, KINDS
+from storage.archive.work import said
+from storage.review import Feature
+
+TITLE = "Panel"
+_BADGES = {
+    "accepted": ("green", ":material/check:"),
+    "accepted with conditions": ("orange", ":material/rule:"),
+    "rejected": ("red", ":material/block:"),
+    "incomplete": ("gray", ":material/pending:"),
+    "no rules": ("gray", ":material/help:"),
+}
+_CLOSE_UP, _FINDINGS, _RULES, _COVERAGE, _SCANS = "Close-up", "Findings", "Rules", "Coverage", "Scans"
+
+
+def render(context: PageContext) -> None:
+    """Show the page."""
+    left, middle, beside = st.columns([1, 1, 4], vertical_alignment="bottom")
+    aircraft, panel = _choose(context, left, middle)
+    view = load_panel(context.archive, aircraft, panel)
+    scenes = _newest(context, aircraft, panel)
+    say_outcome(context, (aircraft, panel))
+    if view is None:
+        _not_assembled(context, scenes, aircraft, panel)
+        return
+    chosen = _chosen(view)
+    with beside:
+        _headline(context, view, scenes)
+    left, right = st.columns([11, 9])
+    with left:
+        _map(context, view, chosen)
+        _sign(context, view, scenes)
+    with right:
+        _beside(context, view, scenes, chosen)
+
+
+def _choose(context: PageContext, left: DeltaGenerator, right: DeltaGenerator) -> tuple[str, str]:
+    known = panel_names(context.archive)
+    first, second = known.iloc[0][["aircraft_serial", "panel"]]
+    aircraft = list(dict.fromkeys(known["aircraft_serial"].astype(str)))
+    serial = left.selectbox(
+        "Aircraft", aircraft, help="The feature that is looked at stays when you change it.",
+        **one_of("aircraft", aircraft, str(first)),
+    )  # fmt: skip
+    panels = sorted(known[known["aircraft_serial"] == serial]["panel"].astype(str))
+    name = right.selectbox("Panel", panels, **one_of("panel", panels, str(second)))
+    return str(serial), str(name)
+
+
+def _newest(context: PageContext, aircraft: str, panel: str) -> list[Any]:
+    rows = context.archive.rows(
+        "SELECT scene_id FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? ORDER BY station",
+        [aircraft, panel],
+    )
+    return [row for name in rows["scene_id"] if (row := load_scene_row(context.archive, str(name))) is not None]
+
+
+def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str) -> None:
+    st.info(
+        f"The scans of {plain(aircraft)} {plain(panel)} were not put together yet, so there is no map of the panel. "
+        "`flushline panel assemble` does it; it follows each inspection of a panel by itself where a panel has "
+        "several stations or a pattern.",
+        icon=":material/grid_off:",
+    )
+    _scans(context, scenes)
+    ask_who(context)
+    _offer(context, scenes, aircraft, panel, "not put together")
+
+
+def _chosen(view: PanelView) -> Feature | None:
+    """The feature that the address names, else the gravest."""
+    named = feature_from_parameter(st.query_params.get("feature"))
+    if named and (view.features[named.kind]["feature_id"] == named.id).any():
+        return named
+    return worst_feature(view.features)
+
+
+def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
+    row, locale = view.row, context.locale
+    colour, icon = _BADGES.get(str(row.verdict), ("gray", ":material/help:"))
+    with st.container(horizontal=True, vertical_alignment="center"):
+        st.badge(plain(row.verdict), color=colour, icon=icon)  # type: ignore[arg-type]
+        st.markdown(f":small[{plain(with_minus(str(row.verdict_reason)))}]")
+        signed = context.archive.review().sign_offs()
+        names = {signed[s.scene_id].who for s in scenes if s.scene_id in signed}
+        if scenes and all(s.scene_id in signed for s in scenes):
+            st.badge(f"signed off by {plain(', '.join(sorted(names)))}", color="green", icon=":material/lock:")
+        elif names:
+            count = sum(s.scene_id in signed for s in scenes)
+            st.badge(f"{count} of {len(scenes)} scans signed off", color="gray", icon=":material/lock_open:")
+    counted = [f"{kind.subject}s: {locale.whole(_number(view, kind))}" for kind in KINDS if _number(view, kind)]
+    missing = [
+        f"{locale.whole(n)} {words}"
+        for n, words in ((row.n_not_measured, "not measured"), (row.n_not_seen, "not seen"))
+        if n == n and n
+    ]
+    covered = f"of {locale.whole(row.n_expected)} expected places " + (", ".join(missing) or "all measured")
+    st.caption(
+        f"{locale.whole(row.n_scenes)} scans, the newest {locale.time(row.captured_at)} · {', '.join(counted)} · "
+        f"{locale.whole(row.area_cm2)} cm² of skin seen · "
+        + (covered if row.n_expected == row.n_expected and row.n_expected else "no pattern says what there should be")
+        + (f" · scan next: {plain(row.next_station)}" if isinstance(row.next_station, str) else "")
+    )
+    texts = [str(text) for text in (row.warnings if row.warnings is not None else ())]
+    if texts:
+        st.markdown(f":small[:orange[:material/warning:] {' · '.join(map(plain, texts))}]")
+
+
+def _number(view: PanelView, kind: Any) -> int:
+    return int(view.features[kind.name][kind.id_columns[0]].nunique())
+
+
+def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
+    if len(view.parts) > 1:
+        parts = view.parts
+        of_chosen = _part_of(view, chosen)
+        part = st.segmented_control("Part", parts, label_visibility="collapsed",
+                                    **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
+        view = view.of_part(parts.index(str(part or parts[0])) + 1)
+    fig = panel_figure(view, chosen, context.locale)
+    clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
+    st.caption("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move.")
+
+
+def _part_of(view: PanelView, chosen: Feature | None) -> int:
+    rows = view.features[chosen.kind] if chosen else pd.DataFrame()
+    found = rows[rows["feature_id"] == chosen.id]["part"] if chosen and len(rows) else []
+    return int(found.iloc[0]) if len(found) and found.notna().all() else 1
+
+
+def _look_at(feature: str) -> None:
+    put(feature=feature, view=None, part=None)
+
+
+def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
+    row = view.row
+    if all(s.scene_id in context.archive.review().sign_offs() for s in scenes):
+        return
+    ask_who(context)
+    _offer(context, scenes, str(row.aircraft_serial), str(row.panel), f"{row.verdict}: {row.verdict_reason}")
+
+
+def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
+    meaning = f"panel {aircraft} {panel} released with {len(scenes)} scans; verdict {verdict}"
+    offer_sign_off_of(context, scenes, plain(f"panel {aircraft} {panel}"), meaning)
+
+
+def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen: Feature | None) -> None:
+    names = [_CLOSE_UP, _FINDINGS, _RULES, _COVERAGE, _SCANS]
+    shown = st.segmented_control("View", names, label_visibility="collapsed", **one_of("view", names))
+    if shown == _FINDINGS:
+        _findings(context, view)
+    elif shown == _RULES:
+        _rules(context, view)
+    elif shown == _COVERAGE:
+        _coverage(context, view)
+    elif shown == _SCANS:
+        _scans(context, scenes)
+    elif chosen is None:
+        st.info("Nothing was found on this panel.")
+    else:
+        _feature(context, view, chosen)
+
+
+def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
+    """The close-up of the scan that measured it best, and its station's other nights."""
+    found = in_scan(context.archive, view, chosen)
+    kind = BY_NAME[chosen.kind]
+    st.markdown(f"**{kind.subject.capitalize()} {plain(chosen.id)}** of the panel")
+    if found is None:
+        st.info("No scan in the panel has this feature at this place.")
+        return
+    _on_a_night(context, found)
+
+
+def _on_a_night(context: PageContext, found: InScan) -> None:
+    """The feature on one of the nights of its station; at first on the one that is in the panel."""
+    scans = earlier_scans(context.archive, found.scene)
+    names = [str(name) for name in scans["scene_id"]]
+    times = dict(zip(names, (context.locale.time(at) for at in scans["captured_at"]), strict=True))
+    scene, features = found.scene, found.features
+    if len(names) > 1:
+        night = st.select_slider(
+            "Night", names, str(scene.scene_id), format_func=times.__getitem__,
+            key=f"night-{scene.scene_id}-{found.feature}",
+        )  # fmt: skip
+        if night != scene.scene_id:
+            earlier = load_scene_row(context.archive, night)
+            if earlier is not None:
+                scene, features = earlier, load_features(context.archive, earlier)
+    st.caption(f"as station {plain(scene.station)} saw it, {context.locale.time(scene.captured_at)}")
+    close_up(context, scene, features, found.feature)
+    link("review", "Decide in the review", ":material/fact_check:", aircraft=scene.aircraft_serial, panel=scene.panel,
+         scene=scene.scene_id, feature=feature_parameter(found.feature))  # fmt: skip
+
+
+def _findings(context: PageContext, view: PanelView) -> None:
+    rows = view.findings.rename(columns={"value": "value_mm", "value_u95": "u95_mm"})
+    if rows.empty:
+        st.success("Every feature of the panel is within its limits.", icon=":material/check:")
+        return
+    names = [
+        feature_parameter(of_stretch(view, kind, feature))
+        for kind, feature in zip(rows["feature_kind"], rows["feature_id"], strict=True)
+    ]
+    columns = {
+        "feature_id": "Feature", "quantity": "Quantity", "value_mm": "Worst", "u95_mm": "± U95",
+        "length_mm": "Length, mm", "decision": "Verdict", "reason": "Why",
+    }  # fmt: skip
+    show_table(rows, columns, context.locale, "panel-findings", 470, names, _look_at, st.query_params.get("feature"))
+    st.caption("A stretch of a seam is one finding. Select one to see its worst place.")
+
+
+def _rules(context: PageContext, view: PanelView) -> None:
+    if view.rules.empty:
+        st.info("The specification that judged this panel has no acceptance rules: nothing says when it is accepted.")
+    else:
+        columns = {"rule": "Rule", "applies_to": "Of", "verdict": "Outcome", "reason": "What was found"}
+        show_table(view.rules, columns, context.locale, "panel-rules", 260)
+    st.markdown("**Verdicts so far**")
+    columns = {"judged_at": "Judged", "panel_spec": "By", "verdict": "Verdict", "reason": "Why"}
+    show_table(view.verdicts.iloc[::-1], columns, context.locale, "panel-verdicts", 200)
+
+
+def _coverage(context: PageContext, view: PanelView) -> None:
+    missing = view.coverage[view.coverage["state"] != "measured"]
+    if view.coverage.empty:
+        st.info("No pattern says what there should be, so nothing can be missing. A specification with nominal places "
+                "(`flushline panel`) tells what was not looked at.")  # fmt: skip
+    elif missing.empty:
+        st.success("Every expected fastener and stretch of seam was measured.", icon=":material/check:")
+    else:
+        columns = {"feature_id": "Expected", "state": "State", "from_mm": "From, mm", "to_mm": "To, mm",
+                   "reason": "Why"}  # fmt: skip
+        show_table(missing, columns, context.locale, "panel-coverage", 470)
+
+
+def _scans(context: PageContext, scenes: Sequence[Any]) -> None:
+    signed = context.archive.review().sign_offs()
+    rows = pd.DataFrame(
+        {
+            "scene_id": str(scene.scene_id),
+            "station": scene.station,
+            "captured_at": scene.captured_at,
+            "findings": said(context.archive.standings(str(scene.scene_id))),
+            "signed": signed[scene.scene_id].who if scene.scene_id in signed else "–",
+            "reason": "; ".join(map(str, scene.warnings if scene.warnings is not None else ())),
+        }
+        for scene in scenes
+    )
+    columns = {"station": "Station", "captured_at": "Scanned", "findings": "Findings", "signed": "Signed off",
+               "reason": "Warnings"}  # fmt: skip
+    show_table(rows, columns, context.locale, "panel-scans", 300, list(rows["scene_id"]), _open_scene)
+    st.caption("Select a scan to open its picture.")
+
+
+def _open_scene(scene: str) -> None:
+    go("scene", scene=scene)
