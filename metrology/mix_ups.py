@@ -85,7 +85,7 @@ def find_mix_up(
     settings : HealthSettings, optional
     """
     settings = settings or HealthSettings()
-    scan = _Scan(reconstruction.left, reconstruction.right, reconstruction.rig)
+    scan = _Scan(reconstruction.left, reconstruction.with_right(), reconstruction.rig)
     limit = min(_misfit(scan, axis, settings) / _CLOSER, _MOST_OFF_PX)
     for hypotheses in (_exchanges_and_turns(), _undistortions()):
         found: list[tuple[float, _Hypothesis]] = []
@@ -174,7 +174,7 @@ def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan
 
     def undo(scan: _Scan, _: int) -> _Scan:
         left = plain(scan.rig.left) if "left" in names else scan.rig.left
-        right = plain(scan.rig.right) if "right" in names else scan.rig.right
+        right = plain(scan.rig.with_right()) if "right" in names else scan.rig.with_right()
         return replace(scan, rig=replace(scan.rig, left=left, right=right))
 
     return undo
@@ -213,7 +213,7 @@ def _thinned(view: DecodedView, every: int) -> DecodedView:
 
 
 def _thinned_rig(rig: Rig) -> Rig:
-    return replace(rig, left=_thinned_device(rig.left), right=_thinned_device(rig.right))
+    return replace(rig, left=_thinned_device(rig.left), right=_thinned_device(rig.with_right()))
 
 
 def _thinned_device(device: Device) -> Device:
@@ -224,5 +224,5 @@ def _thinned_device(device: Device) -> Device:
 
 
 def _sizes_fit(scan: _Scan) -> bool:
-    pairs = ((scan.left, scan.rig.left), (scan.right, scan.rig.right))
+    pairs = ((scan.left, scan.rig.left), (scan.right, scan.rig.with_right()))
     return all(view.coordinate.shape == (device.height, device.width) for view, device in pairs)

@@ -113,24 +113,50 @@ class FramesModel(StrictModel):
     right: Exposures
 
 
-class SceneModel(StrictModel):
-    """scene.json."""
+class ScanModel(StrictModel):
+    """What scene.json says of every kind of scan."""
 
-    format: Literal["flushline-scene/1"]
     aircraft_serial: Identifier
     panel: Identifier
     station: Identifier
     captured_at: UtcTime
     rig: Identifier
     operator: Line | None = None
-    fringe: FringeModel
-    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1, max_length=MAX_EXPOSURES)]
-    frames: FramesModel
 
     @property
     def key(self) -> SceneKey:
         """Which scene it is."""
         return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at)
+
+
+class SceneModel(ScanModel):
+    """scene.json of fringe frames."""
+
+    format: Literal["flushline-scene/1"]
+    fringe: FringeModel
+    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1, max_length=MAX_EXPOSURES)]
+    frames: FramesModel
+
+    @property
+    def files(self) -> list[str]:
+        """The frames of both cameras."""
+        return [path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames]
+
+    def digest(self, folder: Path) -> str:
+        """The digest that an inspection would give, see `storage.scan_identity`; nothing is decoded."""
+        left, right = (
+            [
+                file_checksum(folder / path, SceneError)
+                for paths in getattr(self.frames, camera)
+                for path in self.fringe.ordered(paths)
+            ]
+            for camera in CAMERAS
+        )
+        return scan_identity.frames_digest(self.fringe.code, self.exposures, left, right)
+
+    def own_rig(self, folder: Path) -> Rig | None:
+        """None: the store has the rigs of frames."""
+        return None
 
     @model_validator(mode="after")
     def _frames_are_complete(self) -> SceneModel:
@@ -156,7 +182,7 @@ class SceneModel(StrictModel):
                         f"({_told(code)}" + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
                     )
         seen: set[str] = set()
-        for path in (path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames):
+        for path in self.files:
             if path in seen:
                 raise ValueError(f"found frame {path!r} listed more than once, expected each frame once")
             seen.add(path)
@@ -197,6 +223,10 @@ class Scene:
     right_header: FrameHeader
     files_state: str | None = None
 
+    def own_rig(self) -> Rig | None:
+        """None: the store has the rigs of frames."""
+        return None
+
     def frames(self, camera: Camera, executor: Executor | None = None) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Decode one camera's frames.
 
@@ -218,8 +248,9 @@ class Scene:
         """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
         if rig.projector:
             self._check_projector(rig.projector, rig.id)
+        devices = {"left": rig.left, "right": rig.with_right()}
         for camera, header in (("left", self.left_header), ("right", self.right_header)):
-            device: Device = getattr(rig, camera)
+            device = devices[camera]
             if (header.width, header.height) != (device.width, device.height):
                 raise SceneError(
                     f"{getattr(self, camera)[0]}: found {header.width}×{header.height} pixels, "
@@ -239,7 +270,7 @@ class Scene:
     def _likely_mix_up(self, rig: Rig) -> str:
         """What the frames' sizes tell of how they came not to fit a rig."""
         found = [(header.width, header.height) for header in (self.left_header, self.right_header)]
-        wanted = [(device.width, device.height) for device in (rig.left, rig.right)]
+        wanted = [(device.width, device.height) for device in rig.cameras.values()]
         if found == wanted[::-1]:
             return "; they fit when left and right are exchanged"
         turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=True))
@@ -249,15 +280,19 @@ class Scene:
 def load_scene(folder: Path) -> Scene:
     """Read a scene's manifest and look at every frame's header; nothing is decoded yet."""
     folder = Path(folder)
-    manifest = folder / MANIFEST
-    model = load_manifest(manifest)
+    return look_at(folder, load_manifest(folder / MANIFEST))
+
+
+def look_at(folder: Path, model: SceneModel) -> Scene:
+    """The scene of a manifest; every frame's header is looked at."""
     paths = {
         camera: tuple(
             folder / path for frames in getattr(model.frames, camera) for path in model.fringe.ordered(frames)
         )
         for camera in CAMERAS
     }
-    state = files_state(manifest, model)  # before anything is read: what changes from now on shows
+    # Before anything is read: what changes from now on shows.
+    state = scan_identity.files_state(folder, [MANIFEST, *model.files])
     left, right = (_common_header(paths[camera]) for camera in CAMERAS)
     if left.bits != right.bits:
         raise SceneError(
@@ -279,7 +314,14 @@ def load_scene(folder: Path) -> Scene:
 
 
 def load_manifest(manifest: Path) -> SceneModel:
-    """scene.json, validated; the frames are not looked at."""
+    """scene.json of fringe frames, validated; the frames are not looked at."""
+    document = read_manifest(manifest)
+    check_format(document, FORMAT, manifest, SceneError)
+    return validate(SceneModel, document, manifest, SceneError)
+
+
+def read_manifest(manifest: Path) -> dict[str, Any]:
+    """scene.json of any kind."""
     folder = manifest.parent
     if not folder.is_dir():
         found = "a file" if folder.is_file() else "a link to nowhere" if folder.is_symlink() else "no such folder"
@@ -287,28 +329,7 @@ def load_manifest(manifest: Path) -> SceneModel:
     if not os.path.lexists(manifest):
         found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"
         raise SceneError(f"{folder}: found {found}, expected a scene folder")
-    document = read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
-    check_format(document, FORMAT, manifest, SceneError)
-    return validate(SceneModel, document, manifest, SceneError)
-
-
-def files_state(manifest: Path, model: SceneModel) -> str:
-    """Names the files of a scene folder as they lie on disk, see `storage.scan_identity`."""
-    frames = [path for camera in CAMERAS for frames in getattr(model.frames, camera) for path in frames]
-    return scan_identity.files_state(manifest.parent, [manifest.name, *frames])
-
-
-def digest_of_files(manifest: Path, model: SceneModel) -> str:
-    """The digest that an inspection of the folder would give, see `storage.scan_identity`; nothing is decoded."""
-    left, right = (
-        [
-            file_checksum(manifest.parent / path, SceneError)
-            for paths in getattr(model.frames, camera)
-            for path in model.fringe.ordered(paths)
-        ]
-        for camera in CAMERAS
-    )
-    return scan_identity.frames_digest(model.fringe.code, model.exposures, left, right)
+    return read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
 
 
 def write_scene(

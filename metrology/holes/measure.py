@@ -79,8 +79,7 @@ def _measured(
     height = patch.h - skin.height(patch.x, patch.y)
     cone = countersink(np.hypot(patch.x, patch.y), height, patch.guard / patch.guard_px, _SIZE * patch.radius)
     pixel_mm = patch.guard / patch.guard_px
-    rig = reconstruction.rig
-    views = (rig.left, reconstruction.left.texture), (rig.right, reconstruction.right.texture)
+    views = tuple((device, view.texture) for device, view in reconstruction.cameras.values())
     rim = _rim(patch, skin, views, pixel_mm)
     if cone is not None:
         rim, placed = _below(cone, rim, placed, patch, skin, views, pixel_mm)

@@ -13,6 +13,7 @@ from metrology.seams.gap.piecewise import SideFit, project_onto, side_of_section
 from metrology.seams.gap.width import Gap, GapEdge
 from metrology.seams.skins.sections import Section, strip
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
@@ -21,6 +22,7 @@ Mask = NDArray[np.bool_]
 _MIXED_PX = 1.5
 # Standard deviation of an evenly spread error, relative to its largest.
 _EVEN = 3.0**-0.5
+_FLOOR = 0.95  # share of a gap's points that are no deeper than its floor
 _MAD = 1.4826
 
 
@@ -55,8 +57,32 @@ def point_edges(
             gaps.append(f"edge {missing} not seen in the points")
             continue
         pixel_mm = section.frame.origin[2] / reconstruction.rig.left.K[0, 0]
-        gaps.append(Gap(_edge(a, 1.0), _edge(b, -1.0), 2 * _MIXED_PX * _EVEN * pixel_mm))
+        of_a, of_b = to_the_wall(x, h, a, -b.inflection[0]), to_the_wall(-x[::-1], h[::-1], b, -a.inflection[0])
+        spread = float(np.hypot(2 * _MIXED_PX * pixel_mm, 0.5 * (of_a + of_b)))
+        gaps.append(Gap(_edge(a, 1.0, of_a), _edge(b, -1.0, of_b), _EVEN * spread))
     return _with_scatter(gaps)
+
+
+def to_the_wall(x: Array, h: Array, fit: SideFit, other: float) -> float:
+    """How far into the gap the edge may lie beyond its inflection point, mm: to where the points are half-way down.
+
+    Mixed points round the corner, and a chamfer passes for skin or for wall; where nothing was measured beyond the
+    inflection point, the edge may lie anywhere up to the next point.
+
+    Parameters
+    ----------
+    x, h : (n,) ndarray
+        The section, x rising from the side's skin into the gap.
+    fit : SideFit
+    other : float
+        x of the other side's inflection point.
+    """
+    beyond = (x > fit.inflection[0]) & (x < other)
+    if not beyond.any():
+        return max(other - fit.inflection[0], 0.0)
+    depth = fit.slope * x[beyond] + fit.intercept - h[beyond]
+    down = x[beyond][depth >= 0.5 * float(np.quantile(depth, _FLOOR))]
+    return float(down[0] - fit.inflection[0])
 
 
 def _with_scatter(gaps: list[Gap | str]) -> list[Gap | str]:
@@ -72,6 +98,7 @@ def _with_scatter(gaps: list[Gap | str]) -> list[Gap | str]:
     ]
 
 
-def _edge(fit: SideFit, sign: float) -> GapEdge:
+def _edge(fit: SideFit, sign: float, to_wall: float) -> GapEdge:
+    """The edge, half-way between the inflection point and where it can be at most."""
     ideal = project_onto(fit)
-    return GapEdge(sign * ideal[0], max(ideal[1] - fit.inflection[1], 0.0))
+    return GapEdge(sign * (ideal[0] + 0.5 * to_wall), max(ideal[1] - fit.inflection[1], 0.0))
