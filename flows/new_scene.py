@@ -124,6 +124,7 @@ def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
             said.append("steps forward" if one.direction > 0 else "steps backward (direction -1)")
         if one.code.gray:
             said.append(f"Gray code from the {'finest' if one.lsb_first else 'coarsest'} bit on")
+        if one.code.gray and one.code.counts:
             said.append(f"stripes' borders {one.code.gray.shift:+.3f} stripes beyond the fringes' wraps")
         lines.append(f"{camera}: {'; '.join(said)}; agreement {one.agreement:.0%}")
     return lines

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from metrology.gray import runs_along_rows, stripe_numbers
+from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
 from metrology.unwrap import order_lattice
 
 Array = NDArray[np.float64]
@@ -78,7 +78,10 @@ def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGues
 
 def _phases(levels: NDArray, code: FringeCode, saturation: float) -> tuple[NDArray, NDArray[np.bool_]]:
     """(counts, h, w) wrapped phases in turns, and where all frames carry their pattern."""
-    lit = (levels.max(0) < saturation) & (levels.max(0) - levels.min(0) > 2 * _LEAST_AMPLITUDE * saturation)
+    # A bright stripe may be clipped and still is bright; fringes may not, where they are shown.
+    measured = levels[: code.fringe_frames] if code.counts else levels
+    lit = (measured.max(0) < saturation) | bool(code.gray and code.gray.inverse and not code.counts)
+    lit &= levels.max(0) - levels.min(0) > 2 * _LEAST_AMPLITUDE * saturation
     turns = []
     for k, steps in enumerate(code.step_counts):
         own = code.count_of == k
@@ -118,7 +121,7 @@ def _from_counts(turns: Array, code: FringeCode) -> CodeGuess:
 def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code: FringeCode) -> CodeGuess:
     """The order of the bits that leaves the smoothest stripes, the sign of the phase, and where the borders lie."""
     assert code.gray is not None
-    tried = [(_smooth(number, lit), lsb, number) for lsb in (False, True) for number in [_numbers(levels, code, lsb)]]
+    tried = [(_smooth(read, lit), lsb, read) for lsb in (False, True) for read in [_numbers(levels, code, lsb, lit)]]
     smooth, lsb, number = max(tried, key=lambda one: one[0])
     if smooth < _LEAST_AGREEMENT:
         raise SceneError(
@@ -157,8 +160,8 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
     return CodeGuess(direction, lsb, replace(code, gray=gray), agreement)
 
 
-def _numbers(levels: NDArray, code: FringeCode, lsb: bool) -> NDArray[np.int64]:
-    """(h, w) stripe numbers with the bits in either order."""
+def _numbers(levels: NDArray, code: FringeCode, lsb: bool, lit: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(h, w) stripe numbers with the bits in either order; of a code alone those of the stripes that are resolved."""
     gray = code.gray
     assert gray is not None
     stripes = levels[code.fringe_frames : code.fringe_frames + gray.stripe_frames]
@@ -170,7 +173,9 @@ def _numbers(levels: NDArray, code: FringeCode, lsb: bool) -> NDArray[np.int64]:
         swing = stripes - levels[: code.fringe_frames].mean(0)
     else:
         swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
-    return stripe_numbers((swing[::-1] if lsb else swing) > 0)
+    swing = swing[::-1] if lsb else swing
+    bits = len(swing) if code.counts else resolved_bits(swing, lit)
+    return stripe_numbers(swing[:bits] > 0)
 
 
 def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:
