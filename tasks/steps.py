@@ -347,8 +347,8 @@ def _what_is_missing(rig: Rig) -> list[str]:
         )
     elif rig.screen is None:
         missing.append(
-            f"rig {rig.id} has a projector of which scans told the columns or the rows alone: the overlay is drawn over "
-            "the left camera's picture, gaps' edges and heads' rims come from points and rings alone"
+            f"rig {rig.id} has a projector of which scans told the columns or the rows alone: the overlay is drawn "
+            "over the left camera's picture, gaps' edges and heads' rims come from points and rings alone"
         )
     return missing
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from flows.cli import main
 from metrology.fringe import Axis, FringeCode, GrayCode
+from metrology.moments import moment_of
 from metrology.results import SceneKey
 from metrology.rig import Device, Rig
 from storage.rig import load_rig, save_rig
@@ -72,7 +73,10 @@ def code_on_board(folder: Path) -> None:
         (folder / f"capture_{pose}").mkdir(parents=True)
         for number, frame in enumerate(frames):
             level = grey * (12 + 200 * cv2.GaussianBlur(frame, (0, 0), 0.5)) + rng.normal(0, 0.8, grey.shape)
-            cv2.imwrite(str(folder / f"capture_{pose}" / f"graycode_{number:02d}.png"), np.clip(level, 0, 255).round())
+            cv2.imwrite(
+                str(folder / f"capture_{pose}" / f"graycode_{number:02d}.png"),
+                np.clip(level, 0, 255).round().astype(np.uint8),
+            )
 
 
 def test_a_code_on_a_board_calibrates_one_camera_and_a_projector(
@@ -90,8 +94,8 @@ def test_a_code_on_a_board_calibrates_one_camera_and_a_projector(
     assert found.with_projector().K[0, 0] == pytest.approx(330, rel=5e-3)
     assert found.left.K[0, 0] == pytest.approx(620, rel=5e-3)
     assert np.linalg.norm(found.with_projector().centre - lamp().centre) < 3
-    assert run(*arguments, "--projector", "256x192", "--gray", 512, 192) == 2  # nine bits along x
-    assert "found 34 frames, expected 36: x y white black" in capsys.readouterr().err
+    assert run(*arguments, "--projector", "256x192", "--gray", 1024, 192) == 2  # ten bits along x
+    assert "found 34 frames, expected 38: x y white black" in capsys.readouterr().err
     assert run(*arguments, "--projector", "256x192", "--gray", *BEAM, "--sequence", "x", "skip:18") == 2
     assert "no y" in capsys.readouterr().err
 
@@ -111,15 +115,9 @@ def scan(folder: Path, rig: Rig, axis: Axis, apart: float, station: str) -> Path
         lit = np.isfinite(seen)
         frames = clean_frames(np.where(lit, seen, 0), code, size, 110.0, 80.0)
         views.append(recorded(np.where(lit, frames, 4.0), rng, 1.0))
-    key = SceneKey("TRIAL", "P1", station, WHEN)  # type: ignore[arg-type]
-    write_scene(folder, replace_time(key), rig.id, code, [1.0], views[0], views[1])
+    key = SceneKey("TRIAL", "P1", station, moment_of(WHEN))
+    write_scene(folder, key, rig.id, code, [1.0], views[0], views[1])
     return folder
-
-
-def replace_time(key: SceneKey) -> SceneKey:
-    from metrology.moments import moment_of
-
-    return SceneKey(key.aircraft_serial, key.panel, key.station, moment_of(WHEN))
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +165,7 @@ def test_another_rigs_projector_is_the_culprit(
 ) -> None:
     cameras, folders = scans
     moved = small_rig().with_projector()
-    other = replace(small_rig(), id="elsewhere", projector=replace(moved, t=moved.t + [6.0, 0.0, 0.0]))
+    other = replace(small_rig(), id="elsewhere", projector=replace(moved, t=moved.t + np.array([6.0, 0.0, 0.0])))
     save_rig(other, tmp_path / "other.json")
     assert run("rig", "export", tmp_path / "other.json", "--out", tmp_path / "cv.json") == 0
     left, right = small_rig().left, small_rig().with_right()

@@ -68,7 +68,7 @@ def test_one_axis_tells_columns_and_says_how_far_rows_are_assumed(rng: np.random
 
 def test_what_is_flat_is_refused(rng: np.random.Generator) -> None:
     flat = seen("x", rng, heights=(0.0,))
-    with pytest.raises(CalibrationError, match="one plane|flat"):
+    with pytest.raises(CalibrationError, match=r"one plane|flat"):
         fit_projector([flat], SIZE)
     few = SeenPoints("x", flat.points[:900], flat.coordinate[:900], flat.block[:900])
     with pytest.raises(CalibrationError, match="found 30 blocks of measured points, expected at least 60"):
