@@ -362,7 +362,7 @@ def write_scene(
     code: FringeCode,
     exposures: Sequence[float],
     left: Frame,
-    right: Frame,
+    right: Frame | None,
     truth: dict[str, Any] | None = None,
     operator: str | None = None,
 ) -> None:
@@ -371,13 +371,15 @@ def write_scene(
     Parameters
     ----------
     left, right : (exposures, frames, h, w) ndarray of uint8 or uint16
+        No right ones where there is one camera.
     truth : dict, optional
         Written to truth.json beside it.
     """
+    stacks = {camera: stack for camera, stack in (("left", left), ("right", right)) if stack is not None}
     shown = [f"c{count}_s{step}" for count, step in zip(code.count_of, code.step_of, strict=True)]
     shown += [f"gray{k}" for k in range(code.gray.frames if code.gray else 0)]
     names: dict[str, list[list[str]]] = {
-        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in CAMERAS
+        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in stacks
     }
     fringe = fringe_document(code)
     document = {
@@ -395,7 +397,7 @@ def write_scene(
     manifest = folder / MANIFEST
     validate(SceneModel, document, manifest, SceneError)
     manifest.unlink(missing_ok=True)
-    for camera, stack in (("left", left), ("right", right)):
+    for camera, stack in stacks.items():
         (folder / camera).mkdir(parents=True, exist_ok=True)
         for exposure_names, frames in zip(names[camera], stack, strict=True):
             for name, frame in zip(exposure_names, frames, strict=True):
