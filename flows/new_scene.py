@@ -24,7 +24,7 @@ from metrology.saturation import saturation_level
 from storage.documents import utc_text
 from storage.frames import read_header, read_stack
 from storage.models import validate
-from storage.scene import CAMERAS, FORMAT, MANIFEST, FringeModel, SceneModel, fringe_document, load_scene
+from storage.scene import FORMAT, MANIFEST, Camera, FringeModel, SceneModel, fringe_document, load_scene
 from storage.scene_names import as_grey, by_count_and_step, by_number, cameras_of, in_sequence, matching
 
 _MOST_CONTRADICTORY = 0.03
@@ -38,7 +38,7 @@ Listed = dict[str, list[Path]]
 def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Listed, list[str]]:
     """Each camera's frames by the patterns of their names, in the code's order as shown; and notes about them."""
     found = matching(options.folder, options.pattern)
-    named = cameras_of(found, options.left)
+    named: dict[Camera, str] = cameras_of(found, options.left) if "{camera}" in options.pattern else {"left": ""}
     listed: Listed = {}
     notes: list[str] = []
     for camera, name in named.items():
@@ -51,11 +51,12 @@ def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Liste
             if options.gray_pattern:
                 paths += by_number(matching(options.folder, options.gray_pattern), name)
         if len(paths) != code.frames:
-            raise SceneError(f"camera {name!r}: found {len(paths)} frames, expected {code.frames} for this code")
+            raise SceneError(f"{camera} camera: found {len(paths)} frames, expected {code.frames} for this code")
         grey = [as_grey(path, options.folder) for path in paths]
         notes += [f"note: {note}" for _, note in grey if note]
         listed[camera] = [path for path, _ in grey]
-        notes.append(f"{camera}: {name!r}, {len(paths)} frames from {paths[0].name} to {paths[-1].name}")
+        called = repr(name) if name else "the only camera"
+        notes.append(f"{camera}: {called}, {len(paths)} frames from {paths[0].name} to {paths[-1].name}")
     return listed, notes
 
 
@@ -90,7 +91,9 @@ def new_scene(
         "rig": rig_id,
         "fringe": fringe,
         "exposures": [1.0],
-        "frames": {camera: [[path.relative_to(folder).as_posix() for path in listed[camera]]] for camera in CAMERAS},
+        "frames": {
+            camera: [[path.relative_to(folder).as_posix() for path in paths]] for camera, paths in listed.items()
+        },
     }
     model = validate(SceneModel, document, folder / MANIFEST, SceneError)
     document["captured_at"] = utc_text(model.captured_at)
@@ -102,7 +105,7 @@ def new_scene(
 def guesses(code: FringeCode, listed: Mapping[str, Sequence[Path]]) -> dict[str, CodeGuess]:
     """What each camera's frames say."""
     found: dict[str, CodeGuess] = {}
-    for camera in CAMERAS:
+    for camera in listed:
         frames = _read(listed[camera])
         try:
             found[camera] = guess_code(frames, code, saturation_level(frames[None], frames[None, : code.fringe_frames]))
@@ -131,7 +134,9 @@ def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
 
 
 def _common(found: Mapping[str, CodeGuess]) -> CodeGuess:
-    """What both cameras say; SceneError where they say different things, for they saw one projector."""
+    """What the cameras say; SceneError where they say different things, for they saw one projector."""
+    if len(found) == 1:
+        return found["left"]
     left, right = found["left"], found["right"]
     same = left.direction == right.direction and left.lsb_first == right.lsb_first
     offsets = [np.array(one.code.phase_offsets_rad or (0.0,) * len(one.code.counts)) for one in (left, right)]
@@ -147,7 +152,7 @@ def _common(found: Mapping[str, CodeGuess]) -> CodeGuess:
 
 def _refuse_contradictions(model: SceneModel, folder: Path) -> None:
     code = model.fringe.code
-    for camera in CAMERAS:
+    for camera in model.frames.cameras:
         (paths,) = getattr(model.frames, camera)
         frames = _read([folder / path for path in model.fringe.ordered(paths)])[None]
         if not code.counts:
@@ -166,10 +171,10 @@ def _read(paths: Sequence[Path]) -> NDArray:
 
 
 def describe_scene(folder: Path, sheet: Path) -> list[str]:
-    """Decode both cameras, draw the contact sheet, and say what was decoded."""
+    """Decode the cameras, draw the contact sheet, and say what was decoded."""
     scene = load_scene(folder)
     views, lines = [], []
-    for camera in CAMERAS:
+    for camera in scene.headers:
         view = decode_phase(scene.frames(camera), scene.code, usual_size(scene.code), scene.exposures)
         decoded = float(np.isfinite(view.coordinate).mean())
         lines.append(

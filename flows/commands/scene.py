@@ -21,7 +21,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "a picture of what was understood. Frames that contradict each other are refused.",
     )
     new.add_argument("folder", type=Path, metavar="FOLDER")
-    new.add_argument("--pattern", required=True, help="such as '{camera}/f{count}_{step}.png', '{camera}_{frame}.bmp'")
+    new.add_argument(
+        "--pattern", required=True, help="such as '{camera}/f{count}_{step}.png'; of one camera without {camera}"
+    )
     new.add_argument("--gray-pattern", help="Gray code beside such fringes: '{camera}/g{bit}.png'")
     new.add_argument("--sequence", nargs="+", help="what {frame} runs through: fringes gray white black skip:N")
     new.add_argument("--left", metavar="NAME", help="what {camera} is of the left camera")
@@ -133,8 +135,8 @@ def run_guess(options: argparse.Namespace) -> int:
     from storage.scene import MANIFEST, load_manifest
 
     model = load_manifest(options.folder / MANIFEST)
-    paths = {
-        camera: [options.folder / path for path in getattr(model.frames, camera)[0]] for camera in ("left", "right")
+    paths: dict[str, list[Path]] = {
+        camera: [options.folder / path for path in getattr(model.frames, camera)[0]] for camera in model.frames.cameras
     }
     for line in guess_lines(guesses(model.fringe.code, paths)):
         print(line)

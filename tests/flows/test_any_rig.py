@@ -156,3 +156,19 @@ def test_a_rig_without_projector_inspects_by_commands(tmp_path: Path, capsys: py
     assert run("inspect", folder, "--rig", tmp_path / "small.json", "--store", tmp_path / "store") == 0
     said = capsys.readouterr()
     assert "no calibrated projector" in said.out + said.err
+
+
+def test_one_camera_and_its_projector_inspect_by_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_rig(replace(small_rig(), right=None), tmp_path / "small.json")
+    views = {"left": scan(FringeCode("x", 4, (7, 6, 5)))["left"]}
+    folder = save(tmp_path / "scan", views, [name.removeprefix("{camera}/") for name in COUNTS])
+    arguments = ("--pattern", "f{count}_{step}.png", "--counts", "7", "6", "5", "--captured-at", "2026-11-01T00:00:00Z")
+    assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
+    assert "the only camera, 12 frames" in capsys.readouterr().out
+    assert run("scene", "guess", folder) == 0
+    assert run("inspect", folder, "--rig", tmp_path / "small.json", "--store", tmp_path / "store") == 0
+    said = capsys.readouterr()
+    assert "nothing is seen twice" in said.out + said.err
+    save_rig(replace(small_rig(), projector=None), tmp_path / "cameras.json")
+    assert run("inspect", folder, "--rig", tmp_path / "cameras.json", "--store", tmp_path / "store") == 2
+    assert "found one camera to measure with" in capsys.readouterr().err
