@@ -30,9 +30,11 @@ def _states(folder: Path, options: argparse.Namespace) -> Iterator[tuple[str, Ca
     if options.pattern:
         shown = fringe_model(options)
         listed, _ = frames_by_name(argparse.Namespace(**vars(options) | {"folder": folder}), shown.code)
-        for camera, paths in listed.items():
-            stack = read_stack(paths, read_header(paths[0], SceneError), SceneError).frames
-            yield camera, check_capture(np.stack(shown.ordered(list(stack))), shown.code)
+        for camera, of in listed.items():
+            for number, paths in enumerate(of, start=1):
+                stack = read_stack(paths, read_header(paths[0], SceneError), SceneError).frames
+                several = f", exposure {number}" if len(of) > 1 else ""
+                yield f"{camera}{several}", check_capture(np.stack(shown.ordered(list(stack))), shown.code)
         return
     if not (folder / MANIFEST).is_file():
         raise SceneError(f"{folder}: found no {MANIFEST}, expected one, or the frames' names by --pattern")

@@ -1,6 +1,5 @@
 """flushline capture check: what cameras took, before it is measured."""
 
-
 from __future__ import annotations
 
 import argparse
