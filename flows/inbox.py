@@ -21,6 +21,7 @@ from flows.memory import share_heap
 from flows.workers import ProcessDied, worker_processes
 from metrology.errors import FlushlineError, RigError, SceneError, SpecError, StoreError, UsageError
 from metrology.kinds import KINDS
+from metrology.rig import Rig
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.archive.compaction import compact
@@ -29,7 +30,9 @@ from storage.documents import printable
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.review import ReviewLog
 from storage.rig import load_rig, rig_document
-from storage.scene import MANIFEST, SceneModel, digest_of_files, files_state, load_manifest
+from storage.scan_identity import files_state
+from storage.scene import MANIFEST
+from storage.scene_folder import SceneDocument, load_any_manifest
 from tasks import steps
 from tasks.settings import load_settings
 
@@ -88,7 +91,7 @@ class _Look:
         self._job, self._store = job, store
         self._config_hash, self._rig_hash = _config_hashes(job, store), _rig_hashes(job, store)
         self._known, self._signed = store.known_scenes(), ReviewLog(job.store).sign_offs().sign_offs()
-        self._ready: dict[str, tuple[Path, SceneModel]] = {}
+        self._ready: dict[str, tuple[Path, SceneDocument]] = {}
 
     def at(self, folder: Path) -> Outcome | None:
         """What becomes of a folder without inspecting it; None where it is to be inspected."""
@@ -96,21 +99,22 @@ class _Look:
             return Outcome(folder, "copying")
         if problem := name_problem(self._job.inbox, folder):
             return put_aside(self._job.inbox, folder, problem, None)
-        manifest = load_manifest(folder / MANIFEST)
+        manifest = load_any_manifest(folder / MANIFEST)
         try:
             return self._at_scene(folder, manifest)
         except (SceneError, RigError) as problem:
             return put_aside(self._job.inbox, folder, str(problem), manifest.key.scene_id)
 
-    def _at_scene(self, folder: Path, manifest: SceneModel) -> Outcome | None:
+    def _at_scene(self, folder: Path, manifest: SceneDocument) -> Outcome | None:
         key = manifest.key
         scene_id = key.scene_id
-        if self._job.rig is None and not self._store.has_rig(manifest.rig):
+        own = manifest.own_rig(folder)
+        if self._job.rig is None and own is None and not self._store.has_rig(manifest.rig):
             return Outcome(folder, "waiting", scene_id, f"rig {manifest.rig!r} is not in the store")
         if known := self._known.get(scene_id):
-            if known.frames_digest and known.files_state != files_state(folder / MANIFEST, manifest):
-                known.refuse_other(scene_id, digest_of_files(folder / MANIFEST, manifest), folder)
-            wanted = self._config_hash(key.panel), self._rig_hash(manifest.rig)
+            if known.frames_digest and known.files_state != files_state(folder, [MANIFEST, *manifest.files]):
+                known.refuse_other(scene_id, manifest.digest(folder), folder)
+            wanted = self._config_hash(key.panel), self._rig_hash(manifest.rig, own)
             if (known.config_hash, known.rig_hash) == wanted:
                 return Outcome(folder, "known", scene_id)
         if entry := self._signed.get(scene_id):
@@ -120,12 +124,12 @@ class _Look:
             return Outcome(folder, "known", scene_id)
         return None
 
-    def _is_ready_elsewhere(self, folder: Path, manifest: SceneModel) -> bool:
+    def _is_ready_elsewhere(self, folder: Path, manifest: SceneDocument) -> bool:
         """Whether the same scan lies in another folder that is to be inspected in this run."""
         first = self._ready.setdefault(manifest.key.scene_id, (folder, manifest))
         if first[0] == folder:
             return False
-        here, there = (digest_of_files(place / MANIFEST, model) for place, model in (first, (folder, manifest)))
+        here, there = (model.digest(place) for place, model in (first, (folder, manifest)))
         return here == there  # another scan is put aside when the first one is stored
 
 
@@ -136,7 +140,7 @@ def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
     store = Store(job.store)
     scene_id = None
     try:
-        scene_id = load_manifest(folder / MANIFEST).key.scene_id
+        scene_id = load_any_manifest(folder / MANIFEST).key.scene_id
         inspected = inspect_scene(
             Job(folder, store, job.rig, load_settings(job.settings), load_panel_spec(job.panel_spec))
         )
@@ -213,9 +217,9 @@ def _config_hashes(job: InboxJob, store: Store) -> Callable[[str], str]:
     return of_panel
 
 
-def _rig_hashes(job: InboxJob, store: Store) -> Callable[[str], str]:
+def _rig_hashes(job: InboxJob, store: Store) -> Callable[[str, Rig | None], str]:
     @cache
     def of_rig(rig_id: str) -> str:
         return document_hash(rig_document(load_rig(job.rig) if job.rig else store.find_rig(rig_id)))
 
-    return of_rig
+    return lambda rig_id, own: document_hash(rig_document(own)) if own and not job.rig else of_rig(rig_id)

@@ -8,8 +8,9 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from metrology.errors import RigError
 from metrology.noise import NoiseModel
-from metrology.rig import Rig
+from metrology.rig import Device, Rig
 
 Float32 = NDArray[np.float32]
 
@@ -69,7 +70,9 @@ class Reconstruction:
     Attributes
     ----------
     rig : Rig
-    left, right : DecodedView
+    left : DecodedView
+    right : DecodedView or None
+        None where there is but one camera.
     points : (h, w, 3) float32
         Rig frame, mm; NaN where none.
     sigma_z : (h, w) float32
@@ -83,11 +86,23 @@ class Reconstruction:
 
     rig: Rig
     left: DecodedView
-    right: DecodedView
+    right: DecodedView | None
     points: Float32
     sigma_z: Float32
     flags: NDArray[np.uint16]
     frames_digest: str | None = None
+
+    def with_right(self) -> DecodedView:
+        """The right view; RigError where there is none."""
+        if self.right is None:
+            raise RigError(f"rig {self.rig.id!r}: found one camera, expected two")
+        return self.right
+
+    @property
+    def cameras(self) -> dict[str, tuple[Device, DecodedView]]:
+        """The cameras that there are, of left and right, each with what it saw."""
+        views = {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
+        return {name: (device, views[name]) for name, device in self.rig.cameras.items()}
 
     @property
     def valid(self) -> NDArray[np.bool_]:

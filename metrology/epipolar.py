@@ -77,10 +77,10 @@ def check_axis(rig: Rig, axis: Axis) -> None:
     middle = _middle_of_view(rig)
     step = 1e-3 * middle[2]
     steps = np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]])
-    right = rig.right.project(middle + steps)
+    right = rig.with_right().project(middle + steps)
     coordinate = rig.projector.project(middle + steps)[:, 0 if axis == "x" else 1]
     gradient = np.linalg.solve(right[1:] - right[0], coordinate[1:] - coordinate[0])
-    along = rig.right.project(np.stack([middle, middle * (1 + 1e-4)]))
+    along = rig.with_right().project(np.stack([middle, middle * (1 + 1e-4)]))
     direction = (along[1] - along[0]) / np.linalg.norm(along[1] - along[0])
     share = abs(gradient @ direction) / np.linalg.norm(gradient)
     if share < _LEAST_SHARE_ALONG:
@@ -93,9 +93,10 @@ def check_axis(rig: Rig, axis: Axis) -> None:
 
 def _middle_of_view(rig: Rig) -> NDArray[np.float64]:
     """(3,) point where the cameras' middle rays come closest; ten baselines ahead where they do not converge."""
-    baseline = rig.right.centre
+    baseline = rig.with_right().centre
     rays = [
-        device.rays(np.array([(device.width - 1) / 2, (device.height - 1) / 2])) for device in (rig.left, rig.right)
+        device.rays(np.array([(device.width - 1) / 2, (device.height - 1) / 2]))
+        for device in (rig.left, rig.with_right())
     ]
     design = np.column_stack([rays[0], -rays[1]])
     distances = np.linalg.lstsq(design, baseline, rcond=None)[0]
@@ -105,7 +106,7 @@ def _middle_of_view(rig: Rig) -> NDArray[np.float64]:
 
 def epipolar_geometry(rig: Rig) -> EpipolarGeometry:
     """Maps of a rig; kept for the last few rigs, since they depend on nothing else."""
-    key = tuple(_bytes(device) for device in (rig.left, rig.right))
+    key = tuple(_bytes(device) for device in (rig.left, rig.with_right()))
     return _geometry(key, _Hidden(rig))
 
 
@@ -130,27 +131,27 @@ def _bytes(device: Device) -> bytes:
 @lru_cache(maxsize=2)
 def _geometry(key: tuple[bytes, ...], hidden: _Hidden) -> EpipolarGeometry:
     rig = hidden.rig
-    baseline = rig.right.centre / np.linalg.norm(rig.right.centre)
+    baseline = rig.with_right().centre / np.linalg.norm(rig.with_right().centre)
     # The plane's angle about the baseline is measured from the mean viewing direction.
-    view = rig.left.R[2] + rig.right.R[2]
+    view = rig.left.R[2] + rig.with_right().R[2]
     forward = view - (view @ baseline) * baseline
     forward /= np.linalg.norm(forward)
     across = np.cross(forward, baseline)
     focal = float(np.mean([rig.left.K[0, 0], rig.left.K[1, 1]]))
     left_xy, left_row = _maps(rig.left, across, forward, focal)
-    right_xy, right_row = _maps(rig.right, across, forward, focal)
+    right_xy, right_row = _maps(rig.with_right(), across, forward, focal)
     lowest = min(left_row.min(), right_row.min())
     rows = int(np.ceil(max(left_row.max(), right_row.max()) - lowest)) + 1
-    middle = np.array([(rig.right.width - 1) / 2, (rig.right.height - 1) / 2])
-    ray = rig.right.rays(middle)
-    ahead = rig.right.centre + ray * np.linalg.norm(rig.right.centre)
-    shift = np.diff(rig.right.project(np.stack([ahead, ahead + 1e-3 * baseline])), axis=0)[0]
+    middle = np.array([(rig.with_right().width - 1) / 2, (rig.with_right().height - 1) / 2])
+    ray = rig.with_right().rays(middle)
+    ahead = rig.with_right().centre + ray * np.linalg.norm(rig.with_right().centre)
+    shift = np.diff(rig.with_right().project(np.stack([ahead, ahead + 1e-3 * baseline])), axis=0)[0]
     return EpipolarGeometry(
         left=EpipolarMaps(left_xy, (left_row - lowest).astype(np.float32)),
         right=EpipolarMaps(right_xy, (right_row - lowest).astype(np.float32)),
         rows=rows,
-        R=rig.right.R,
-        t=rig.right.t,
+        R=rig.with_right().R,
+        t=rig.with_right().t,
         along=shift / np.linalg.norm(shift),
     )
 

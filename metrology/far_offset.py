@@ -72,11 +72,11 @@ def measure_far_offsets(reconstruction: Reconstruction) -> TextureOffsets:
     TextureOffsets
         Only blocks with texture enough to be found in one place alone.
     """
-    grid = _grid(reconstruction.left, reconstruction.right)
+    grid = _grid(reconstruction.left, reconstruction.with_right())
     if grid is None:
         return _none()
     left, filled = _lay_out(reconstruction.left, grid)
-    right, seen = _lay_out(reconstruction.right, grid)
+    right, seen = _lay_out(reconstruction.with_right(), grid)
     expected, pixels = _expected_rows(reconstruction, grid, left.shape)
     centres, across = [], []
     for top in range(0, left.shape[0] - _BLOCK + 1, _BLOCK):
@@ -137,7 +137,7 @@ def _expected_rows(reconstruction: Reconstruction, grid: _Grid, shape: tuple[int
     step = 2 * _BIN_PX
     points = reconstruction.points[::step, ::step]
     v, u = (step * i for i in np.nonzero(np.isfinite(points[..., 2])))
-    right = reconstruction.rig.right.project(reconstruction.points[v, u])
+    right = reconstruction.rig.with_right().project(reconstruction.points[v, u])
     across, row = (right[:, 1] - v, v) if grid.upright else (right[:, 0] - u, u)
     column = np.floor((reconstruction.left.coordinate[v, u] - grid.lowest) / grid.step).astype(np.int64)
     inside = (column >= 0) & (column < grid.columns)

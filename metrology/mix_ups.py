@@ -85,8 +85,11 @@ def find_mix_up(
     settings : HealthSettings, optional
     """
     settings = settings or HealthSettings()
-    scan = _Scan(reconstruction.left, reconstruction.right, reconstruction.rig)
-    limit = min(_misfit(scan, axis, settings) / _CLOSER, _MOST_OFF_PX)
+    scan = _Scan(reconstruction.left, reconstruction.with_right(), reconstruction.rig)
+    misfit = _misfit(scan, axis, settings)
+    if scan.rig.projector is None and not np.isfinite(misfit) and _matched(reconstruction):
+        return None  # nothing tells that the frames do not fit: of two cameras exchanged and mirrored ones do as well
+    limit = min(misfit / _CLOSER, _MOST_OFF_PX)
     for hypotheses in (_exchanges_and_turns(), _undistortions()):
         found: list[tuple[float, _Hypothesis]] = []
         for hypothesis in hypotheses:
@@ -104,8 +107,7 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     too few to tell.
     """
     reconstruction = triangulate(_thinned(scan.left, _EVERY), _thinned(scan.right, _EVERY), _thinned_rig(scan.rig))
-    decoded = min(float(np.isfinite(view.coordinate).mean()) for view in (scan.left, scan.right))
-    if reconstruction.valid.mean() < _LEAST_MATCHED * decoded:
+    if not _matched(reconstruction):
         return np.inf
     if scan.rig.projector is None:
         drift = epipolar_health(reconstruction, (), axis, settings).epipolar_drift_px
@@ -114,10 +116,19 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     return np.inf if rms is None else rms
 
 
+def _matched(reconstruction: Reconstruction) -> bool:
+    """Whether most of what both cameras decoded found its counterpart."""
+    views = (reconstruction.left, reconstruction.with_right())
+    decoded = min(float(np.isfinite(view.coordinate).mean()) for view in views)
+    return bool(reconstruction.valid.mean() >= _LEAST_MATCHED * decoded)
+
+
 def _fits(scan: _Scan, axis: Axis, settings: HealthSettings) -> bool:
     """Whether texture bears out what the third view says; a rig that has drifted a little may still be mixed up."""
     reconstruction = triangulate(_thinned(scan.left, 1), _thinned(scan.right, 1), scan.rig)
     health = epipolar_health(reconstruction, (), axis, settings)
+    if scan.rig.projector is None and health.epipolar_drift_px is None:
+        return False
     return max(health.projector_rms_px or 0.0, health.epipolar_drift_px or 0.0) <= _MOST_OFF_PX
 
 
@@ -174,7 +185,7 @@ def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan
 
     def undo(scan: _Scan, _: int) -> _Scan:
         left = plain(scan.rig.left) if "left" in names else scan.rig.left
-        right = plain(scan.rig.right) if "right" in names else scan.rig.right
+        right = plain(scan.rig.with_right()) if "right" in names else scan.rig.with_right()
         return replace(scan, rig=replace(scan.rig, left=left, right=right))
 
     return undo
@@ -213,7 +224,7 @@ def _thinned(view: DecodedView, every: int) -> DecodedView:
 
 
 def _thinned_rig(rig: Rig) -> Rig:
-    return replace(rig, left=_thinned_device(rig.left), right=_thinned_device(rig.right))
+    return replace(rig, left=_thinned_device(rig.left), right=_thinned_device(rig.with_right()))
 
 
 def _thinned_device(device: Device) -> Device:
@@ -224,5 +235,5 @@ def _thinned_device(device: Device) -> Device:
 
 
 def _sizes_fit(scan: _Scan) -> bool:
-    pairs = ((scan.left, scan.rig.left), (scan.right, scan.rig.right))
+    pairs = ((scan.left, scan.rig.left), (scan.right, scan.rig.with_right()))
     return all(view.coordinate.shape == (device.height, device.width) for view, device in pairs)

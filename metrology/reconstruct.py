@@ -101,7 +101,7 @@ def triangulate(
         Where the views are not of the size of the rig's cameras.
     """
     settings = settings or ReconstructionSettings()
-    for name, view, device in (("left", left, rig.left), ("right", right, rig.right)):
+    for name, view, device in (("left", left, rig.left), ("right", right, rig.with_right())):
         _check_size(name, view, device)
     points, sigma_z, flags = match(left, right, rig, settings)
     return Reconstruction(rig=rig, left=left, right=right, points=points, sigma_z=sigma_z, flags=flags)

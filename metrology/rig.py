@@ -1,4 +1,4 @@
-"""The rig: two cameras and mostly a projector as pinhole devices with lens distortion, in the left camera's frame.
+"""The rig: one or two cameras and mostly a projector, pinhole devices with distortion in the left camera's frame.
 
 Frame: the left camera's, millimetres, x right, y down, z forward; `x_dev = R x_left + t`. Pixels are raw (distorted)
 with centres at integers, as in OpenCV.
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 # Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
 MAX_DISTORTION_TERMS = 8
+# Keys of a rig's `extra`: whose projector was taken over, and how one was fitted to scans.
+PROJECTOR_OF, PROJECTOR_FIT = "projector_of", "projector_fit"
 _LARGEST = 1e12  # beyond any pixel or millimetre, and far from overflowing
 _ROTATION_TOLERANCE = 1.1e-5
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
@@ -144,14 +146,15 @@ class Device:
 class Rig:
     """Two cameras and a projector with the id of the calibration they came from.
 
-    The projector is None where it is not calibrated: two cameras measure without it. `extra` holds what else a rig file
-    said (residuals, covariance …), untouched.
+    The projector is None where it is not calibrated: two cameras measure without it. The right camera is None where
+    there is but one: it measures with the projector, or another scanner's cloud lies on its pixels. `extra` holds what
+    else a rig file said (residuals, covariance …), untouched.
     """
 
     id: str
     calibrated_at: str
     left: Device
-    right: Device
+    right: Device | None = None
     projector: Device | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
@@ -160,8 +163,14 @@ class Rig:
             raise RigError(
                 "left camera: found a pose of its own, expected identity (the rig frame is the left camera's)"
             )
-        if np.linalg.norm(self.right.centre) < 1e-6:
+        if self.right is not None and np.linalg.norm(self.right.centre) < 1e-6:
             raise RigError("right camera: found no baseline to the left one, expected different centres")
+
+    def with_right(self) -> Device:
+        """The right camera; RigError where there is none."""
+        if self.right is None:
+            raise RigError(f"rig {self.id!r}: found one camera, expected two")
+        return self.right
 
     def with_projector(self) -> Device:
         """The projector; RigError where none is calibrated."""
@@ -170,7 +179,18 @@ class Rig:
         return self.projector
 
     @property
+    def screen(self) -> Device | None:
+        """The projector where both its columns and its rows are calibrated: marks can be drawn for it."""
+        fit = self.extra.get(PROJECTOR_FIT)
+        return None if isinstance(fit, Mapping) and fit.get("assumed") else self.projector
+
+    @property
+    def cameras(self) -> dict[str, Device]:
+        """The cameras that there are, of left and right, in this order."""
+        return {name: device for name, device in self.devices.items() if name != "projector"}
+
+    @property
     def devices(self) -> dict[str, Device]:
-        """The devices that there are: left, right and, where it is calibrated, projector."""
-        devices = {"left": self.left, "right": self.right}
-        return devices if self.projector is None else devices | {"projector": self.projector}
+        """The devices that there are, of left, right and projector, in this order."""
+        devices = {"left": self.left, "right": self.right, "projector": self.projector}
+        return {name: device for name, device in devices.items() if device is not None}

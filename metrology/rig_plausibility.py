@@ -69,10 +69,11 @@ def _misplaced(rig: Rig) -> _Misplaced | None:
 
 def _distance(rig: Rig) -> _Misplaced | None:
     """Devices that stand within each other, or farther apart than any frame is long."""
-    pairs: list[tuple[Moving, Device, Device, str]] = [("right", rig.right, rig.left, "left camera")]
+    pairs: list[tuple[Moving, Device, Device, str]] = []
+    if rig.right:
+        pairs += [("right", rig.right, rig.left, "left camera")]
     if rig.projector:
-        pairs += [("projector", rig.projector, rig.left, "left camera")]
-        pairs += [("projector", rig.projector, rig.right, "right camera")]
+        pairs += [("projector", rig.projector, camera, f"{name} camera") for name, camera in rig.cameras.items()]
     for name, device, other, named in pairs:
         apart = float(np.linalg.norm(device.centre - other.centre))
         if not LEAST_APART_MM <= apart <= LARGEST_APART_MM:
@@ -88,13 +89,18 @@ def stands_left(right: Device) -> bool:
 
 
 def _shared_field(rig: Rig) -> _Misplaced | None:
-    """Cameras that look apart, or meet where no scan is taken; a projector that lights another place."""
-    distances = np.sort(np.append(_DISTANCES_MM, _crossing(rig.left, rig.right)))
-    seen = _sees(rig.right, rig.left, distances)
+    """Devices that look apart, or meet where no scan is taken; a projector that lights another place."""
+    name: Moving = "right" if rig.right else "projector"
+    second = rig.right or rig.projector
+    if second is None:
+        return None
+    distances = np.sort(np.append(_DISTANCES_MM, _crossing(rig.left, second)))
+    seen = _sees(second, rig.left, distances)
     shared = seen.mean(1)
     if shared.max() < _LEAST_SHARED:
-        found = f"cameras that look apart: it sees {shared.max():.0%} of the left camera's field at best"
-        return _Misplaced("right", found, "both to see the same place (R and t)")
+        what = "cameras that look apart: it sees" if rig.right else "it lighting"
+        found = f"{what} {shared.max():.0%} of the left camera's field at best"
+        return _Misplaced(name, found, "both to see the same place (R and t)")
     crossing = shared[-1] < _OPEN * shared.max()
     fitting = shared >= (_NEAR_BEST if crossing else _OPEN) * shared.max()
     per_px = distances / np.sqrt(rig.left.K[0, 0] * rig.left.K[1, 1])
@@ -103,12 +109,12 @@ def _shared_field(rig: Rig) -> _Misplaced | None:
     if not (fitting & usual).any():
         best = int(np.argmax(shared))
         return _Misplaced(
-            "right",
+            name,
             f"fields of view that meet {distances[best]:.0f} mm away at {per_px[best]:.2g} mm a pixel",
             f"{LEAST_WORKING_MM:g} to {LARGEST_WORKING_MM:g} mm and {LEAST_MM_PER_PX:g} to {LARGEST_MM_PER_PX:g} mm a "
             "pixel",
         )
-    if rig.projector is None:
+    if rig.projector is None or rig.right is None:
         return None
     lit = (seen & _sees(rig.projector, rig.left, distances)).mean(1)[fitting & usual] / shared[fitting & usual]
     if lit.max() < _LEAST_LIT:
@@ -117,11 +123,11 @@ def _shared_field(rig: Rig) -> _Misplaced | None:
     return None
 
 
-def _crossing(left: Device, right: Device) -> Array:
+def _crossing(left: Device, second: Device) -> Array:
     """Distances at which the middles of two images come nearest to each other: narrow fields cross only here."""
-    middle = [(device.width / 2, device.height / 2) for device in (left, right)]
-    a, b = left.rays(middle[0]), right.rays(middle[1])
-    along = float(np.linalg.lstsq(np.stack([a, -b], axis=1), right.centre, rcond=None)[0][0]) * a[2]
+    middle = [(device.width / 2, device.height / 2) for device in (left, second)]
+    a, b = left.rays(middle[0]), second.rays(middle[1])
+    along = float(np.linalg.lstsq(np.stack([a, -b], axis=1), second.centre, rcond=None)[0][0]) * a[2]
     return along * np.array([0.97, 1.0, 1.03]) if np.isfinite(along) and along > 0 else np.empty(0)
 
 

@@ -69,7 +69,7 @@ def match(
     planes = window.planes(right, settings.threads)
     grid = (np.float32(lowest), np.float32(1 / bin_size))
     limits = (float(settings.min_slope), *(float(z) for z in settings.depth_range_mm))
-    camera = (rig.right.K, rig.right.distortion8, geometry.R, geometry.t)
+    camera = (rig.with_right().K, rig.with_right().distortion8, geometry.R, geometry.t)
     views = (left.coordinate, left.sigma, left.flags, right.coordinate, right.sigma, right.flags)
     maps = (geometry.left.xy, geometry.left.row, geometry.right.xy, geometry.right.row)
 

@@ -62,7 +62,7 @@ def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) 
         Left pixels; those without enough texture or points are left out.
     """
     left = _smooth(reconstruction.left.texture)
-    right = _smooth(reconstruction.right.texture)
+    right = _smooth(reconstruction.with_right().texture)
     height, width = left.shape
     margin = _HALF_PX + 1
     u, v = centres.T
@@ -146,7 +146,7 @@ def _right_geometry(
     centres, points, valid = centres[enough], points[enough], valid[enough]
     if len(centres) == 0:
         return centres, np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2))
-    seen = rig.right.project(np.where(valid[..., None], points, [0.0, 0.0, 1.0]))
+    seen = rig.with_right().project(np.where(valid[..., None], points, [0.0, 0.0, 1.0]))
     design = np.column_stack([np.ones(len(offset)), offset])
     weighted = design[None] * valid[..., None]
     normal = np.einsum("nki,nkj->nij", weighted, weighted)
@@ -154,14 +154,14 @@ def _right_geometry(
     off = np.where(valid[..., None], seen - design @ solution, 0.0)
     rms = np.sqrt((off**2).sum((1, 2)) / valid.sum(1))
     origin, matrix = solution[:, 0], np.swapaxes(solution[:, 1:], 1, 2)
-    inside = rig.right.inside(origin)
+    inside = rig.with_right().inside(origin)
     keep = (rms < _AFFINE_RMS_PX) & inside & (np.linalg.det(matrix) > 0)
     depth = np.nanmean(np.where(valid, points[..., 2], np.nan), axis=1)
     return (
         centres[keep],
         origin[keep],
         matrix[keep],
-        epipolar_directions(rig.left, rig.right, centres[keep], depth[keep]),
+        epipolar_directions(rig.left, rig.with_right(), centres[keep], depth[keep]),
     )
 
 

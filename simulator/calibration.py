@@ -146,7 +146,7 @@ def board_poses(rig: Rig, board: PrintedBoard, settings: CaptureSettings, rng: n
         offset = facing @ np.array([*rng.uniform(-55, 55, 2), rng.uniform(-1, 1) * settings.depth_mm])
         pose = Pose(turned, aim + offset - turned @ board.middle_mm)
         points = pose.to_rig(corners + board.middle_mm)
-        if all(d.inside(d.project(points)).all() for d in (rig.left, rig.right)) and _enough_light(rig, points):
+        if all(d.inside(d.project(points)).all() for d in (rig.left, rig.with_right())) and _enough_light(rig, points):
             poses.append(pose)
             if len(poses) == settings.poses:
                 return poses

@@ -120,7 +120,7 @@ def warmed(rig: Rig, kelvin: float, expansion_per_k: float = 23e-6) -> Rig:
     grow = 1 + expansion_per_k * kelvin
     return replace(
         rig,
-        right=replace(rig.right, t=rig.right.t * grow),
+        right=replace(rig.with_right(), t=rig.with_right().t * grow),
         projector=replace(rig.with_projector(), t=rig.with_projector().t * grow),
     )
 
@@ -144,12 +144,12 @@ def aim_frame(rig: Rig) -> tuple[Floats, Floats]:
     R, t : (3, 3), (3,)
         Panel frame (x right, y up, z towards the rig) to rig frame.
     """
-    a, b = rig.left.R[2], rig.right.R[2]
-    gap = rig.right.centre - rig.left.centre
+    a, b = rig.left.R[2], rig.with_right().R[2]
+    gap = rig.with_right().centre - rig.left.centre
     # Feet of the common perpendicular of the two optical axes.
     s, u = np.linalg.lstsq(np.stack([a, -b], axis=1), gap, rcond=None)[0]
-    aim = 0.5 * (rig.left.centre + s * a + rig.right.centre + u * b)
-    z = 0.5 * (rig.left.centre + rig.right.centre) - aim
+    aim = 0.5 * (rig.left.centre + s * a + rig.with_right().centre + u * b)
+    z = 0.5 * (rig.left.centre + rig.with_right().centre) - aim
     z /= np.linalg.norm(z)
     x = gap - (gap @ z) * z
     x /= np.linalg.norm(x)

@@ -164,13 +164,13 @@ def truth(panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> Truth:
 
 def _in_all_fields(rig: Rig, points: Floats) -> NDArray[np.bool_]:
     """Whether rig-frame points are in both images and the projector's field."""
-    devices = (rig.left, rig.right, rig.with_projector())
+    devices = (rig.left, rig.with_right(), rig.with_projector())
     return np.logical_and.reduce([d.inside(d.project(points)) for d in devices])
 
 
 def _unhidden(relief: Relief, rig: Rig, pose: Pose, points: Floats) -> NDArray[np.bool_]:
     """Whether panel-frame points are seen by both cameras and lit by the projector."""
-    eyes = [pose.to_panel(d.centre) for d in (rig.left, rig.right, rig.with_projector())]
+    eyes = [pose.to_panel(d.centre) for d in (rig.left, rig.with_right(), rig.with_projector())]
     return np.logical_and.reduce([seen(relief, points, eye) for eye in eyes])
 
 

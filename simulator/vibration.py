@@ -35,7 +35,7 @@ class Sway:
 
 def sway_of(rig: Rig, side: str, pose: Pose, axis: str) -> Sway:
     """The sway of one camera's view, the pattern varying along the projector's `axis`."""
-    camera = rig.left if side == "left" else rig.right
+    camera = rig.left if side == "left" else rig.with_right()
     aim = aim_frame(rig)[1]
     h = 1e-3
     image = np.array([(camera.project(aim + h * e) - camera.project(aim - h * e)) / (2 * h) for e in pose.R.T])

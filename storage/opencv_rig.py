@@ -77,9 +77,7 @@ def load_opencv_rig(
     try:
         scale, size = _mm_per_unit(unit, found), size or stated or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
-        if alone:
-            raise RigError("found one camera and a projector, expected two cameras")
-        right = _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
+        right = None if alone else _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
         rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)
         check_rig(rig)
         return rig
@@ -94,10 +92,11 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
     if path.suffix.lower() not in (".xml", ".yml", ".yaml", ".json"):
         raise RigError(f"{path}: found the ending {path.suffix!r}, expected .xml, .yml, .yaml or .json")
     path.parent.mkdir(parents=True, exist_ok=True)
+    right = rig.with_right()
     values: dict[str, Array] = {
         "size": np.array([[rig.left.width, rig.left.height]], float),
-        "R": rig.right.R,
-        "T": rig.right.t[:, None],
+        "R": right.R,
+        "T": right.t[:, None],
     }
     if rig.projector:
         values |= {
@@ -105,7 +104,7 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
             "R3": rig.projector.R,
             "T3": rig.projector.t[:, None],
         }
-    if (rig.right.width, rig.right.height) != (rig.left.width, rig.left.height):
+    if (right.width, right.height) != (rig.left.width, rig.left.height):
         raise RigError(f"{path}: found cameras of two image sizes, expected one: OpenCV's stereo files have but one")
     for number, device in enumerate(rig.devices.values(), start=1):
         values[f"M{number}"] = device.K

@@ -25,7 +25,7 @@ def write_point_cloud(path: Path, cloud: StoredCloud, texture: NDArray[np.uint8]
     int
         Number of points written.
     """
-    open3d = _open3d()
+    open3d = load_open3d()
     valid = np.isfinite(cloud.points[..., 2])
     points = open3d.t.geometry.PointCloud(cloud.points[valid])
     points.point.colors = np.repeat(texture[valid][:, None], 3, axis=1)
@@ -34,7 +34,8 @@ def write_point_cloud(path: Path, cloud: StoredCloud, texture: NDArray[np.uint8]
     return int(valid.sum())
 
 
-def _open3d() -> ModuleType:
+def load_open3d() -> ModuleType:
+    """Open3D with the libusb that it needs."""
     import libusb_package
 
     library = libusb_package.get_library_path()

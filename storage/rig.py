@@ -47,7 +47,7 @@ class CamerasModel(_OpenModel):
     """`cameras` of a rig file."""
 
     left: DeviceModel
-    right: DeviceModel
+    right: DeviceModel | None = None
 
 
 class RigModel(_OpenModel):
@@ -76,14 +76,13 @@ def rig_from_document(document: Mapping[str, Any], path: Path) -> Rig:
     """
     check_format(document, FORMAT, path, RigError)
     model = validate(RigModel, document, path, RigError)
-    devices = {"left": model.cameras.left, "right": model.cameras.right}
-    devices |= {"projector": model.projector} if model.projector else {}
+    said = {"left": model.cameras.left, "right": model.cameras.right, "projector": model.projector}
     try:
         return Rig(
             id=model.id,
             calibrated_at=utc_text(model.calibrated_at),
             extra=_unknown(model),
-            **{name: _device(name, device) for name, device in devices.items()},
+            **{name: _device(name, device) for name, device in said.items() if device},
         )
     except RigError as problem:
         raise RigError(f"{path}: {problem}") from None
@@ -96,7 +95,7 @@ def rig_document(rig: Rig) -> dict[str, Any]:
         "id": rig.id,
         "calibrated_at": rig.calibrated_at,
         "units": "mm",
-        "cameras": {"left": _device_document(rig.left), "right": _device_document(rig.right)},
+        "cameras": {name: _device_document(camera) for name, camera in rig.cameras.items()},
     }
     if rig.projector:
         document["projector"] = _device_document(rig.projector)

@@ -34,6 +34,11 @@ def frames_digest(code: FringeCode, exposures: Sequence[float], left: Sequence[i
     return _name([shown, [float(exposure) for exposure in exposures], list(left), list(right)])
 
 
+def cloud_digest(checksums: Sequence[int]) -> str:
+    """Names a cloud's files: picture, points, and σ where it is known."""
+    return _name(["cloud", list(checksums)])
+
+
 def files_state(folder: Path, names: Iterable[str]) -> str:
     """Names files as they lie on disk: by size, inode and time of the last change, which no copying tool sets back."""
     return _name([[name, *_status(folder / name)] for name in names])

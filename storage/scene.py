@@ -53,6 +53,7 @@ class GrayModel(StrictModel):
     inverse: bool = False
     references: bool = False
     first: Literal["msb", "lsb"] = "msb"
+    inverse_first: bool = False
     shift: float = 0.0
 
 
@@ -96,7 +97,8 @@ class FringeModel(StrictModel):
             per_bit = 2 if code.gray.inverse else 1
             bits = list(range(code.gray.bits))
             for bit in bits if self.gray and self.gray.first == "msb" else bits[::-1]:
-                order += [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+                pair = [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+                order += pair[::-1] if self.gray and self.gray.inverse_first else pair
             order += range(code.fringe_frames + code.gray.stripe_frames, code.frames)
         return tuple(frames[place] for place in order)
 
@@ -107,30 +109,61 @@ Exposures = Annotated[
 
 
 class FramesModel(StrictModel):
-    """`frames` of scene.json: paths per exposure, count-major, then step."""
+    """`frames` of scene.json: paths per exposure, count-major, then step; no right ones where there is one camera."""
 
     left: Exposures
-    right: Exposures
+    right: Exposures = ()
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras that there are, left first."""
+        return CAMERAS if self.right else CAMERAS[:1]
 
 
-class SceneModel(StrictModel):
-    """scene.json."""
+class ScanModel(StrictModel):
+    """What scene.json says of every kind of scan."""
 
-    format: Literal["flushline-scene/1"]
     aircraft_serial: Identifier
     panel: Identifier
     station: Identifier
     captured_at: UtcTime
     rig: Identifier
     operator: Line | None = None
-    fringe: FringeModel
-    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1, max_length=MAX_EXPOSURES)]
-    frames: FramesModel
 
     @property
     def key(self) -> SceneKey:
         """Which scene it is."""
         return SceneKey(self.aircraft_serial, self.panel, self.station, self.captured_at)
+
+
+class SceneModel(ScanModel):
+    """scene.json of fringe frames."""
+
+    format: Literal["flushline-scene/1"]
+    fringe: FringeModel
+    exposures: Annotated[tuple[PositiveNumber, ...], Field(min_length=1, max_length=MAX_EXPOSURES)]
+    frames: FramesModel
+
+    @property
+    def files(self) -> list[str]:
+        """The frames of both cameras."""
+        return [path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames]
+
+    def digest(self, folder: Path) -> str:
+        """The digest that an inspection would give, see `storage.scan_identity`; nothing is decoded."""
+        left, right = (
+            [
+                file_checksum(folder / path, SceneError)
+                for paths in getattr(self.frames, camera)
+                for path in self.fringe.ordered(paths)
+            ]
+            for camera in CAMERAS
+        )
+        return scan_identity.frames_digest(self.fringe.code, self.exposures, left, right)
+
+    def own_rig(self, folder: Path) -> Rig | None:
+        """None: the store has the rigs of frames."""
+        return None
 
     @model_validator(mode="after")
     def _frames_are_complete(self) -> SceneModel:
@@ -143,7 +176,7 @@ class SceneModel(StrictModel):
                 f"found exposures from {shortest:g} to {longest:g}, expected the longest at most {MAX_RATIO:,.0f} "
                 "times the shortest"
             )
-        for camera in CAMERAS:
+        for camera in self.frames.cameras:
             exposures = getattr(self.frames, camera)
             if len(exposures) != len(self.exposures):
                 raise ValueError(
@@ -156,7 +189,7 @@ class SceneModel(StrictModel):
                         f"({_told(code)}" + (f" + {code.gray.frames} of Gray code)" if code.gray else ")")
                     )
         seen: set[str] = set()
-        for path in (path for camera in CAMERAS for frames in getattr(self.frames, camera) for path in frames):
+        for path in self.files:
             if path in seen:
                 raise ValueError(f"found frame {path!r} listed more than once, expected each frame once")
             seen.add(path)
@@ -179,8 +212,10 @@ class Scene:
         Relative exposure times.
     left, right : tuple of Path
         Frames, exposure-major.
-    left_header, right_header : FrameHeader
+    left_header : FrameHeader
         What all frames of a camera have in common.
+    right_header : FrameHeader or None
+        None where there is one camera, which then has no frames in `right`.
     files_state : str or None
         Names the folder's files as they lay on disk when they were looked at (see `storage.scan_identity`).
     """
@@ -194,8 +229,22 @@ class Scene:
     left: tuple[Path, ...]
     right: tuple[Path, ...]
     left_header: FrameHeader
-    right_header: FrameHeader
+    right_header: FrameHeader | None
     files_state: str | None = None
+
+    @property
+    def headers(self) -> dict[Camera, FrameHeader]:
+        """Of the cameras that there are, left first."""
+        left: dict[Camera, FrameHeader] = {"left": self.left_header}
+        return left if self.right_header is None else left | {"right": self.right_header}
+
+    def own_rig(self) -> Rig | None:
+        """None: the store has the rigs of frames."""
+        return None
+
+    def used(self, rig: Rig) -> tuple[Camera, ...]:
+        """The cameras whose frames a rig measures with; one measures with the projector."""
+        return tuple(camera for camera in self.headers if camera in rig.cameras)
 
     def frames(self, camera: Camera, executor: Executor | None = None) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Decode one camera's frames.
@@ -209,7 +258,7 @@ class Scene:
 
     def read(self, camera: Camera, executor: Executor | None = None) -> FrameStack:
         """Decode one camera's frames, shaped as `frames` has them, with the checksums of their files."""
-        paths, header = (self.left, self.left_header) if camera == "left" else (self.right, self.right_header)
+        paths, header = getattr(self, camera), self.headers[camera]
         stack = read_stack(paths, header, SceneError, executor)
         shape = (len(self.exposures), self.code.frames, header.height, header.width)
         return FrameStack(stack.frames.reshape(shape), stack.checksums)
@@ -218,8 +267,14 @@ class Scene:
         """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
         if rig.projector:
             self._check_projector(rig.projector, rig.id)
-        for camera, header in (("left", self.left_header), ("right", self.right_header)):
-            device: Device = getattr(rig, camera)
+        used = self.used(rig)
+        if len(used) == 1 and rig.projector is None:
+            raise SceneError(
+                f"{self.folder / MANIFEST}: found one camera to measure with, expected the projector's calibration in "
+                f"rig {rig.id!r}, or a second camera in rig and scene"
+            )
+        for camera in used:
+            header, device = self.headers[camera], rig.cameras[camera]
             if (header.width, header.height) != (device.width, device.height):
                 raise SceneError(
                     f"{getattr(self, camera)[0]}: found {header.width}×{header.height} pixels, "
@@ -238,28 +293,33 @@ class Scene:
 
     def _likely_mix_up(self, rig: Rig) -> str:
         """What the frames' sizes tell of how they came not to fit a rig."""
-        found = [(header.width, header.height) for header in (self.left_header, self.right_header)]
-        wanted = [(device.width, device.height) for device in (rig.left, rig.right)]
+        found = [(header.width, header.height) for header in self.headers.values()]
+        wanted = [(device.width, device.height) for device in rig.cameras.values()]
         if found == wanted[::-1]:
             return "; they fit when left and right are exchanged"
-        turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=True))
+        turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=False))
         return "; they fit when turned by 90°" if turned else ""
 
 
 def load_scene(folder: Path) -> Scene:
     """Read a scene's manifest and look at every frame's header; nothing is decoded yet."""
     folder = Path(folder)
-    manifest = folder / MANIFEST
-    model = load_manifest(manifest)
+    return look_at(folder, load_manifest(folder / MANIFEST))
+
+
+def look_at(folder: Path, model: SceneModel) -> Scene:
+    """The scene of a manifest; every frame's header is looked at."""
     paths = {
         camera: tuple(
             folder / path for frames in getattr(model.frames, camera) for path in model.fringe.ordered(frames)
         )
         for camera in CAMERAS
     }
-    state = files_state(manifest, model)  # before anything is read: what changes from now on shows
-    left, right = (_common_header(paths[camera]) for camera in CAMERAS)
-    if left.bits != right.bits:
+    # Before anything is read: what changes from now on shows.
+    state = scan_identity.files_state(folder, [MANIFEST, *model.files])
+    left, right = (_common_header(paths[camera]) if paths[camera] else None for camera in CAMERAS)
+    assert left is not None
+    if right and left.bits != right.bits:
         raise SceneError(
             f"{paths['right'][0]}: found {right.bits} bit, expected {left.bits} as the left camera's frames have"
         )
@@ -279,7 +339,14 @@ def load_scene(folder: Path) -> Scene:
 
 
 def load_manifest(manifest: Path) -> SceneModel:
-    """scene.json, validated; the frames are not looked at."""
+    """scene.json of fringe frames, validated; the frames are not looked at."""
+    document = read_manifest(manifest)
+    check_format(document, FORMAT, manifest, SceneError)
+    return validate(SceneModel, document, manifest, SceneError)
+
+
+def read_manifest(manifest: Path) -> dict[str, Any]:
+    """scene.json of any kind."""
     folder = manifest.parent
     if not folder.is_dir():
         found = "a file" if folder.is_file() else "a link to nowhere" if folder.is_symlink() else "no such folder"
@@ -287,28 +354,7 @@ def load_manifest(manifest: Path) -> SceneModel:
     if not os.path.lexists(manifest):
         found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"
         raise SceneError(f"{folder}: found {found}, expected a scene folder")
-    document = read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
-    check_format(document, FORMAT, manifest, SceneError)
-    return validate(SceneModel, document, manifest, SceneError)
-
-
-def files_state(manifest: Path, model: SceneModel) -> str:
-    """Names the files of a scene folder as they lie on disk, see `storage.scan_identity`."""
-    frames = [path for camera in CAMERAS for frames in getattr(model.frames, camera) for path in frames]
-    return scan_identity.files_state(manifest.parent, [manifest.name, *frames])
-
-
-def digest_of_files(manifest: Path, model: SceneModel) -> str:
-    """The digest that an inspection of the folder would give, see `storage.scan_identity`; nothing is decoded."""
-    left, right = (
-        [
-            file_checksum(manifest.parent / path, SceneError)
-            for paths in getattr(model.frames, camera)
-            for path in model.fringe.ordered(paths)
-        ]
-        for camera in CAMERAS
-    )
-    return scan_identity.frames_digest(model.fringe.code, model.exposures, left, right)
+    return read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
 
 
 def write_scene(
@@ -318,7 +364,7 @@ def write_scene(
     code: FringeCode,
     exposures: Sequence[float],
     left: Frame,
-    right: Frame,
+    right: Frame | None,
     truth: dict[str, Any] | None = None,
     operator: str | None = None,
 ) -> None:
@@ -327,13 +373,15 @@ def write_scene(
     Parameters
     ----------
     left, right : (exposures, frames, h, w) ndarray of uint8 or uint16
+        No right ones where there is one camera.
     truth : dict, optional
         Written to truth.json beside it.
     """
+    stacks = {camera: stack for camera, stack in (("left", left), ("right", right)) if stack is not None}
     shown = [f"c{count}_s{step}" for count, step in zip(code.count_of, code.step_of, strict=True)]
     shown += [f"gray{k}" for k in range(code.gray.frames if code.gray else 0)]
     names: dict[str, list[list[str]]] = {
-        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in CAMERAS
+        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in stacks
     }
     fringe = fringe_document(code)
     document = {
@@ -351,7 +399,7 @@ def write_scene(
     manifest = folder / MANIFEST
     validate(SceneModel, document, manifest, SceneError)
     manifest.unlink(missing_ok=True)
-    for camera, stack in (("left", left), ("right", right)):
+    for camera, stack in stacks.items():
         (folder / camera).mkdir(parents=True, exist_ok=True)
         for exposure_names, frames in zip(names[camera], stack, strict=True):
             for name, frame in zip(exposure_names, frames, strict=True):

@@ -60,7 +60,7 @@ def unmatched(
     scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None
 ) -> FlushlineError | None:
     """What is to be said where both cameras see fringes and still hardly any pixel has its counterpart."""
-    left, right = (float(np.isfinite(view.coordinate).mean()) for view in (reconstruction.left, reconstruction.right))
+    left, right = (float(np.isfinite(view.coordinate).mean()) for _, view in reconstruction.cameras.values())
     matched = float(reconstruction.valid.mean())
     lost = (reconstruction.flags & (PixelFlag.UNMATCHED | PixelFlag.SLOPE)) != 0
     if matched >= _LEAST_MATCHED * min(left, right) or lost.mean() < matched:

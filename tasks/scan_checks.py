@@ -66,15 +66,15 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     def finer(rows: NDArray[np.int64]) -> FrameSample:
         return sample_frames(frames, scene.code, noise, rows)
 
-    device = rig.left if camera == "left" else rig.right
+    device = rig.cameras[camera]
     gradient = expected_gradient(device, rig.projector, scene.code.axis)
     return CheckedFrames(camera, sample, found, diagnose_frames(sample, found, finer, gradient))
 
 
-def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames, checks: SceneChecks) -> None:
+def refuse_wrong_frames(scene: Scene, views: Sequence[CheckedFrames], checks: SceneChecks) -> None:
     """Refuse a scan whose frames are not what it says, naming what they look like."""
-    _refuse_shared_pictures(scene, left, right)
-    views = (left, right)
+    if len(views) == 2:
+        _refuse_shared_pictures(scene, views[0], views[1])
     orders = [view.diagnosis.order for view in views if view.diagnosis and view.diagnosis.order]
     if orders:
         cameras = [view.camera for view in views if view.diagnosis and view.diagnosis.order]
@@ -116,7 +116,7 @@ def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames,
 def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
     """A warning for each camera in which fringes contradict each other in more than a sound scan's pixels."""
     warnings = []
-    for name, view in (("left", reconstruction.left), ("right", reconstruction.right)):
+    for name, (_, view) in reconstruction.cameras.items():
         share = contradictory_share(view.flags)
         if share > checks.contradictory_warning_fraction:
             warnings.append(

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
-from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
 from metrology.defects.row import Defect
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
 from metrology.fastening import Fasteners, detect_fasteners
 from metrology.inspection import InspectionResult
 from metrology.kinds import DEFECT, KINDS, RIVET, SEAM_STATION
+from metrology.one_camera import triangulate_one
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
 from metrology.registration import Registration
@@ -29,21 +30,25 @@ from metrology.registration.known import with_known_names
 from metrology.results import Features, Rivet, RivetDetection, SceneKey, SeamLine, SeamStation, of_type
 from metrology.rig import Rig
 from metrology.rig_health import RigHealth
+from metrology.scanned_cloud import ray_health
 from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.archive.bundle import encode as encode_files
 from storage.archive.known import KnownScene
 from storage.archive.known_defects import earlier_defects
 from storage.archive.signed import refuse_signed_off
-from storage.frames import FrameStack
+from storage.cloud_scene import CloudScene
+from storage.frames import FrameStack, file_checksum
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
 from storage.scan_identity import frames_digest
-from storage.scene import MANIFEST, Camera, Scene, load_scene
+from storage.scene import MANIFEST, Camera, Scene
+from storage.scene_folder import load_any_scene
 from tasks.clock import clock_warnings
+from tasks.cloud_scan import cloud_of
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
-from tasks.scan_checks import check_frames, contradiction_warnings, refuse_wrong_frames
+from tasks.scan_checks import CheckedFrames, check_frames, contradiction_warnings, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
 
 
@@ -53,14 +58,14 @@ class LoadedScene:
 
     Attributes
     ----------
-    scene : Scene
+    scene : Scene or CloudScene
     rig : Rig
     warnings : tuple of str
     known : KnownScene or None
         What the store has of the scene already.
     """
 
-    scene: Scene
+    scene: Scene | CloudScene
     rig: Rig
     warnings: tuple[str, ...] = ()
     known: KnownScene | None = None
@@ -69,13 +74,13 @@ class LoadedScene:
 def load(
     folder: Path, rig_path: Path | None, store: Store, evidence: VerificationSettings | None = None
 ) -> LoadedScene:
-    """Check a scene folder and find its rig: the file that is given, or else the one the scene names, in the store.
+    """Check a scene folder and find its rig: the file that is given, the folder's own, or the one that the store has.
 
     A scene that is signed off is refused: its result stays. `evidence` says what is asked of the rig's verification.
     """
-    scene = load_scene(folder)
+    scene = load_any_scene(folder)
     refuse_signed_off(store.root, scene.key.scene_id)
-    rig = load_rig(rig_path) if rig_path else store.find_rig(scene.rig_id)
+    rig = load_rig(rig_path) if rig_path else scene.own_rig() or store.find_rig(scene.rig_id)
     scene.check_fits(rig)
     known = store.known(scene.key)
     warnings = clock_warnings(scene.key, rig, known.first_stored_at if known else None)
@@ -87,30 +92,48 @@ def load(
 
 
 def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reconstruction:
-    """Frames to organised cloud; the right camera's frames are read while the left one's are decoded."""
-    scene, rig = loaded.scene, loaded.rig
-    reconstruct.check_axis(rig, scene.code.axis)
+    """The organised cloud: from frames, or another scanner's as it is."""
+    scene = loaded.scene
+    if isinstance(scene, CloudScene):
+        reconstruction = cloud_of(scene, loaded.rig, settings)
+        if loaded.known:
+            loaded.known.refuse_other(scene.key.scene_id, reconstruction.frames_digest, scene.folder)
+    else:
+        reconstruction = _from_frames(loaded, scene, settings)
+    _check_skin_is_seen(scene, reconstruction, settings.checks)
+    return reconstruction
+
+
+def _from_frames(loaded: LoadedScene, scene: Scene, settings: InspectionSettings) -> Reconstruction:
+    """Decode and match, or meet the projector's light; a camera's frames are read while another's are decoded."""
+    rig, used = loaded.rig, scene.used(loaded.rig)
+    if len(used) == 2:
+        reconstruct.check_axis(rig, scene.code.axis)
     size = reconstruct.coordinate_size(rig, scene.code)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
-        left_stack = _read(scene, "left", readers)
-        reading_right = right_reader.submit(_read, scene, "right", readers)
-        left = reconstruct.decode(left_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
-        left_checked = check_frames("left", left_stack.frames, left, scene, rig)
-        checksums = left_stack.checksums
-        del left_stack
-        right_stack = reading_right.result()
-        right = reconstruct.decode(right_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
-        right_checked = check_frames("right", right_stack.frames, right, scene, rig)
-    refuse_wrong_frames(scene, left_checked, right_checked, settings.checks)
-    digest = frames_digest(scene.code, scene.exposures, checksums, right_stack.checksums)
+    views: list[DecodedView] = []
+    checked: list[CheckedFrames] = []
+    checksums: dict[Camera, tuple[int, ...]] = {}
+    with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as reader:
+        reading = {camera: reader.submit(_read, scene, camera, readers) for camera in used}
+        for camera in used:
+            stack = reading.pop(camera).result()
+            views.append(reconstruct.decode(stack.frames, scene.code, size, scene.exposures, settings.reconstruction))
+            checked.append(check_frames(camera, stack.frames, views[-1], scene, rig))
+            checksums[camera] = stack.checksums
+            del stack
+    refuse_wrong_frames(scene, checked, settings.checks)
+    unread = tuple(file_checksum(path, SceneError) for path in scene.right if "right" not in checksums)
+    digest = frames_digest(scene.code, scene.exposures, checksums["left"], checksums.get("right", unread))
     if loaded.known:
         loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
-    del right_stack, reading_right
-    reconstruction = replace(reconstruct.triangulate(left, right, rig, settings.reconstruction), frames_digest=digest)
+    if len(views) == 1:
+        found = triangulate_one(views[0], replace(rig, right=None), scene.code, size, settings.reconstruction)
+        return replace(found, frames_digest=digest)
+    found = reconstruct.triangulate(views[0], views[1], rig, settings.reconstruction)
+    reconstruction = replace(found, frames_digest=digest)
     if problem := unmatched(scene, reconstruction, settings.rig_health):
         raise problem
-    _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
 
 
@@ -136,12 +159,18 @@ def check_rig(
     settings: InspectionSettings,
 ) -> RigHealth:
     """Judge by the scan itself whether the rig still fits; refuse one that does not, or frames that were mixed up."""
-    health = rig_health.epipolar_health(reconstruction, detections, loaded.scene.code.axis, settings.rig_health)
-    if doubtful(health) and (problem := mixed_up(loaded.scene, reconstruction, settings.rig_health)):
-        raise problem
+    scene = loaded.scene
+    if isinstance(scene, CloudScene):
+        health = ray_health(reconstruction)
+    elif reconstruction.right is None:
+        health = RigHealth(None, None, 0, None, 0, "unjudged", _ONE_CAMERA)
+    else:
+        health = rig_health.epipolar_health(reconstruction, detections, scene.code.axis, settings.rig_health)
+        if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings.rig_health)):
+            raise problem
     if health.verdict == "refused":
         raise RigError(
-            f"{loaded.scene.folder}: found that rig {loaded.rig.id!r} does not fit the scan ({health.reason}), "
+            f"{scene.folder}: found that rig {loaded.rig.id!r} does not fit the scan ({health.reason}), "
             "expected the rig that took it"
         )
     return health
@@ -231,8 +260,9 @@ def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:
 
 def doubts(reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]:
     """Why a scan may not become its station's pattern."""
-    flags = {"left": reconstruction.left.flags, "right": reconstruction.right.flags}
-    return registration.enrolment_doubts(flags, health.verdict)
+    flags = {name: view.flags for name, (_, view) in reconstruction.cameras.items()}
+    # Of one camera nothing ever tells whether its rig fits, so that a doubt of every scan is none of this one.
+    return registration.enrolment_doubts(flags, health.verdict if reconstruction.right else None)
 
 
 def judge(features: Features, spec: PanelSpecification) -> Features:
@@ -293,12 +323,7 @@ def assemble(
     ]
     if health.verdict in ("warning", "unjudged"):
         warnings.append(f"rig {loaded.rig.id}: {health.reason}")
-    if loaded.rig.projector is None:
-        warnings.append(
-            f"rig {loaded.rig.id} has no calibrated projector: the overlay is drawn over the left camera's picture, "
-            "gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be "
-            "noticed"
-        )
+    warnings += _what_is_missing(reconstruction.rig)
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
     elif spec.limits.panel != key.panel:
@@ -327,6 +352,27 @@ def assemble(
         pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
         files_state=loaded.scene.files_state,
     )
+
+
+def _what_is_missing(rig: Rig) -> list[str]:
+    """What a rig of fewer than three devices does without."""
+    missing = []
+    if rig.right is None:
+        missing.append(
+            f"rig {rig.id} has one camera: gaps' edges and heads' rims come from points and rings alone, and a glint "
+            "or a shadow may be taken for a head's rim"
+        )
+    if rig.projector is None:
+        missing.append(
+            f"rig {rig.id} has no calibrated projector: the overlay is drawn over the left camera's picture"
+            + ("" if rig.right is None else _WITHOUT_PROJECTOR)
+        )
+    elif rig.screen is None:
+        missing.append(
+            f"rig {rig.id} has a projector of which scans told the columns or the rows alone: the overlay is drawn "
+            "over the left camera's picture, gaps' edges and heads' rims come from points and rings alone"
+        )
+    return missing
 
 
 def _registration_document(registered: Registration) -> dict[str, object]:
@@ -374,7 +420,7 @@ def _versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
-def _check_skin_is_seen(scene: Scene, reconstruction: Reconstruction, checks: SceneChecks) -> None:
+def _check_skin_is_seen(scene: Scene | CloudScene, reconstruction: Reconstruction, checks: SceneChecks) -> None:
     valid = float(reconstruction.valid.mean())
     if valid >= checks.min_valid_fraction:
         return
@@ -392,10 +438,10 @@ def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[s
     # One pixel in sixteen gives the share to a thousandth.
     sampled = (slice(None, None, 4), slice(None, None, 4))
     left, right = reconstruction.flags[sampled], reconstruction.right
-    shares = {
-        "": _saturated_share(left, np.isfinite(reconstruction.points[*sampled, 2])),
-        " of the right camera": _saturated_share(right.flags[sampled], np.isfinite(right.coordinate[sampled])),
-    }
+    shares = {"": _saturated_share(left, np.isfinite(reconstruction.points[*sampled, 2]))}
+    if right:
+        seen = np.isfinite(right.coordinate[sampled])
+        shares[" of the right camera"] = _saturated_share(right.flags[sampled], seen)
     where, share = max(shares.items(), key=lambda item: item[1])
     if share <= checks.max_saturated_fraction:
         return []
@@ -412,6 +458,10 @@ def _saturated_share(flags: NDArray[np.uint16], measured: NDArray[np.bool_]) -> 
     return float(saturated[skin].mean()) if skin.any() else 0.0
 
 
+_ONE_CAMERA = "cannot tell whether the rig still fits: with one camera nothing is seen twice; verify it by an artefact"
+_WITHOUT_PROJECTOR = (
+    ", gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed"
+)
 _CAUSE = {
     PixelFlag.SATURATED: "saturated",
     PixelFlag.LOW_MODULATION: "too dark or without fringes",

@@ -116,7 +116,8 @@ def _missing_rivet(nominal: NominalRivet, placement: Placement, reconstruction: 
     """A row where a rivet should be: its place is the nominal one, so that the operator can be shown it."""
     left, right = reconstruction.rig.left, reconstruction.rig.right
     position = placement.to_rig(nominal.position)
-    (u, v), (u_right, v_right) = left.project(position), right.project(position)
+    u, v = left.project(position)
+    u_right, v_right = (None, None) if right is None else map(float, right.project(position))
     size = (nominal.diameter_mm or 0.0) * left.K[0, 0] / position[2]
     there = _measured_share(reconstruction, u, v, max(size / 2, 5.0))
     why = "no head found where the pattern has one" if there > 0.5 else "the skin was not measured there"
@@ -127,8 +128,8 @@ def _missing_rivet(nominal: NominalRivet, placement: Placement, reconstruction: 
         z_mm=float(position[2]),
         u_px=float(u),
         v_px=float(v),
-        u_right_px=float(u_right),
-        v_right_px=float(v_right),
+        u_right_px=u_right,
+        v_right_px=v_right,
         diameter_mm=nominal.diameter_mm,
         major_px=float(size),
         minor_px=float(size),

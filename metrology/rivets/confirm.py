@@ -238,8 +238,10 @@ def _in_row(place: _Place, others: Sequence[_Place]) -> bool:
 def _right_camera_shows(ring: Ring, reconstruction: Reconstruction) -> bool:
     """Whether the right camera sees the same ring at the skin's depth; a glint or a shadow lies elsewhere.
 
-    True where it sees too little of it to tell.
+    True where it sees too little of it to tell, and where there is but one camera.
     """
+    if reconstruction.right is None:
+        return True
     plane = nearby_plane(reconstruction, ring.ellipse)
     if plane is None:
         return True
@@ -250,7 +252,7 @@ def _right_camera_shows(ring: Ring, reconstruction: Reconstruction) -> bool:
     around = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
     places = frame.rig([x, y, 0.0] + radius * np.array([1 - beside, 1.0, 1 + beside])[:, None, None] * around)
     contrasts = []
-    for view, device in ((reconstruction.left, left), (reconstruction.right, reconstruction.rig.right)):
+    for device, view in reconstruction.cameras.values():
         inside, line, outside = sample_image(view.texture, device.project(places))
         contrasts.append(1 - 2 * line / (inside + outside))
     here, there = contrasts

@@ -146,13 +146,14 @@ def _row(
     x, y = circle.x, circle.y
     f: Flushness = flushness(head, outcome.skin, x, y, circle.radius, inflation.height, inflation.slope)
     centre = p.frame.rig([x, y, float(head.height(x, y))])
-    left, right = rig.left.project(centre), rig.right.project(centre)
+    left = rig.left.project(centre)
+    u_right, v_right = (None, None) if rig.right is None else map(float, rig.right.project(centre))
     return replace(
         empty,
         u_px=float(left[0]),
         v_px=float(left[1]),
-        u_right_px=float(right[0]),
-        v_right_px=float(right[1]),
+        u_right_px=u_right,
+        v_right_px=v_right,
         x_mm=float(centre[0]),
         y_mm=float(centre[1]),
         z_mm=float(centre[2]),

@@ -76,10 +76,10 @@ def head_circle(
         Centre of the head's edge; the radius reaches to the middle of the dark line, as it would show on a flush head.
     """
     rig = reconstruction.rig
-    if rig.projector is None:  # where the light comes from tells the rim's shadow
+    if rig.screen is None or rig.right is None:  # where the light comes from tells the rim's shadow
         return None
     origin = np.array([start.x, start.y, head_height])
-    slopes = np.array([_slope(device, frame, origin) for device in (rig.left, rig.right, rig.projector)])
+    slopes = np.array([_slope(device, frame, origin) for device in (rig.left, rig.right, rig.screen)])
     height = head_height - skin_height
     hidden = abs(height) * float(np.linalg.norm(slopes[:2], axis=1).max())
     pixel = _pixel_mm(rig.left, frame, origin)
@@ -116,8 +116,9 @@ def _profiles(
     places[..., :2] = origin[:2] + normals[:, None] * radii[:, None]
     places[..., 2] = origin[2]
     points = frame.rig(places)
-    rig, left, right = reconstruction.rig, reconstruction.left.texture, reconstruction.right.texture
-    profiles = np.stack([sample_image(left, rig.left.project(points)), sample_image(right, rig.right.project(points))])
+    profiles = np.stack(
+        [sample_image(view.texture, device.project(points)) for device, view in reconstruction.cameras.values()]
+    )
     ends = np.stack([profiles[..., :2].mean(axis=-1), profiles[..., -2:].mean(axis=-1)], axis=-1)
     known = [e[np.isfinite(e)] for e in ends]
     level = np.array([np.median(k) if len(k) else np.nan for k in known])[:, None, None]

@@ -151,9 +151,10 @@ def _axes(inverse: Array) -> Array:
 
 def _in_right_camera(ellipse: Ellipse, reconstruction: Reconstruction) -> tuple[float, float] | None:
     """Where the right camera sees the circle's centre, through the plane of the points about it."""
-    plane = nearby_plane(reconstruction, ellipse)
-    if plane is None:
+    right = reconstruction.rig.right
+    plane = nearby_plane(reconstruction, ellipse) if right else None
+    if right is None or plane is None:
         return None
     frame, x, y = plane
-    pixel = reconstruction.rig.right.project(frame.rig([x, y, 0.0]))
+    pixel = right.project(frame.rig([x, y, 0.0]))
     return float(pixel[0]), float(pixel[1])

@@ -53,7 +53,7 @@ def board_lengths(rig: Rig, board: Board, left: BoardView, right: BoardView) -> 
         R, t = _pose(known, points)
         free = [
             pixel - eccentricity(_image_of(device, R, t), known[:, :2], board.radius_mm)
-            for device, pixel in zip((rig.left, rig.right), pixels, strict=True)
+            for device, pixel in zip((rig.left, rig.with_right()), pixels, strict=True)
         ]
         points, miss = _triangulated(rig, free)
     R, t = _pose(known, points)
@@ -74,8 +74,8 @@ def _image_of(device: Device, R: Array, t: Array) -> Callable[[Array], Array]:
 
 def _triangulated(rig: Rig, pixels: list[Array]) -> tuple[Array, float]:
     """Middles of the shortest lines between both cameras' rays, and the RMS of these lines in left pixels."""
-    origins = [device.centre for device in (rig.left, rig.right)]
-    rays = [device.rays(pixel) for device, pixel in zip((rig.left, rig.right), pixels, strict=True)]
+    origins = [device.centre for device in (rig.left, rig.with_right())]
+    rays = [device.rays(pixel) for device, pixel in zip((rig.left, rig.with_right()), pixels, strict=True)]
     base = origins[1] - origins[0]
     cosine = (rays[0] * rays[1]).sum(1)
     first, second = rays[0] @ base, rays[1] @ base

@@ -20,6 +20,7 @@ from metrology.errors import UsageError
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
 from storage.scene import SceneModel
+from storage.scene_folder import SceneDocument
 from tests.support.results import small_key
 from tests.support.small_scene import write_small_scene
 from tests.support.users import as_user, only_root, open_to_all
@@ -102,7 +103,7 @@ def test_known_scans_are_not_read_again(
     def read(*_: object) -> str:
         raise AssertionError("the frames were read again")
 
-    monkeypatch.setattr(inbox, "digest_of_files", read)
+    monkeypatch.setattr(SceneModel, "digest", read)
     assert run(job) == 0
 
 
@@ -177,14 +178,14 @@ def test_whatever_a_manifest_raises_is_its_own_outcome(
 ) -> None:  # fmt: skip
     write_small_scene(job.inbox / "bad", small_key("S1"))
     write_small_scene(job.inbox / "good", small_key("S2"))
-    load = inbox.load_manifest
+    load = inbox.load_any_manifest
 
-    def fail(manifest: Path) -> SceneModel:
+    def fail(manifest: Path) -> SceneDocument:
         if manifest.parent.name == "bad":
             raise problem
         return load(manifest)
 
-    monkeypatch.setattr(inbox, "load_manifest", fail)
+    monkeypatch.setattr(inbox, "load_any_manifest", fail)
     assert run(job) == 1
     assert stations(job) == ["S2"]
     assert (job.inbox / "quarantine" / "bad").is_dir()

@@ -15,7 +15,7 @@ from metrology.results import SceneKey
 from storage.archive import Store
 from storage.archive.staging import staged_run
 from storage.scan_identity import frames_digest
-from storage.scene import digest_of_files, files_state, load_manifest, load_scene
+from storage.scene import load_manifest, load_scene
 from tests.support.results import small_key, small_result
 
 
@@ -129,19 +129,18 @@ def test_the_digest_of_files_is_that_of_reading_them(scene_folder: Path) -> None
     scene, manifest = load_scene(scene_folder), scene_folder / "scene.json"
     left, right = (scene.read(camera).checksums for camera in ("left", "right"))
     digest = frames_digest(scene.code, scene.exposures, left, right)
-    assert digest_of_files(manifest, load_manifest(manifest)) == digest
+    assert load_manifest(manifest).digest(scene_folder) == digest
     assert frames_digest(scene.code, scene.exposures, right, left) != digest
     assert frames_digest(replace(scene.code, counts=(7, 5, 6)), scene.exposures, left, right) != digest
 
 
 def test_the_state_of_files_changes_with_every_file(scene_folder: Path) -> None:
     manifest = scene_folder / "scene.json"
-    before = files_state(manifest, load_manifest(manifest))
-    assert load_scene(scene_folder).files_state == before
+    before = load_scene(scene_folder).files_state
     for path in (manifest, scene_folder / "right" / "e0_c2_s3.png"):
         content = path.read_bytes()
         path.unlink()
         path.write_bytes(content)
-        after = files_state(manifest, load_manifest(manifest))
+        after = load_scene(scene_folder).files_state
         assert after != before
         before = after

@@ -44,8 +44,9 @@ def find_gaps(
     """
     if joint == "lap":
         return [NO_GAP] * len(sections), joint
-    projector = reconstruction.rig.projector
-    if settings.edges == "image" and projector is not None:  # the grey-level model needs to know where the light is
+    projector = reconstruction.rig.screen
+    # The grey-level model needs two views, and to know where the light is.
+    if settings.edges == "image" and projector is not None and reconstruction.right is not None:
         return image_edges(
             sections, half_widths, reconstruction, projector, settings.half_length_mm, settings.chamfer_deg
         )

@@ -39,9 +39,8 @@ class View:
 
 def both_views(reconstruction: Reconstruction) -> tuple[View, View]:
     """Left and right camera."""
-    rig = reconstruction.rig
     views = []
-    for device, decoded in ((rig.left, reconstruction.left), (rig.right, reconstruction.right)):
+    for device, decoded in reconstruction.cameras.values():
         saturated = (decoded.flags & np.uint16(PixelFlag.SATURATED)) != 0
         texture = np.where(saturated, np.float32(np.nan), decoded.texture) if saturated.any() else decoded.texture
         some = (slice(None, None, _SPARSE), slice(None, None, _SPARSE))
