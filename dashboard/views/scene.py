@@ -302,7 +302,7 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     if not _absent(reason):
         st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
     if kind is DEFECT and (accepted := context.archive.accepted(str(row.scene_id)).get(chosen.id)):
-        st.markdown(f":small[:material/history: {plain(with_minus(str(accepted)).capitalize())}]")
+        st.markdown(f":small[:material/history: {plain(with_minus(str(accepted)))}]")
     if compact:
         return
     try:

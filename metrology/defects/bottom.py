@@ -19,6 +19,7 @@ _FEWEST = 12
 _CORRELATED = 1.3  # standard deviation of means over areas against that of the grid's cells alone
 _FORMS: tuple[Form, ...] = ("smooth", "point", "fold")
 _TEMPERED = 0.5  # evidence counts half: real forms are none of these exactly
+_POSSIBLE = 0.1  # probability of a form that counts for the curvature
 _FLATTEST = 1e-6  # 1/mm
 
 
@@ -70,12 +71,15 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
     evidence = np.array([vertex.evidence for vertex in found])
     weights = np.exp(_TEMPERED * (evidence - evidence.max()))
     weights /= weights.sum()
-    x, y, depth, curvature = (_mean(weights, found, name) for name in ("x", "y", "depth", "curvature"))
+    x, y, depth = (_mean(weights, found, name) for name in ("x", "y", "depth"))
     sd = _scatter(weights, found, "depth", depth)
+    # A form that is hardly possible, but much sharper, would decide a mean of curvatures.
+    likely = np.where(weights > _POSSIBLE, weights, 0.0) / weights[weights > _POSSIBLE].sum()
+    curvature = _mean(likely, found, "curvature")
     bent = max(curvature, _FLATTEST)
     near = np.hypot(patch.x - x, patch.y - y) < max(2.5 * patch.step_mm, 0.15 * radii[1])
     hidden = bool((~patch.skin[near]).mean() > 0.2)
-    return Bottom(x, y, depth, sd, 1 / bent, _scatter(weights, found, "curvature", curvature) / bent**2, hidden)
+    return Bottom(x, y, depth, sd, 1 / bent, _scatter(likely, found, "curvature", curvature) / bent**2, hidden)
 
 
 def _mean(weights: Array, found: list[Vertex], name: str) -> float:

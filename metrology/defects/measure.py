@@ -176,13 +176,16 @@ def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, s
         COVERAGE_95 * float(np.hypot(_BY_LEVEL * share * extent, grid)) for extent in (outline.length, outline.width)
     )
     away = distances(outline, patch.frame, of_type(sighted.features, Rivet), of_type(sighted.features, SeamStation))
+    direction, major, minor = _in_image(found, sighted)
     row = replace(
         row,
         length_mm=outline.length,
         length_u95_mm=length_u95,
         width_mm=outline.width,
         width_u95_mm=width_u95,
-        **_in_image(found, sighted),
+        direction_deg=direction,
+        major_px=major,
+        minor_px=minor,
         area_mm2=outline.area,
         fastener_distance_mm=away.fastener,
         seam_distance_mm=away.seam,
@@ -220,8 +223,8 @@ def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, set
     return row
 
 
-def _in_image(found: _Found, sighted: Sighted) -> dict[str, float]:
-    """Direction of its length, and extents of its outline along it and across, in the left image."""
+def _in_image(found: _Found, sighted: Sighted) -> tuple[float, float, float]:
+    """Direction of its length, degrees, and extents of its outline along it and across, px, in the left image."""
     outline, frame, project = found.outline, found.patch.frame, sighted.reconstruction.rig.left.project
     along = np.array([np.cos(outline.angle), np.sin(outline.angle), 0.0])
     start, end = project(frame.rig(np.stack([-along, along])))
@@ -229,4 +232,4 @@ def _in_image(found: _Found, sighted: Sighted) -> dict[str, float]:
     border = project(frame.rig(np.stack([outline.x, outline.y, np.zeros_like(outline.x)], axis=1)))
     major, minor = np.ptp(border @ way), np.ptp(border @ [-way[1], way[0]])
     turn = float(np.degrees(np.arctan2(way[1], way[0])) % 180)
-    return {"direction_deg": turn, "major_px": float(major), "minor_px": float(minor)}
+    return turn, float(major), float(minor)

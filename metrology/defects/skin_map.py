@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from metrology.defects.cells import CellMap, cell_map
 from metrology.defects.reference import Reference, fit_reference
 from metrology.defects.settings import DefectSettings
+from metrology.defects.split import bottoms
 from metrology.registration.rows import has_position, positions
 from metrology.results import SeamStation, of_type
 from metrology.robust import MAD
@@ -118,10 +119,19 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
         due = [p for p in cells.plates if changed[cells.plate == p].sum() > _UNCHANGED * (cells.plate == p).sum()]
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
+    regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
     others = {p: _reference(cells, p, wide, seams, settings) for p in {region.plate for region in regions}}
     doubted = tuple(replace(region, doubt=_doubt(region, depth, cells, others[region.plate])) for region in regions)
     return SkinMap(cells, references, depth, smoothed, sd, waves, doubted)
+
+
+def _parts(region: Region, smoothed: Array, sd: Array) -> list[Region]:
+    """A region for each bottom."""
+    window = region.rows, region.columns
+    depth = region.sign * np.nan_to_num(smoothed[window])
+    parts = bottoms(depth, region.cells, _START * sd[window], _LEAST_CELLS)
+    return [replace(region, cells=part) for part in parts]
 
 
 def _reference(

@@ -139,6 +139,13 @@ def test_a_scratch_has_a_depth_where_it_is_wide_enough_and_is_a_line_else(
     assert "line without measurable depth" in (narrow.reason or "")
 
 
+def test_two_defects_whose_feet_meet_are_two(rng: np.random.Generator) -> None:
+    large, small = bowl(-12.0, 0.0, 0.4, 24.0, 24.0), bowl(16.0, 4.0, 0.1, 9.0, 8.0)
+    found = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, large, small), FLAT))
+    depths = sorted(defect.depth_mm or 0.0 for defect in found)
+    assert depths == pytest.approx([0.1, 0.4], abs=0.01)
+
+
 def test_a_raised_edge_is_a_bump_at_a_seam(rng: np.random.Generator) -> None:
     def edge(px: np.ndarray, py: np.ndarray) -> np.ndarray:
         away = np.where(px > -10.0, (px + 10.0) / 9.0, 2.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from metrology.cloud import DecodedView, Reconstruction
+from metrology.defects.row import Defect
 from metrology.errors import UsageError
 from metrology.overlay import OverlaySettings, draw_overlay
 from metrology.overlay.marks import COLOURS, Label
@@ -53,6 +54,28 @@ def station(s: float, severity: Severity | None, rig: Rig) -> SeamStation:
     point = (20.0, s, 702.0)
     u, v = rig.left.project(point)
     return station_at("S01", s, point, (u, v), step_mm=0.1, width_mm=2.0, severity=severity)
+
+
+@pytest.mark.parametrize("minor_px", [10.0, 19.0], ids=["long", "round"])
+def test_a_defect_has_its_outline_and_an_arrow_along_its_length(scene: Reconstruction, minor_px: float) -> None:
+    u, v = (float(x) for x in scene.rig.left.project((-10.0, 5.0, 699.0)))
+    defect = Defect(
+        "D01", x_mm=-10.0, y_mm=5.0, z_mm=699.0, u_px=u, v_px=v, kind="dent", depth_mm=0.2, length_mm=20.0,
+        major_px=20.0, minor_px=minor_px, direction_deg=30.0, severity="green",
+    )  # fmt: skip
+    overlay = draw_overlay({"defect": [defect]}, scene, [])
+    rim, *arrow = [x for x in overlay.strokes if x.feature == "D01"]
+    # Points on the skin under the ellipse's ends in the left image, as the projector sees them.
+    along = np.array([np.cos(np.radians(30)), np.sin(np.radians(30))])
+    ends = scene.rig.left.rays(np.array([u, v]) + np.array([[10.0], [-10.0]]) * along)
+    places = scene.rig.projector.project(ends * (700 / (ends[:, 2] - 0.1 * ends[:, 0]))[:, None])
+    assert np.linalg.norm(rim.points[[0, len(rim.points) // 2]] - places, axis=1).max() < 0.2
+    if minor_px > 15.0:
+        assert arrow == []
+        return
+    shaft = arrow[0].points[1] - arrow[0].points[0]
+    way = places[0] - places[1]
+    assert abs(shaft @ way) / np.linalg.norm(shaft) / np.linalg.norm(way) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_rings_lie_on_the_rim_as_the_projector_sees_it(scene: Reconstruction) -> None:
