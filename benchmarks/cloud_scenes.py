@@ -45,25 +45,20 @@ def _compare(scene: Path, options: argparse.Namespace, work: Path) -> int:
     store = options.store or work / "store"
     clouds = work / "cloud-store"
     if not options.store:
-        _run("flushline", "inspect", scene, "--rig", options.rig, "--store", store)
+        run("flushline", "inspect", scene, "--rig", options.rig, "--store", store)
     said = json.loads((scene / "scene.json").read_text())
     ply, picture = _export(store, said, work)
     made = work / f"{scene.name}-cloud"
     key = [f"--{name.replace('_', '-')}={said[name]}" for name in ("panel", "station", "captured_at")]
-    _run("flushline", "scene", "from-cloud", ply, "--picture", picture, "--out", made,
+    run("flushline", "scene", "from-cloud", ply, "--picture", picture, "--out", made,
          "--aircraft", said["aircraft_serial"], *key)  # fmt: skip
-    _run("flushline", "inspect", made, "--store", clouds)
-    own, cloud = (_score(where, scene) for where in (store, clouds))
+    run("flushline", "inspect", made, "--store", clouds)
+    own, cloud = (score(where, scene) for where in (store, clouds))
     print(f"{scene.name}")
     late = 0
     for name in ("height", "step", "width"):
-        before, after = _errors(own, name), _errors(cloud, name)
-        ratio = after[0] / before[0] if before[0] else float("nan")
+        ratio = print_row(name, errors(own, name), errors(cloud, name))
         late |= name != "width" and ratio > options.bar
-        print(
-            f"  {name:6s} n {before[1]:4d} → {after[1]:4d}   mean |error| {before[0]:.4f} → {after[0]:.4f} mm "
-            f"({ratio:.2f})   U95 covers {before[2]:.3f} → {after[2]:.3f}"
-        )
     return int(late)
 
 
@@ -71,7 +66,7 @@ def _export(store: Path, said: dict[str, str], work: Path) -> tuple[Path, Path]:
     """An organised PLY of points alone, and the left picture."""
     where = " AND ".join(f"{name} = '{said[name]}'" for name in ("aircraft_serial", "panel", "station"))
     row = json.loads(
-        _run(
+        run(
             "flushline",
             "query",
             f"SELECT cloud_path, preview_path FROM scenes WHERE {where}",
@@ -89,9 +84,10 @@ def _export(store: Path, said: dict[str, str], work: Path) -> tuple[Path, Path]:
     return ply, picture
 
 
-def _score(store: Path, scene: Path) -> dict[str, object]:
+def score(store: Path, scene: Path) -> dict[str, object]:
+    """A store's results against the scene's truth."""
     tool = Path(__file__).parents[1].resolve().parent / "shared" / "tools" / "score.py"
-    found: dict[str, object] = json.loads(_run(sys.executable, _tool(tool, scene), store, scene, "--json"))[0]
+    found: dict[str, object] = json.loads(run(sys.executable, _tool(tool, scene), store, scene, "--json"))[0]
     return found
 
 
@@ -100,7 +96,7 @@ def _tool(tool: Path, scene: Path) -> Path:
     return tool if tool.exists() else scene.resolve().parents[1] / "tools" / "score.py"
 
 
-def _errors(score: dict, name: str) -> tuple[float, int, float]:
+def errors(score: dict, name: str) -> tuple[float, int, float]:
     """Mean absolute error, number and share covered by U95."""
     if name == "height":
         rivets = score["rivets"]
@@ -116,7 +112,18 @@ def _errors(score: dict, name: str) -> tuple[float, int, float]:
     return float(mean[0]), count, float(mean[1])
 
 
-def _run(*words: object) -> str:
+def print_row(name: str, before: tuple[float, int, float], after: tuple[float, int, float]) -> float:
+    """Print both errors; returns their ratio, 0 where there are none."""
+    ratio = after[0] / before[0] if before[0] else 0.0
+    print(
+        f"  {name:6s} n {before[1]:4d} → {after[1]:4d}   mean |error| {before[0]:.4f} → {after[0]:.4f} mm "
+        f"({ratio:.2f})   U95 covers {before[2]:.3f} → {after[2]:.3f}"
+    )
+    return ratio
+
+
+def run(*words: object) -> str:
+    """What a command says; ends where it fails."""
     done = subprocess.run([str(word) for word in words], capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"{' '.join(map(str, words[:3]))}: {done.stderr.strip()[-400:]}")

@@ -20,6 +20,7 @@ COMMANDS = (
     "calibrate",
     "rig",
     "scene",
+    "capture",
     "simulate",
     "study",
     "patterns",

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from metrology.calibration.projector_fit import FittedProjector, SeenPoints, fit_projector, seen_points
-from metrology.errors import CalibrationError, RigError
+from metrology.cloud import Reconstruction
+from metrology.errors import CalibrationError, RigError, SceneError
 from metrology.reconstruct import coordinate_size, decode, triangulate
 from metrology.rig import PROJECTOR_FIT, PROJECTOR_OF, Device, Rig
 from storage.scene import load_scene
@@ -33,9 +34,8 @@ def fit_to_scenes(
     if size is None and rig.projector is None:
         raise RigError(f"rig {rig.id!r}: found no projector, expected its width and height to be given (--size WxH)")
     size = size or (rig.projector.width, rig.projector.height)  # type: ignore[union-attr]
-    scans = [_seen(rig, folder, size) for folder in folders]
     try:
-        fitted = fit_projector(scans, size)
+        fitted = fit_projector(_seen_in(rig, folders, size), size)
     except CalibrationError as problem:
         raise CalibrationError(f"{', '.join(map(str, folders))}: {problem}") from None
     extra = {key: value for key, value in rig.extra.items() if key not in (PROJECTOR_OF, "calibration")}
@@ -51,14 +51,33 @@ def _of_cameras(rig: Rig) -> dict[str, object]:
     return kept | {"health_sigma_px": health}
 
 
-def _seen(rig: Rig, folder: Path, size: tuple[int, int]) -> SeenPoints:
-    """The points of a scan by the cameras alone, and the projector's coordinate there in its own pixels."""
-    cameras = replace(rig, projector=_placeholder(rig.left, size))
-    scene = load_scene(folder)
-    scene.check_fits(cameras)
-    across = coordinate_size(cameras, scene.code)
-    views = [decode(scene.frames(camera), scene.code, across, scene.exposures) for camera in ("left", "right")]
-    return seen_points(triangulate(views[0], views[1], replace(rig, projector=None)), scene.code.axis)
+def _seen_in(rig: Rig, folders: Sequence[Path], size: tuple[int, int]) -> list[SeenPoints]:
+    """Points and the projector's coordinate there, in its own pixels, of every scan.
+
+    Fringes along the axis in which the cameras stand apart give points. Others are read at the points of the scan of
+    the same station that came before.
+    """
+    base = rig.with_right().centre
+    measuring = "x" if abs(base[0]) >= abs(base[1]) else "y"
+    cameras, alone = replace(rig, projector=_placeholder(rig.left, size)), replace(rig, projector=None)
+    measured: dict[tuple[str, str, str], Reconstruction] = {}
+    seen = []
+    for folder in folders:
+        scene = load_scene(folder)
+        scene.check_fits(cameras)
+        station = (scene.key.aircraft_serial, scene.key.panel, scene.key.station)
+        across, code, times = coordinate_size(cameras, scene.code), scene.code, scene.exposures
+        left = decode(scene.frames("left"), code, across, times)
+        if code.axis == measuring:
+            measured[station] = triangulate(left, decode(scene.frames("right"), code, across, times), alone)
+        elif station not in measured:
+            raise SceneError(
+                f"{folder}: found fringes along {code.axis}, by which the cameras do not measure, expected a scan with "
+                f"fringes along {measuring} of the same station before it, with nothing moved in between"
+            )
+        found = measured[station]
+        seen.append(seen_points(replace(found, left=left, flags=found.flags | left.flags), code.axis))
+    return seen
 
 
 def _placeholder(left: Device, size: tuple[int, int]) -> Device:
@@ -81,6 +100,7 @@ def describe_fit(fitted: FittedProjector) -> list[str]:
         missing = "y" if fitted.assumed == "rows" else "x"
         lines.append(
             f"  warning: no scan has fringes along {missing}: the projector's {fitted.assumed} are assumed (square "
-            f"pixels, light over all that was seen) to ±{fitted.assumed_u95_px:.1f} px (95 %); it watches over the rig, and overlays are not drawn for it"
+            f"pixels, light over all that was seen) to ±{fitted.assumed_u95_px:.1f} px (95 %); it watches "
+            "over the rig, and overlays are not drawn for it"
         )
     return lines

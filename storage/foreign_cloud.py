@@ -124,7 +124,10 @@ def _by_open3d(path: Path, grid: tuple[int, int] | None) -> ForeignCloud:
 def _header(path: Path, end: str) -> str:
     """The text before a file's numbers."""
     with path.open("rb") as file:
-        return file.read(_HEADER_BYTES).decode("latin-1").partition(end)[0]
+        text, found, _ = file.read(_HEADER_BYTES).decode("latin-1").partition(end)
+    if not found:
+        raise SceneError(f"{path}: found no {end} in its first {_HEADER_BYTES} bytes, expected a whole file")
+    return text
 
 
 def _e57(path: Path) -> ForeignCloud:

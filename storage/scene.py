@@ -53,6 +53,7 @@ class GrayModel(StrictModel):
     inverse: bool = False
     references: bool = False
     first: Literal["msb", "lsb"] = "msb"
+    inverse_first: bool = False
     shift: float = 0.0
 
 
@@ -96,7 +97,8 @@ class FringeModel(StrictModel):
             per_bit = 2 if code.gray.inverse else 1
             bits = list(range(code.gray.bits))
             for bit in bits if self.gray and self.gray.first == "msb" else bits[::-1]:
-                order += [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+                pair = [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+                order += pair[::-1] if self.gray and self.gray.inverse_first else pair
             order += range(code.fringe_frames + code.gray.stripe_frames, code.frames)
         return tuple(frames[place] for place in order)
 
@@ -107,10 +109,15 @@ Exposures = Annotated[
 
 
 class FramesModel(StrictModel):
-    """`frames` of scene.json: paths per exposure, count-major, then step."""
+    """`frames` of scene.json: paths per exposure, count-major, then step; no right ones where there is one camera."""
 
     left: Exposures
-    right: Exposures
+    right: Exposures = ()
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras that there are, left first."""
+        return CAMERAS if self.right else CAMERAS[:1]
 
 
 class ScanModel(StrictModel):
@@ -169,7 +176,7 @@ class SceneModel(ScanModel):
                 f"found exposures from {shortest:g} to {longest:g}, expected the longest at most {MAX_RATIO:,.0f} "
                 "times the shortest"
             )
-        for camera in CAMERAS:
+        for camera in self.frames.cameras:
             exposures = getattr(self.frames, camera)
             if len(exposures) != len(self.exposures):
                 raise ValueError(
@@ -205,8 +212,10 @@ class Scene:
         Relative exposure times.
     left, right : tuple of Path
         Frames, exposure-major.
-    left_header, right_header : FrameHeader
+    left_header : FrameHeader
         What all frames of a camera have in common.
+    right_header : FrameHeader or None
+        None where there is one camera, which then has no frames in `right`.
     files_state : str or None
         Names the folder's files as they lay on disk when they were looked at (see `storage.scan_identity`).
     """
@@ -220,12 +229,22 @@ class Scene:
     left: tuple[Path, ...]
     right: tuple[Path, ...]
     left_header: FrameHeader
-    right_header: FrameHeader
+    right_header: FrameHeader | None
     files_state: str | None = None
+
+    @property
+    def headers(self) -> dict[Camera, FrameHeader]:
+        """Of the cameras that there are, left first."""
+        left: dict[Camera, FrameHeader] = {"left": self.left_header}
+        return left if self.right_header is None else left | {"right": self.right_header}
 
     def own_rig(self) -> Rig | None:
         """None: the store has the rigs of frames."""
         return None
+
+    def used(self, rig: Rig) -> tuple[Camera, ...]:
+        """The cameras whose frames a rig measures with; one measures with the projector."""
+        return tuple(camera for camera in self.headers if camera in rig.cameras)
 
     def frames(self, camera: Camera, executor: Executor | None = None) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Decode one camera's frames.
@@ -239,7 +258,7 @@ class Scene:
 
     def read(self, camera: Camera, executor: Executor | None = None) -> FrameStack:
         """Decode one camera's frames, shaped as `frames` has them, with the checksums of their files."""
-        paths, header = (self.left, self.left_header) if camera == "left" else (self.right, self.right_header)
+        paths, header = getattr(self, camera), self.headers[camera]
         stack = read_stack(paths, header, SceneError, executor)
         shape = (len(self.exposures), self.code.frames, header.height, header.width)
         return FrameStack(stack.frames.reshape(shape), stack.checksums)
@@ -248,9 +267,14 @@ class Scene:
         """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
         if rig.projector:
             self._check_projector(rig.projector, rig.id)
-        devices = {"left": rig.left, "right": rig.with_right()}
-        for camera, header in (("left", self.left_header), ("right", self.right_header)):
-            device = devices[camera]
+        used = self.used(rig)
+        if len(used) == 1 and rig.projector is None:
+            raise SceneError(
+                f"{self.folder / MANIFEST}: found one camera to measure with, expected the projector's calibration in "
+                f"rig {rig.id!r}, or a second camera in rig and scene"
+            )
+        for camera in used:
+            header, device = self.headers[camera], rig.cameras[camera]
             if (header.width, header.height) != (device.width, device.height):
                 raise SceneError(
                     f"{getattr(self, camera)[0]}: found {header.width}×{header.height} pixels, "
@@ -269,11 +293,11 @@ class Scene:
 
     def _likely_mix_up(self, rig: Rig) -> str:
         """What the frames' sizes tell of how they came not to fit a rig."""
-        found = [(header.width, header.height) for header in (self.left_header, self.right_header)]
+        found = [(header.width, header.height) for header in self.headers.values()]
         wanted = [(device.width, device.height) for device in rig.cameras.values()]
         if found == wanted[::-1]:
             return "; they fit when left and right are exchanged"
-        turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=True))
+        turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=False))
         return "; they fit when turned by 90°" if turned else ""
 
 
@@ -293,8 +317,9 @@ def look_at(folder: Path, model: SceneModel) -> Scene:
     }
     # Before anything is read: what changes from now on shows.
     state = scan_identity.files_state(folder, [MANIFEST, *model.files])
-    left, right = (_common_header(paths[camera]) for camera in CAMERAS)
-    if left.bits != right.bits:
+    left, right = (_common_header(paths[camera]) if paths[camera] else None for camera in CAMERAS)
+    assert left is not None
+    if right and left.bits != right.bits:
         raise SceneError(
             f"{paths['right'][0]}: found {right.bits} bit, expected {left.bits} as the left camera's frames have"
         )
@@ -339,7 +364,7 @@ def write_scene(
     code: FringeCode,
     exposures: Sequence[float],
     left: Frame,
-    right: Frame,
+    right: Frame | None,
     truth: dict[str, Any] | None = None,
     operator: str | None = None,
 ) -> None:
@@ -348,13 +373,15 @@ def write_scene(
     Parameters
     ----------
     left, right : (exposures, frames, h, w) ndarray of uint8 or uint16
+        No right ones where there is one camera.
     truth : dict, optional
         Written to truth.json beside it.
     """
+    stacks = {camera: stack for camera, stack in (("left", left), ("right", right)) if stack is not None}
     shown = [f"c{count}_s{step}" for count, step in zip(code.count_of, code.step_of, strict=True)]
     shown += [f"gray{k}" for k in range(code.gray.frames if code.gray else 0)]
     names: dict[str, list[list[str]]] = {
-        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in CAMERAS
+        camera: [[f"{camera}/e{e}_{frame}.png" for frame in shown] for e in range(len(exposures))] for camera in stacks
     }
     fringe = fringe_document(code)
     document = {
@@ -372,7 +399,7 @@ def write_scene(
     manifest = folder / MANIFEST
     validate(SceneModel, document, manifest, SceneError)
     manifest.unlink(missing_ok=True)
-    for camera, stack in (("left", left), ("right", right)):
+    for camera, stack in stacks.items():
         (folder / camera).mkdir(parents=True, exist_ok=True)
         for exposure_names, frames in zip(names[camera], stack, strict=True):
             for name, frame in zip(exposure_names, frames, strict=True):

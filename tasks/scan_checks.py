@@ -71,10 +71,10 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     return CheckedFrames(camera, sample, found, diagnose_frames(sample, found, finer, gradient))
 
 
-def refuse_wrong_frames(scene: Scene, left: CheckedFrames, right: CheckedFrames, checks: SceneChecks) -> None:
+def refuse_wrong_frames(scene: Scene, views: Sequence[CheckedFrames], checks: SceneChecks) -> None:
     """Refuse a scan whose frames are not what it says, naming what they look like."""
-    _refuse_shared_pictures(scene, left, right)
-    views = (left, right)
+    if len(views) == 2:
+        _refuse_shared_pictures(scene, views[0], views[1])
     orders = [view.diagnosis.order for view in views if view.diagnosis and view.diagnosis.order]
     if orders:
         cameras = [view.camera for view in views if view.diagnosis and view.diagnosis.order]

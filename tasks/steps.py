@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
-from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
 from metrology.defects.row import Defect
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
 from metrology.fastening import Fasteners, detect_fasteners
 from metrology.inspection import InspectionResult
 from metrology.kinds import DEFECT, KINDS, RIVET, SEAM_STATION
+from metrology.one_camera import triangulate_one
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
 from metrology.registration import Registration
@@ -37,7 +38,7 @@ from storage.archive.known import KnownScene
 from storage.archive.known_defects import earlier_defects
 from storage.archive.signed import refuse_signed_off
 from storage.cloud_scene import CloudScene
-from storage.frames import FrameStack
+from storage.frames import FrameStack, file_checksum
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.rig import load_rig, rig_document
 from storage.scan_identity import frames_digest
@@ -47,7 +48,7 @@ from tasks.clock import clock_warnings
 from tasks.cloud_scan import cloud_of
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
-from tasks.scan_checks import check_frames, contradiction_warnings, refuse_wrong_frames
+from tasks.scan_checks import CheckedFrames, check_frames, contradiction_warnings, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
 
 
@@ -95,36 +96,42 @@ def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reco
     scene = loaded.scene
     if isinstance(scene, CloudScene):
         reconstruction = cloud_of(scene, loaded.rig, settings)
+        if loaded.known:
+            loaded.known.refuse_other(scene.key.scene_id, reconstruction.frames_digest, scene.folder)
     else:
         reconstruction = _from_frames(loaded, scene, settings)
-    if loaded.known:
-        loaded.known.refuse_other(scene.key.scene_id, reconstruction.frames_digest, scene.folder)
     _check_skin_is_seen(scene, reconstruction, settings.checks)
     return reconstruction
 
 
 def _from_frames(loaded: LoadedScene, scene: Scene, settings: InspectionSettings) -> Reconstruction:
-    """Decode and match; the right camera's frames are read while the left one's are decoded."""
-    rig = loaded.rig
-    reconstruct.check_axis(rig, scene.code.axis)
+    """Decode and match, or meet the projector's light; a camera's frames are read while another's are decoded."""
+    rig, used = loaded.rig, scene.used(loaded.rig)
+    if len(used) == 2:
+        reconstruct.check_axis(rig, scene.code.axis)
     size = reconstruct.coordinate_size(rig, scene.code)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as right_reader:
-        left_stack = _read(scene, "left", readers)
-        reading_right = right_reader.submit(_read, scene, "right", readers)
-        left = reconstruct.decode(left_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
-        left_checked = check_frames("left", left_stack.frames, left, scene, rig)
-        checksums = left_stack.checksums
-        del left_stack
-        right_stack = reading_right.result()
-        right = reconstruct.decode(right_stack.frames, scene.code, size, scene.exposures, settings.reconstruction)
-        right_checked = check_frames("right", right_stack.frames, right, scene, rig)
-    refuse_wrong_frames(scene, left_checked, right_checked, settings.checks)
-    digest = frames_digest(scene.code, scene.exposures, checksums, right_stack.checksums)
+    views: list[DecodedView] = []
+    checked: list[CheckedFrames] = []
+    checksums: dict[Camera, tuple[int, ...]] = {}
+    with ThreadPoolExecutor(threads) as readers, ThreadPoolExecutor(1) as reader:
+        reading = {camera: reader.submit(_read, scene, camera, readers) for camera in used}
+        for camera in used:
+            stack = reading.pop(camera).result()
+            views.append(reconstruct.decode(stack.frames, scene.code, size, scene.exposures, settings.reconstruction))
+            checked.append(check_frames(camera, stack.frames, views[-1], scene, rig))
+            checksums[camera] = stack.checksums
+            del stack
+    refuse_wrong_frames(scene, checked, settings.checks)
+    unread = tuple(file_checksum(path, SceneError) for path in scene.right if "right" not in checksums)
+    digest = frames_digest(scene.code, scene.exposures, checksums["left"], checksums.get("right", unread))
     if loaded.known:
         loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
-    del right_stack, reading_right
-    reconstruction = replace(reconstruct.triangulate(left, right, rig, settings.reconstruction), frames_digest=digest)
+    if len(views) == 1:
+        found = triangulate_one(views[0], replace(rig, right=None), scene.code, size, settings.reconstruction)
+        return replace(found, frames_digest=digest)
+    found = reconstruct.triangulate(views[0], views[1], rig, settings.reconstruction)
+    reconstruction = replace(found, frames_digest=digest)
     if problem := unmatched(scene, reconstruction, settings.rig_health):
         raise problem
     return reconstruction
@@ -155,6 +162,8 @@ def check_rig(
     scene = loaded.scene
     if isinstance(scene, CloudScene):
         health = ray_health(reconstruction)
+    elif reconstruction.right is None:
+        health = RigHealth(None, None, 0, None, 0, "unjudged", _ONE_CAMERA)
     else:
         health = rig_health.epipolar_health(reconstruction, detections, scene.code.axis, settings.rig_health)
         if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings.rig_health)):
@@ -252,7 +261,8 @@ def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:
 def doubts(reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]:
     """Why a scan may not become its station's pattern."""
     flags = {name: view.flags for name, (_, view) in reconstruction.cameras.items()}
-    return registration.enrolment_doubts(flags, health.verdict)
+    # Of one camera nothing ever tells whether its rig fits, so that a doubt of every scan is none of this one.
+    return registration.enrolment_doubts(flags, health.verdict if reconstruction.right else None)
 
 
 def judge(features: Features, spec: PanelSpecification) -> Features:
@@ -448,6 +458,7 @@ def _saturated_share(flags: NDArray[np.uint16], measured: NDArray[np.bool_]) -> 
     return float(saturated[skin].mean()) if skin.any() else 0.0
 
 
+_ONE_CAMERA = "cannot tell whether the rig still fits: with one camera nothing is seen twice; verify it by an artefact"
 _WITHOUT_PROJECTOR = (
     ", gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed"
 )

@@ -158,10 +158,10 @@ def mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None,
     if chosen is None:
         return
     rows = features[chosen.kind]
-    found = rows[rows["feature_id"] == chosen.id]
+    found = rows[rows["stretch" if chosen.is_stretch else "feature_id"] == chosen.id]
     if found.empty:
         return
-    place = found.iloc[0]
+    place = found.iloc[len(found) // 2]
     # Between lines of the other brightness: seen on bright skin and on dark.
     for line, width in (("#000000" if colour == "#FFFFFF" else "#FFFFFF", 7), (colour, 3)):
         fig.add_scatter(

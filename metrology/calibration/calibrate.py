@@ -101,13 +101,11 @@ class Calibration:
     def rig(self, rig_id: str, calibrated_at: str) -> Rig:
         """The rig, its covariance and residuals in `extra`; with the devices that were calibrated."""
         devices = self.adjusted.state.devices
-        if "right" not in devices:
-            raise CalibrationError("found no calibration of right, expected both cameras")
         return Rig(
             rig_id,
             calibrated_at,
             devices["left"],
-            devices["right"],
+            devices.get("right"),
             devices.get("projector"),
             {"calibration": self.summary()},
         )

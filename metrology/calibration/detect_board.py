@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -242,8 +242,8 @@ def _markers_in_place(
     board: Board,
     index: NDArray[np.intp],
     pixels: Array,
-    markers: Sequence[NDArray[np.float32]],
-    ids: NDArray[np.int32],
+    markers: Sequence[NDArray[Any]],
+    ids: NDArray[Any] | None,
 ) -> int:
     """How many markers lie where the board has them, by its corners: of the other layout some are out of place."""
     if len(index) < 4 or ids is None:

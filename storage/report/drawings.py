@@ -209,14 +209,21 @@ def _stretches(s: Sequence[float]) -> list[tuple[float, float]]:
     return list(pairwise(middles))
 
 
-def panel_map(of_kind: Mapping[str, Sequence[Row]]) -> Markup:
-    """The panel from outside: features in panel coordinates; "" where none has any."""
+def panel_map(of_kind: Mapping[str, Sequence[Row]], not_seen: Sequence[Row] = ()) -> Markup:
+    """The panel from outside: features in panel coordinates; "" where none has any.
+
+    Parameters
+    ----------
+    not_seen : sequence of mapping
+        Rows of `panel_coverage`; where they should be there is a question mark.
+    """
     rows = [
         (kind, row) for kind in reversed(KINDS) for row in of_kind.get(kind.name, ()) if row["x_panel_mm"] is not None
     ]
     if not rows:
         return Markup()
     places = [(row["x_panel_mm"], row["y_panel_mm"]) for _, row in rows]
+    places += [(row["x_mm"], row["y_mm"]) for row in not_seen]
     (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
     unit = max(x1 - x0, y1 - y0) / 1000
     marks = [
@@ -229,4 +236,5 @@ def panel_map(of_kind: Mapping[str, Sequence[Row]]) -> Markup:
         )
         for kind, row in rows
     ]
+    marks += [_drawn("name", row["x_mm"], -row["y_mm"], unit, f"? {row['feature_id']}") for row in not_seen]
     return _drawn("map", x0, -y1, x1 - x0, y1 - y0, marks)

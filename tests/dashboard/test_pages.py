@@ -15,6 +15,8 @@ from streamlit.testing.v1 import AppTest
 
 from dashboard.app import PAGES
 from dashboard.data import Archive
+from dashboard.questions import MORE, QUESTIONS
+from dashboard.sql_runner import run_query
 from metrology.kinds import RIVET
 from metrology.tolerance import judge
 from storage.archive.schema import TABLES
@@ -502,3 +504,24 @@ def test_the_query_page_answers_and_says_what_is_wrong(filled: Path, open_page: 
     page = next(button for button in page.button if button.label == "Run").click().run()
     assert not page.exception
     assert "read\\-only" in page.error[0].value
+
+
+@pytest.mark.parametrize("question", [*QUESTIONS, *MORE])
+def test_each_question_is_answered(question: str, filled: Path) -> None:
+    answer = run_query(filled, {**QUESTIONS, **MORE}[question])
+    assert len(answer.rows.columns) > 1
+
+
+def test_a_question_is_answered_by_one_click_and_kept(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("sql", filled))
+    page = clean(next(b for b in page.button if b.label == "Recurring at the same place").click().run())
+    rows = page.dataframe[0].value
+    assert list(rows["rivet_id"]) == ["R09", "R09"]  # it drifts on both stations
+    assert list(rows["aircraft"]) == [4, 4]
+    page.toggle(key="sql_chart").set_value(True)
+    clean(page.run())
+
+
+def test_an_address_holds_a_query(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("sql", filled, sql="SELECT 7 AS seven, 1 AS one"))
+    assert page.text_area(key="sql").value == "SELECT 7 AS seven, 1 AS one"

@@ -94,6 +94,61 @@ def test_depth_and_extents_are_true(
     assert (found.straight_edge_depth_mm is None) == (depth < 0)
 
 
+def pointed(x: float, y: float, depth: float, length: float, width: float, fold: bool) -> Heights:
+    """(1 − ρ/r)², at half depth at ρ = 1: a cone's point, or a fold along the length with cos² ends."""
+    r = 1 / (1 - np.sqrt(0.5))
+
+    def height(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        p, q = np.abs(px - x) / (0.5 * length), np.abs(py - y) / (0.5 * width)
+        rho = q if fold else np.hypot(p, q)
+        along = np.cos(0.25 * np.pi * np.minimum(p, 2.0)) ** 2 if fold else 1.0
+        return np.asarray(-depth * along * np.maximum(1 - rho / r, 0.0) ** 2)
+
+    return height
+
+
+@pytest.mark.parametrize("fold", [False, True], ids=["point", "fold"])
+def test_a_pointed_bottom_is_as_deep_as_it_is(rng: np.random.Generator, fold: bool) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, pointed(3.0, -4.0, 0.25, 22.0, 13.0, fold))
+    (found,) = measure_defects(sighted(cloud, FLAT))
+    assert found.depth_mm == pytest.approx(0.25, abs=0.0075)
+    assert abs((found.depth_mm or 0.0) - 0.25) < (found.depth_u95_mm or 0.0) < 0.02
+    assert (found.bottom_radius_mm or 0.0) < 30.0
+
+
+@pytest.mark.parametrize("depth", [0.15, 0.3])
+def test_a_scratch_has_a_depth_where_it_is_wide_enough_and_is_a_line_else(
+    rng: np.random.Generator, depth: float
+) -> None:
+    def groove(width: float) -> Heights:
+        def height(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+            off = np.hypot(np.maximum(np.abs(px - 3.0) - 15.0, 0.0), py + 4.0) / (0.5 * width)
+            return np.asarray(-depth * np.cos(0.25 * np.pi * np.minimum(off, 2.0)) ** 2)
+
+        return height
+
+    bare = scan(FLAT, (), rng)
+    (wide,) = measure_defects(sighted(bent(bare, FLAT, groove(2.0)), FLAT))
+    assert wide.kind == "scratch"
+    assert abs((wide.depth_mm or 0.0) - depth) < max(wide.depth_u95_mm or 0.0, 0.1 * depth)
+    assert wide.length_mm == pytest.approx(30.0, rel=0.15)
+    (narrow,) = measure_defects(sighted(bent(bare, FLAT, groove(0.5)), FLAT))
+    assert narrow.kind == "scratch"
+    assert narrow.depth_mm is None
+    assert narrow.decision == "not measured"
+    assert "line without measurable depth" in (narrow.reason or "")
+
+
+def test_a_raised_edge_is_a_bump_at_a_seam(rng: np.random.Generator) -> None:
+    def edge(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        away = np.where(px > -10.0, (px + 10.0) / 9.0, 2.0)
+        return np.asarray(0.3 * np.exp(-0.5 * (away**2 + ((py - 5.0) / 12.0) ** 2)) * (away < 2.5))
+
+    (found,) = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, edge), FLAT, seam_x=-10.0))
+    assert found.kind == "raised edge"
+    assert found.seam_distance_mm == pytest.approx(0.0, abs=1.5)
+
+
 @pytest.mark.parametrize("skin", [FLAT, CURVED], ids=["flat", "0.4 m"])
 def test_bare_skin_with_heads_has_none(rng: np.random.Generator, skin: Skin) -> None:
     heads = (Head(-30, 10), Head(30, 10, height=-0.15), Head(0, -20, height=0.3))

@@ -99,8 +99,8 @@ def test_a_depth_map_of_16_bit_has_gaps_where_it_is_zero(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "cannot be read"),
-        ("a.pcd", b"no cloud", "cannot be read"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "no end_header in its first"),
+        ("a.pcd", b"no cloud", "no DATA in its first"),
         ("a.e57", b"\0" * 99, "cannot be read"),
         ("a.npz", b"PK", "cannot be read"),
         ("a.stl", b"solid", "found the ending '.stl'"),

@@ -62,7 +62,7 @@ def test_many_write_the_same_rig_at_once(tmp_path: Path, rig: Rig) -> None:
         (lambda d: d.update(calibrated_at="20261102073000"), 'calibrated_at: found "20261102073000", expected an ISO'),
         (lambda d: d.update(calibrated_at=1793604600), "time with its zone as text"),
         (lambda d: d.update(calibrated_at="2026-11-02"), "time with its zone"),
-        (lambda d: d["cameras"].pop("right"), "no key 'cameras.right'"),
+        (lambda d: d["cameras"].pop("left"), "no key 'cameras.left'"),
         (lambda d: d["cameras"]["left"]["K"].pop(), "cameras.left.K"),
         (lambda d: d["cameras"]["left"]["K"][0].__setitem__(0, float("nan")), "NaN"),
         (

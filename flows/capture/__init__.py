@@ -1,0 +1,1 @@
+"""Taking a scan: patterns on a second screen, two cameras, scene folders. Nothing else depends on it."""

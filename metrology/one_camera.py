@@ -1,0 +1,116 @@
+"""Triangulation of one camera against the projector: a pixel's ray meets the sheet of light of its coordinate.
+
+Both are known by calibration alone. Nothing is seen twice: a camera or projector that has moved bends the whole cloud,
+and no match tells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
+from metrology.errors import RigError
+from metrology.fringe import FringeCode
+from metrology.jit import over_rows
+from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.rig import Device, Rig
+from metrology.ripple import without_ripple
+
+Array = NDArray[np.float64]
+
+_STEPS = 6
+_SETTLED_PX = 1e-3
+# Of what a projector beside the camera would give: less, and the fringes run along the baseline.
+_LEAST_RATE = 0.1
+
+
+def triangulate_one(
+    left: DecodedView, rig: Rig, code: FringeCode, size: int, settings: ReconstructionSettings | None = None
+) -> Reconstruction:
+    """The cloud of one camera and the projector.
+
+    Parameters
+    ----------
+    left : DecodedView
+    rig : Rig
+        With a projector.
+    code : FringeCode
+    size : int
+        W, projector pixels along the fringe axis.
+    settings : ReconstructionSettings, optional
+    """
+    settings = settings or ReconstructionSettings()
+    projector = rig.with_projector()
+    _check_baseline(rig, projector, code)
+    view = without_ripple(left, code, size)
+    height, width = view.coordinate.shape
+    points = np.empty((height, width, 3), np.float32)
+    sigma_z = np.empty((height, width), np.float32)
+    axis = 0 if code.axis == "x" else 1
+    low, high = settings.depth_range_mm
+
+    def solve(first: int, end: int) -> None:
+        v, u = np.mgrid[first:end, :width]
+        rays = np.concatenate([rig.left.normalized(np.stack([u, v], axis=-1)), np.ones((end - first, width, 1))], -1)
+        depth, rate = _depths(rays, view.coordinate[first:end].astype(float), projector, axis)
+        depth[~((depth > low) & (depth < high))] = np.nan
+        points[first:end] = rays * depth[..., None]
+        sigma_z[first:end] = np.where(np.isfinite(depth), view.sigma[first:end] / np.abs(rate), np.nan)
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over_rows(solve, height, settings.threads)
+    flags = view.flags.copy()
+    lost = ~np.isfinite(points[..., 2]) & ((flags & np.uint16(MISSING)) == 0)
+    flags[lost] |= np.uint16(PixelFlag.SLOPE)
+    return Reconstruction(rig, view, None, points, sigma_z, flags)
+
+
+def _depths(rays: Array, wanted: Array, projector: Device, axis: int) -> tuple[Array, Array]:
+    """Depths at which rays (z = 1) have the wanted coordinate, and the coordinate's change per mm there.
+
+    The distorted coordinate is nearly linear in the inverse depth's Möbius image: the undistorted position gives the
+    start, and secants of the exact lens do the rest.
+    """
+    direction = rays @ projector.R.T
+    K, t = projector.K, projector.t
+    middle = np.full(wanted.shape, (projector.height if axis == 0 else projector.width) / 2.0)
+    pixels = np.stack([wanted, middle] if axis == 0 else [middle, wanted], axis=-1)
+    sheet = (pixels[..., axis] - K[axis, 2]) / K[axis, axis]
+    for _ in range(_STEPS):
+        inverse = (sheet * direction[..., 2] - direction[..., axis]) / (t[axis] - sheet * t[2])
+        seen = _project(direction + inverse[..., None] * t, projector)
+        missed = seen[..., axis] - wanted
+        sheet = sheet - missed / K[axis, axis]
+        if not np.nanmax(np.abs(missed), initial=0.0) > _SETTLED_PX:
+            break
+    inverse = (sheet * direction[..., 2] - direction[..., axis]) / (t[axis] - sheet * t[2])
+    nudge = 1e-5 * np.abs(inverse)
+    ahead = _project(direction + (inverse + nudge)[..., None] * t, projector)[..., axis]
+    here = _project(direction + inverse[..., None] * t, projector)[..., axis]
+    depth = 1.0 / inverse
+    return depth, (ahead - here) / nudge * inverse**2
+
+
+def _project(seen: Array, device: Device) -> Array:
+    """Raw pixels of directions in the device's own frame, NaN where a direction is."""
+    x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
+    k1, k2, p1, p2, k3, k4, k5, k6 = device.distortion8
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    K = device.K
+    return np.stack([K[0, 0] * xd + K[0, 1] * yd + K[0, 2], K[1, 1] * yd + K[1, 2]], axis=-1)
+
+
+def _check_baseline(rig: Rig, projector: Device, code: FringeCode) -> None:
+    """Refuse fringes along the baseline: their coordinate does not change with depth."""
+    across = np.abs(projector.R @ projector.centre)
+    own, other = (across[0], across[1]) if code.axis == "x" else (across[1], across[0])
+    if own < _LEAST_RATE * np.hypot(own, other):
+        wanted = "y" if code.axis == "x" else "x"
+        raise RigError(
+            f"fringe axis {code.axis!r}: found fringes along the line from the camera to the projector of rig "
+            f"{rig.id!r}, expected axis {wanted!r}"
+        )

@@ -1,0 +1,109 @@
+"""What the projector's gamma leaves in a decoded coordinate, from the scan itself.
+
+A projector that is not linear adds harmonics to its fringes. With N steps those of order m N ± 1 pass for fringe: the
+coordinate ripples with m N times the fringe's phase, φ = 2π f (ξ + ½)/W, the same way wherever a column is seen. Two
+cameras see the same ripple and match it away. One camera would measure it as relief, so the ripple of every count is
+fitted to second differences of the coordinate, in which a smooth skin hardly shows, and taken out.
+
+What second differences scatter beyond the stated σ, for whatever reason, is added to it: three steps leave no residual
+from which the noise could be told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.cloud import DecodedView
+from metrology.fringe import FringeCode
+
+Array = NDArray[np.float64]
+
+_ORDERS = (1, 2)
+_ROWS = 400  # are looked at
+_FEWEST = 5000
+_OUTLIER = 5.0
+_MAD = 1.4826
+_ROUNDS = 3
+
+
+def without_ripple(view: DecodedView, code: FringeCode, size: int) -> DecodedView:
+    """The view with its coordinate free of the projector's harmonics, and σ at least what the coordinate scatters.
+
+    Parameters
+    ----------
+    view : DecodedView
+    code : FringeCode
+    size : int
+        W, projector pixels along the fringe axis.
+    """
+    coordinate, sigma = (_along(values, code.axis) for values in (view.coordinate, view.sigma))
+    stride = max(1, len(coordinate) // _ROWS)
+    rows, noise = coordinate[::stride].astype(float), sigma[::stride].astype(float)
+    slope = np.abs(np.diff(rows, axis=1))
+    if not np.isfinite(slope).any():
+        return view
+    reach = _reach(code, size, float(np.nanmedian(slope)))
+    bend = _second(rows, reach)
+    expected = np.sqrt(_shifted(noise, reach) + 4 * noise[:, reach:-reach] ** 2)
+    use = np.isfinite(bend) & np.isfinite(expected)
+    if use.sum() < _FEWEST:
+        return view
+    frequencies = _frequencies(code, size)
+    terms = [_second(wave, reach)[use] for wave in _waves(rows, frequencies)]
+    weights, left = _fitted(np.stack(terms, axis=1) if terms else np.empty((use.sum(), 0)), bend[use], expected[use])
+    ripple = np.zeros(view.coordinate.shape)
+    for weight, wave in zip(weights, _waves(view.coordinate.astype(float), frequencies), strict=True):
+        ripple += weight * wave
+    inflation = max(1.0, _MAD * float(np.median(np.abs(left) / expected[use])))
+    return replace(
+        view,
+        coordinate=(view.coordinate - ripple).astype(np.float32),
+        sigma=(view.sigma * np.float32(inflation)).astype(np.float32),
+    )
+
+
+def _along(values: NDArray[np.float32], axis: str) -> NDArray[np.float32]:
+    """With the coordinate rising along the second axis."""
+    return values if axis == "x" else values.T
+
+
+def _frequencies(code: FringeCode, size: int) -> list[float]:
+    """Of the ripples, radians per projector pixel."""
+    pairs = zip(code.counts, code.step_counts, strict=True)
+    return [2 * np.pi * count * steps * order / size for count, steps in pairs for order in _ORDERS]
+
+
+def _reach(code: FringeCode, size: int, slope: float) -> int:
+    """Camera pixels across half a ripple, over which second differences show it best."""
+    first = _frequencies(code, size)[:: len(_ORDERS)]
+    return max(1, round(np.pi / (float(np.median(first)) * slope))) if first and slope > 0 else 1
+
+
+def _waves(coordinate: Array, frequencies: list[float]) -> list[Array]:
+    """Cosine and sine of every ripple."""
+    return [f(frequency * (coordinate + 0.5)) for frequency in frequencies for f in (np.cos, np.sin)]
+
+
+def _second(values: Array, reach: int) -> Array:
+    return np.asarray(values[:, 2 * reach :] + values[:, : -2 * reach] - 2 * values[:, reach:-reach])
+
+
+def _shifted(noise: Array, reach: int) -> Array:
+    """Variance of both neighbours."""
+    return np.asarray(noise[:, 2 * reach :] ** 2 + noise[:, : -2 * reach] ** 2)
+
+
+def _fitted(terms: Array, bend: Array, expected: Array) -> tuple[Array, Array]:
+    """Amplitudes by robust least squares, and what they leave."""
+    weights, left = np.zeros(terms.shape[1]), bend
+    for _ in range(_ROUNDS if terms.shape[1] else 0):
+        middle = np.median(left)
+        near = np.abs(left - middle) < _OUTLIER * _MAD * np.median(np.abs(left - middle))
+        scale = 1.0 / expected[near]
+        design = np.column_stack([terms[near], np.ones(near.sum())]) * scale[:, None]
+        weights = np.linalg.lstsq(design.T @ design, design.T @ (bend[near] * scale), rcond=None)[0][:-1]
+        left = bend - terms @ weights
+    return weights, left
