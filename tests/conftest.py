@@ -43,8 +43,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Together(config, log)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Groups that take long come first: at the end no process waits long for the others."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of several processes none waits long for the others at the end: groups that take long come first."""
+    if not hasattr(config, "workerinput"):
+        return
     long = {_group(item.nodeid) for item in items if any(mark.name in _LONG for mark in item.iter_markers())}
     items.sort(key=lambda item: _group(item.nodeid) not in long)
 

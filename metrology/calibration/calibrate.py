@@ -185,8 +185,7 @@ def calibrate_sightings(
     state, sightings, bad = _clean(start, sightings)
     for pose, texts in bad.items():
         notes.setdefault(pose, []).extend(texts)
-    terms, evidence = _choose_model(state, sightings)
-    adjusted = adjust(state, sightings, _free(terms), robust=False)
+    terms, evidence, adjusted = _choose_model(state, sightings)
     _check(adjusted)
     uses = _pose_uses(everything, sightings, adjusted, notes)
     rms = {name: _rms(sightings, adjusted, name) for name in start.devices}
@@ -370,24 +369,23 @@ def _bad_picture(sighting: Sighting, residual: Array, keep: NDArray[np.bool_], s
     return None
 
 
-def _choose_model(state: State, sightings: Sequence[Sighting]) -> tuple[Terms, list[Evidence]]:
-    """The lens model of each device in turn, the others as they stand."""
+def _choose_model(state: State, sightings: Sequence[Sighting]) -> tuple[Terms, list[Evidence], Adjusted]:
+    """The lens model of each device in turn, the others as they stand; and the adjustment with all of them."""
     terms: Terms = dict.fromkeys(state.devices, USUAL)
     evidence: list[Evidence] = []
-    tried: dict[tuple[tuple[DeviceName, tuple[str, ...]], ...], tuple[float, int]] = {}
+    tried: dict[tuple[tuple[DeviceName, tuple[str, ...]], ...], Adjusted] = {}
     count = 2 * sum(len(s) for s in sightings)
     for name in state.devices:
 
         def fit(candidate: tuple[str, ...], name: DeviceName = name) -> tuple[float, int]:
             model = tuple((terms | {name: candidate}).items())
             if model not in tried:
-                adjusted = adjust(state, sightings, _free(dict(model)), robust=False)
-                tried[model] = adjusted.chi2, adjusted.freedom
-            return tried[model]
+                tried[model] = adjust(state, sightings, _free(dict(model)), robust=False)
+            return tried[model].chi2, tried[model].freedom
 
         terms[name], found = choose_terms(name, fit, count)
         evidence += found
-    return terms, evidence
+    return terms, evidence, tried[tuple(terms.items())]
 
 
 def _free(terms: Terms) -> dict[DeviceName, Sequence[str]]:
