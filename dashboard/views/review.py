@@ -31,7 +31,7 @@ from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
-from dashboard.views.scene import close_up
+from dashboard.views.scene import HOW_DECIDED, close_up
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
 from storage.review import Feature, ShownFinding
@@ -95,7 +95,11 @@ def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
     first, second, third, fourth = st.columns([3, 2, 1, 1])
     decisions = first.pills(
-        "Verdict", OPEN_DECISIONS, selection_mode="multi", **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS)
+        "Verdict",
+        OPEN_DECISIONS,
+        selection_mode="multi",
+        help=HOW_DECIDED,
+        **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS),
     )
     names = list(BY_NAME)
     kinds = second.pills("What", names, selection_mode="multi", **some_of("kind", names, names))
