@@ -167,7 +167,9 @@ def _way_to_bottom(points: Points, form: Form, place: Array, solution: Array, sc
     return np.asarray(step if form == "point" else np.array([0.0, step[0]]), float)
 
 
-def _vertex(points: Points, form: Form, place: Array, solution: Array, covariance: Array, evidence: float) -> Vertex:
+def _vertex(
+    points: Points, form: Form, place: Array, solution: Array, covariance: Array, evidence: float
+) -> Vertex:
     a, b, turn = points.radii
     c, s = np.cos(turn), np.sin(turn)
     x, y = a * place[0], b * place[1]
