@@ -148,9 +148,11 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
 
 
 def _part_of(view: PanelView, chosen: Feature | None) -> int:
-    rows = view.features[chosen.kind] if chosen else pd.DataFrame()
-    found = rows[rows["feature_id"] == chosen.id]["part"] if chosen and len(rows) else []
-    return int(found.iloc[0]) if len(found) and found.notna().all() else 1
+    if chosen is None:
+        return 1
+    rows = view.features[chosen.kind]
+    found = rows[rows["feature_id"] == chosen.id]["part"].dropna()
+    return int(found.iloc[0]) if len(found) else 1
 
 
 def _look_at(feature: str) -> None:
