@@ -226,10 +226,7 @@ def _select(key: str, names: Sequence[Name], at: Name) -> None:
 def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
     shown = f"the gravest {context.locale.whole(len(rows))} of " if total > len(rows) else ""
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.caption(
-            f"{shown}{context.locale.whole(total)} findings · click a row to look at it; tick several to decide on "
-            "them at once"
-        )
+        # On the left: a table with something selected shows tools above its right end.
         with st.popover("Export", icon=":material/download:"):
             st.caption("The findings of this list, with their dispositions.")
             st.download_button(
@@ -243,6 +240,10 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
                 on_click="ignore",
                 key="html",
             )
+        st.caption(
+            f"{shown}{context.locale.whole(total)} findings · click a row to look at it; tick several to decide on "
+            "them at once"
+        )
 
 
 def _several(context: PageContext, ticked: Sequence[Name]) -> None:
