@@ -11,11 +11,15 @@ from zoneinfo import ZoneInfo
 
 import pandas as pd
 
+from metrology.tolerance import RULE
+
 Style = Literal["us", "de", "iso"]
 STYLES: tuple[Style, ...] = get_args(Style)
 STYLE_NAMES: dict[str, Style] = {"US": "us", "German": "de", "ISO": "iso"}
 NOTHING = "–"
 _MINUS, _THIN_SPACE, _NARROW_SPACE = "−", "\u202f", "\u00a0"
+
+_MEASURED = re.compile(r"(?<![\w.])[-+−]\d+\.\d+|(?<=± )\d+\.\d+|\b\d+\.\d+(?= (?:mm|cm|µm|°|%))")
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,16 @@ class Locale:
             return NOTHING
         return f"{local:{({'us': '%m/%d/%Y', 'de': '%d.%m.%Y', 'iso': '%Y-%m-%d'})[self.style]}}"
 
+    def reason(self, text: object) -> str:
+        """A stored reason as the person writes numbers, without the rule of decision, which the pages say once.
+
+        Numbers with a sign, an uncertainty, a bound or a unit are measurements; all else, such as a revision 1.2 or ISO
+        14253-1, stays as it is.
+        """
+        said = str(text).replace(f"; {RULE}", "")
+        written = _MEASURED.sub(lambda found: found[0].replace(".", self.separators[0]), said)
+        return re.sub(r"(?<!\w)-(?=\d)", _MINUS, written)
+
     @property
     def axis_dates(self) -> str:
         """Plotly's format of days on an axis."""
@@ -94,11 +108,6 @@ class Locale:
             return None
         aware = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return aware.astimezone(self.zone)
-
-
-def with_minus(text: str) -> str:
-    """A stored reason with the minus that the pages write; hyphens, as in ISO 14253-1, stay."""
-    return re.sub(r"(?<!\w)-(?=\d)", _MINUS, text)
 
 
 def locale_of(tag: str | None, timezone: str | None, style: str | None = None) -> Locale:

@@ -21,7 +21,7 @@ def with_margins(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
 
     Of several quantities it is the one that lies farthest beyond, as a share of what its limits leave.
     """
-    found = {}
+    found: dict[tuple[str, str, str], tuple[float, str, float]] = {}
     for (bundle, kind_name), part in _bundles(archive, rows).groupby(["bundle_path", "feature_kind"], sort=False):
         spec = _specification(archive, bundle)
         if spec is not None:

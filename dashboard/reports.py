@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import streamlit as st
 
@@ -24,10 +25,14 @@ def offer_report(name: str, made: Callable[[], Report]) -> None:
         ):
             st.download_button(
                 label,
-                lambda suffix=suffix: made().file(suffix),
+                partial(_file, made, suffix),
                 f"{name}{suffix}",
                 kind,
                 icon=":material/picture_as_pdf:" if suffix == ".pdf" else ":material/html:",
                 on_click="ignore",
                 key=f"report-{suffix}",
             )
+
+
+def _file(made: Callable[[], Report], suffix: str) -> bytes:
+    return made().file(suffix)

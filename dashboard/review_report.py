@@ -9,7 +9,7 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.findings import feature_of
-from dashboard.locale import Locale, with_minus
+from dashboard.locale import Locale
 from dashboard.palette import DECISION_MARKS
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
@@ -81,7 +81,7 @@ def _finding(row: dict[str, Any], archive: Archive, locale: Locale, picture: boo
         "value": locale.number(row["value_mm"], sign=True),
         "u95": locale.number(row["u95_mm"]),
         "verdict": DECISION_MARKS.get(row["decision"], row["decision"]),
-        "reason": "" if pd.isna(row["reason"]) else with_minus(row["reason"]),
+        "reason": "" if pd.isna(row["reason"]) else locale.reason(row["reason"]),
         "decided": decided,
         "severity": row["severity"] if row["severity"] in SEVERITIES and row["severity"] else "",
     }

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from dashboard.locale import NOTHING, Locale, with_minus
+from dashboard.locale import NOTHING, Locale
 from dashboard.palette import DECISION_MARKS
 from dashboard.picking import Picked, clicked_row, fresh_key
 from metrology.kinds import KINDS
@@ -99,7 +99,7 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
     if name == "decision":
         return lambda value: DECISION_MARKS.get(str(value), str(value))
     if name == "reason":
-        return lambda value: with_minus(str(value))
+        return locale.reason
     if isinstance(values.dtype, pd.DatetimeTZDtype):
         return locale.time
     if pd.api.types.is_integer_dtype(values.dtype):

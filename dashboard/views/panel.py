@@ -14,7 +14,6 @@ from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
 from dashboard.figures.panel import panel_figure
 from dashboard.findings import feature_from_parameter, feature_parameter
 from dashboard.frame import PageContext, go, link, plain
-from dashboard.locale import with_minus
 from dashboard.panels import InScan, PanelView, earlier_scans, in_scan, load_panel, of_stretch, panel_names
 from dashboard.picking import clickable_chart
 from dashboard.reports import offer_report
@@ -106,7 +105,7 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
     colour, icon = _BADGES.get(str(row.verdict), ("gray", ":material/help:"))
     with st.container(horizontal=True, vertical_alignment="center"):
         st.badge(plain(row.verdict), color=colour, icon=icon)  # type: ignore[arg-type]
-        st.markdown(f":small[{plain(with_minus(str(row.verdict_reason)))}]")
+        st.markdown(f":small[{plain(locale.reason(row.verdict_reason))}]")
         signed = context.archive.review().sign_offs()
         names = {signed[s.scene_id].who for s in scenes if s.scene_id in signed}
         if scenes and all(s.scene_id in signed for s in scenes):
@@ -149,9 +148,11 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
 
 
 def _part_of(view: PanelView, chosen: Feature | None) -> int:
-    rows = view.features[chosen.kind] if chosen else pd.DataFrame()
-    found = rows[rows["feature_id"] == chosen.id]["part"] if chosen and len(rows) else []
-    return int(found.iloc[0]) if len(found) and found.notna().all() else 1
+    if chosen is None:
+        return 1
+    rows = view.features[chosen.kind]
+    found = rows[rows["feature_id"] == chosen.id]["part"].dropna()
+    return int(found.iloc[0]) if len(found) else 1
 
 
 def _look_at(feature: str) -> None:

@@ -31,7 +31,7 @@ from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
-from dashboard.views.scene import close_up
+from dashboard.views.scene import HOW_DECIDED, close_up
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
 from storage.review import Feature, ShownFinding
@@ -95,7 +95,11 @@ def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
     first, second, third, fourth = st.columns([3, 2, 1, 1])
     decisions = first.pills(
-        "Verdict", OPEN_DECISIONS, selection_mode="multi", **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS)
+        "Verdict",
+        OPEN_DECISIONS,
+        selection_mode="multi",
+        help=HOW_DECIDED,
+        **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS),
     )
     names = list(BY_NAME)
     kinds = second.pills("What", names, selection_mode="multi", **some_of("kind", names, names))
@@ -222,10 +226,7 @@ def _select(key: str, names: Sequence[Name], at: Name) -> None:
 def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
     shown = f"the gravest {context.locale.whole(len(rows))} of " if total > len(rows) else ""
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.caption(
-            f"{shown}{context.locale.whole(total)} findings · click a row to look at it; tick several to decide on "
-            "them at once"
-        )
+        # On the left: a table with something selected shows tools above its right end.
         with st.popover("Export", icon=":material/download:"):
             st.caption("The findings of this list, with their dispositions.")
             st.download_button(
@@ -239,6 +240,10 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
                 on_click="ignore",
                 key="html",
             )
+        st.caption(
+            f"{shown}{context.locale.whole(total)} findings · click a row to look at it; tick several to decide on "
+            "them at once"
+        )
 
 
 def _several(context: PageContext, ticked: Sequence[Name]) -> None:

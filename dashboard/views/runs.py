@@ -84,9 +84,9 @@ def _rigs(context: PageContext, selection: Selection) -> None:
         return
     st.plotly_chart(rig_figure(days, context.locale), key="rigs", config={"displaylogo": False})
     st.caption(
-        "Cameras: how far features seen by both lie from their epipolar lines. Projector: how far what it showed lies "
-        "from where the rig says (medians of a day). A slow rise is drift, a jump is a knock: calibrate again. Noise: "
-        "standard deviation of a point's depth."
+        "Cameras: how far what both see lies from where one says the other must see it. Projector: how far what it "
+        "showed lies from where the rig says (medians of a day). A slow rise is drift, a jump is a knock: calibrate "
+        "again. Noise: standard deviation of a point's depth."
     )
     latest = days.groupby("rig_id", as_index=False).last()
     for counted in ("scenes", "unjudged"):

@@ -16,7 +16,6 @@ from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_
 from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
 from dashboard.findings import feature_from_parameter, feature_parameter
 from dashboard.frame import PageContext, link, plain
-from dashboard.locale import with_minus
 from dashboard.palette import DECISION_BADGES, DECISION_MARKS
 from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
@@ -44,6 +43,11 @@ _MAP_POINTS = 120_000
 _CLOUD_POINTS = (30_000, 100_000, 300_000)
 _EXAGGERATIONS = (1, 10, 50, 100)
 _HEIGHT = 500
+HOW_DECIDED = (
+    "Decided after ISO 14253-1: a value fails or passes where it lies beyond or within its limits by more than its "
+    "uncertainty (U95, which holds in 95 of 100 cases). Nearer to a limit it fails or passes conditionally: the "
+    "measurement alone cannot tell."
+)
 
 
 def render(context: PageContext) -> None:
@@ -149,7 +153,7 @@ def _deviation(context: PageContext, row: Any) -> None:
         st.info("This scan has too few points for a map.")
         return
     st.plotly_chart(deviation_map(field, context.locale, _HEIGHT), key="map", config={"displaylogo": False})
-    st.caption("Height above a smooth quadric through the whole field, mm; grey where there is no point.")
+    st.caption("Height above a smooth surface through the whole field, mm; grey where there is no point.")
 
 
 def _cloud_view(context: PageContext, row: Any) -> None:
@@ -300,9 +304,9 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
         _diameter(context, measured)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
-        st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
+        st.markdown(f":small[**Why:** {plain(context.locale.reason(reason))}]", help=HOW_DECIDED)
     if kind is DEFECT and (accepted := context.archive.accepted(str(row.scene_id)).get(chosen.id)):
-        st.markdown(f":small[:material/history: {plain(with_minus(str(accepted)))}]")
+        st.markdown(f":small[:material/history: {plain(context.locale.reason(str(accepted)))}]")
     if compact:
         return
     try:

@@ -11,7 +11,7 @@ from dashboard.figures.trends import control_figure, histogram, layout_figure, p
 from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
 from dashboard.frame import PageContext, go, plain
-from dashboard.locale import Locale, with_minus
+from dashboard.locale import Locale
 from dashboard.picking import clickable_chart
 from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
@@ -109,7 +109,7 @@ def _control(
     values = spread(context.archive, subject, quantity, selection, standard)
     shown = quantity.against(standard)
     if standard.note:
-        st.caption(with_minus(standard.note))
+        st.caption(context.locale.reason(standard.note))
     left, right = st.columns([7, 4])
     # The numbers come first: they are there while the figures are still being drawn.
     with right:
@@ -212,4 +212,4 @@ def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: 
     )
     st.caption(f"{quantity.title} of panel {plain(subject.panel)}, over all aircraft; places {frame}.")
     if standard.relative:
-        st.caption(with_minus(standard.note))
+        st.caption(context.locale.reason(standard.note))

@@ -24,7 +24,7 @@ from dashboard.filters import newest_scan
 from dashboard.findings import Selection, Wanted, feature_from_parameter, feature_parameter, findings
 from dashboard.frame import plain
 from dashboard.launch import check_address, command, login_is_configured
-from dashboard.locale import Locale, locale_of, with_minus
+from dashboard.locale import Locale, locale_of
 from dashboard.palette import BLUE, GREEN, RED
 from dashboard.pictures import load_picture
 from dashboard.review_report import csv_report, html_report
@@ -60,8 +60,14 @@ def test_numbers_and_times_as_people_write_them() -> None:
     assert Locale().time(MOMENT) == "2026-11-20 20:05"
     assert german.measured(0.0612, 0.003, "mm").replace("\u00a0", " ") == "+0,061 ± 0,003 mm"
     assert Locale().number(-0.0001) == "0.000"
-    reason = "step -0.275 ± 0.003 mm outside -0.200 … +0.200 (D-12 3-4); ISO 14253-1, rig-2026-11-02"
-    assert with_minus(reason) == reason.replace("-0.", "−0.")
+
+
+def test_reasons_are_written_as_people_write_numbers_and_names_stay() -> None:
+    reason = "step -0.275 ± 0.003 mm outside -0.200 … +0.200 (D-12 3-4, revision 1.2); ISO 14253-1, guard band U95"
+    said = "step −0.275 ± 0.003 mm outside −0.200 … +0.200 (D-12 3-4, revision 1.2)"
+    assert Locale().reason(reason) == said
+    assert Locale("de").reason(reason) == said.replace("0.", "0,")
+    assert Locale("de").reason("rig-2026.11 of 12.5 mm, ISO 14253-1") == "rig-2026.11 of 12,5 mm, ISO 14253-1"
 
 
 @pytest.mark.parametrize("nothing", [None, float("nan"), float("inf"), "x", pd.NaT])
