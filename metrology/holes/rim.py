@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
-from metrology.robust import fit_circle, reweighted
+from metrology.robust import fit_circle, from_scratch
 from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
@@ -249,7 +249,7 @@ def _depth(edges: Edges, off: Array, rows: Array, pixel_mm: float) -> tuple[floa
     if lean == 0:
         return 0.0, 0.0
     design = np.column_stack([rows, edges.lean])
-    leaning = reweighted(design, off, np.zeros(4), 20)
+    leaning = from_scratch(design, off, 8, 15, _NEAREST_PX * pixel_mm)
     if leaning is None:
         return 0.0, 0.0
     kept = leaning.weights > 0
