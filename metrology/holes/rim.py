@@ -131,7 +131,7 @@ def picture_edges(
             if at is not None:
                 found.append((int(k), float(np.interp(at[0], np.arange(len(radii)), radii)), at[1], eye))
     if not found:
-        return Edges(*np.empty((2, 0)), np.empty(0, int), np.empty(0), EDGE_SD_PX)
+        return Edges(np.empty(0), np.empty(0), np.empty(0, int), np.empty(0), EDGE_SD_PX)
     which, r, blur, eyes = (np.array(column) for column in zip(*found, strict=True))
     lean = leans(r, turn[which], eyes)
     return Edges(
