@@ -54,7 +54,7 @@ def bore_circle(
     radii = np.arange(outer.radius - _CLEAR_PX * pixel_mm, _INNERMOST * outer.radius, -_SPACING_PX * pixel_mm)
     if len(radii) < 4 / _SPACING_PX:
         return None
-    turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+    turn = np.asarray(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS), float)
     x, y = (c + radii * f(turn)[:, None] for c, f in ((outer.x, np.cos), (outer.y, np.sin)))
     # Every sample lies on the cone; only where the cone ends it does not.
     depth = np.array([cone.depth_at(radius) for radius in radii])

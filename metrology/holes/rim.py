@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
-from metrology.robust import fit_circle, reweighted
+from metrology.robust import fit_circle, from_scratch
 from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
@@ -131,7 +131,7 @@ def picture_edges(
             if at is not None:
                 found.append((int(k), float(np.interp(at[0], np.arange(len(radii)), radii)), at[1], eye))
     if not found:
-        return Edges(*np.empty((2, 0)), np.empty(0, int), np.empty(0), EDGE_SD_PX)
+        return Edges(np.empty(0), np.empty(0), np.empty(0, int), np.empty(0), EDGE_SD_PX)
     which, r, blur, eyes = (np.array(column) for column in zip(*found, strict=True))
     lean = leans(r, turn[which], eyes)
     return Edges(
@@ -249,7 +249,7 @@ def _depth(edges: Edges, off: Array, rows: Array, pixel_mm: float) -> tuple[floa
     if lean == 0:
         return 0.0, 0.0
     design = np.column_stack([rows, edges.lean])
-    leaning = reweighted(design, off, np.zeros(4), 20)
+    leaning = from_scratch(design, off, 8, 15, _NEAREST_PX * pixel_mm)
     if leaning is None:
         return 0.0, 0.0
     kept = leaning.weights > 0

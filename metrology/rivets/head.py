@@ -23,6 +23,9 @@ _LEAST_SHARE = 0.4
 _MOST_ABOVE = 0.1
 # Neighbours share the noise of the right view: a mean's variance is up to twice that of independent points.
 _INFLATION = 2.0
+# Scatter of a head's points over that of the skin's, in their σ: at most 1.4 on heads whose surface was found. What
+# blur leaves of a narrow slot on a small head lies on no surface, and passes for one.
+_ROUGH = 1.8
 
 
 def head_surface(
@@ -48,7 +51,10 @@ def head_surface(
         if clear.sum() < _FEWEST_CLEAR:
             return f"head: {int(clear.sum())} points clear of its recesses, at least {_FEWEST_CLEAR} needed"
         inner, surface = clear, _plane_or_dome(patch, clear, settings, generator)
-    return "points lie too unevenly for a surface" if surface is None else (surface, inner)
+    if surface is None:
+        return "points lie too unevenly for a surface"
+    rough = surface.chi / max(skin.chi, 1.0)
+    return f"head: its points scatter {rough:.1f} times as far as the skin's" if rough > _ROUGH else (surface, inner)
 
 
 def _plane_or_dome(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,14 @@ import pytest
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.fastening import detect_fasteners
 from metrology.holes import measure_holes
+from metrology.holes.rim import Edges, leans, rim_circle
 from metrology.kinds import HOLE
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet
 from metrology.registration.openings import explained, missing_fasteners
 from metrology.results import Hole, Rivet
+from metrology.rivets.ground import ground_of
+from metrology.rivets.settings import RivetSettings
 from metrology.tolerance import judge
 from tests.support.rivet_scan import Head, Skin, scan
 
@@ -27,14 +31,16 @@ def on_skin(reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
     return local[..., 0], local[..., 1]
 
 
-def darkened(reconstruction: Reconstruction, x: float, y: float, radius: float, share: float = 0.9) -> Reconstruction:
-    """Both pictures with a dark disc on the skin, blurred to 0.75 pixels, as a hole without light is."""
+def darkened(
+    reconstruction: Reconstruction, x: float, y: float, radius: float, share: float = 0.9, deep: float = 0.0
+) -> Reconstruction:
+    """Both pictures with a dark disc so deep below the skin, blurred to 0.75 pixels, as a hole without light is."""
     rig, views = reconstruction.rig, []
     for view, camera in ((reconstruction.left, rig.left), (reconstruction.right, rig.right)):
         v, u = np.mgrid[: camera.height, : camera.width].astype(float)
         rays = camera.rays(np.stack([u, v], axis=-1)) @ SKIN.frame.axes.T
         eye = SKIN.frame.local(camera.centre)
-        reach = -eye[2] / rays[..., 2]
+        reach = (-deep - eye[2]) / rays[..., 2]
         away = np.hypot(eye[0] + reach * rays[..., 0] - x, eye[1] + reach * rays[..., 1] - y) - radius
         sigma = 0.75 * 700.0 / rig.left.K[0, 0]
         inside = 0.5 - 0.5 * np.tanh(0.85 * away / sigma)
@@ -71,12 +77,80 @@ def test_a_countersink_has_diameter_depth_and_angle(rng: np.random.Generator) ->
     r = np.hypot(x, y)
     slope = 1 / np.tan(np.radians(50))
     cone = np.where(r > 2.5, -(5.0 - r) * slope, -DEEP)
-    reconstruction = darkened(moved(reconstruction, r < 5.0, cone), 0.0, 0.0, 2.5)
+    reconstruction = darkened(moved(reconstruction, r < 5.0, cone), 0.0, 0.0, 2.5, deep=2.5 * slope)
     (hole,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
     assert hole.countersink_diameter_mm == pytest.approx(10.0, abs=0.2)
     assert hole.countersink_angle_deg == pytest.approx(100.0, abs=5.0)
     assert hole.countersink_depth_mm == pytest.approx(2.5 * slope, abs=0.25)
     assert hole.diameter_mm == pytest.approx(5.0, abs=0.3)
+
+
+def test_an_edge_below_the_skin_is_no_plain_hole(rng: np.random.Generator) -> None:
+    """A countersink whose cone the cloud does not show: its bore is 1.2 mm deep, one camera sees it left, one right."""
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    reconstruction = darkened(moved(reconstruction, np.hypot(x, y) < 4.0, np.nan), 0.0, 0.0, 2.5, deep=1.2)
+    (hole,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
+    assert (hole.diameter_mm, hole.decision) == (None, "not measured")
+    assert re.search(r"1\.[123] mm below the skin: a countersink", hole.reason)
+
+
+def test_a_wall_that_matching_bends_is_no_countersink(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    away = np.hypot(x, y) - 2.5
+    floor = -2.0 * np.clip(0.5 - away / 0.8, 0, 1)  # over four pixels
+    reconstruction = darkened(moved(reconstruction, away < 1.0, floor), 0.0, 0.0, 2.5)
+    (hole,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
+    assert hole.countersink_diameter_mm is None
+    assert hole.diameter_mm == pytest.approx(5.0, abs=0.05)
+
+
+def test_a_dark_sheet_behind_a_hole_is_no_sunk_head(rng: np.random.Generator) -> None:
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    behind = darkened(moved(reconstruction, np.hypot(x, y) < 4.0, -1.6), 0.0, 0.0, 4.0, share=0.75)
+    (hole,) = measure_holes(detect_fasteners(behind).openings, behind)
+    assert (hole.diameter_mm, hole.depth_mm) == pytest.approx((8.0, 1.6), abs=0.1)
+
+
+def test_holes_of_bent_skin_are_found_where_noise_is_low(rng: np.random.Generator) -> None:
+    """Smoothing cuts off more of the bend than noise is: the skin must not be left out for it."""
+    bent = Skin(radius_x=700.0, radius_y=800.0, sigma_z=0.001)
+    reconstruction = scan(bent, (), rng)
+    places = [(-36.0, -20.0), (0.0, 22.0), (30.0, -18.0), (36.0, 20.0)]
+    local = bent.frame.local(reconstruction.points.astype(float))
+    for x, y in places:
+        reconstruction = moved(reconstruction, np.hypot(local[..., 0] - x, local[..., 1] - y) < 4.0, -DEEP)
+        reconstruction = darkened(reconstruction, x, y, 4.0)
+    relief = ground_of(reconstruction, RivetSettings()).relief
+    skin = relief.height[np.abs(relief.height) < 1.0]
+    assert len(skin) > 0.9 * relief.height.size
+    assert np.percentile(np.abs(skin - np.median(skin)), 95) < 0.25
+    assert len(detect_fasteners(reconstruction).openings) == len(places)
+
+
+@pytest.mark.parametrize("deep", [0.0, 0.6, 1.5])
+def test_a_circle_of_edges_tells_how_deep_it_lies(rng: np.random.Generator, deep: float) -> None:
+    turn = np.tile(np.arange(72) * np.pi / 36, 2)
+    eyes = np.repeat([[-150.0, 0.0, 700.0], [150.0, 10.0, 690.0]], 72, axis=0)
+    seen = 4.0 - 0.5 * 0.2**2 / 4.0 + deep * leans(np.full(144, 4.0), turn, eyes) + rng.normal(0, 0.01, 144)
+    edges = Edges(
+        seen * np.cos(turn), seen * np.sin(turn), np.tile(np.arange(72), 2), leans(seen, turn, eyes), 0.08, 1.0
+    )
+    circle = rim_circle(edges, 0.2)
+    assert circle.deeper == pytest.approx(deep, abs=0.1)
+    assert circle.radius == pytest.approx(4.0, abs=0.01)
+    assert (circle.radius_sd > 0.1) == (deep > 0)
+
+
+def test_one_camera_does_not_tell_how_deep_a_circle_lies(rng: np.random.Generator) -> None:
+    turn = np.arange(72) * np.pi / 36
+    r = 4.0 + rng.normal(0, 0.01, 72)
+    lean = leans(r, turn, np.array([-150.0, 0.0, 700.0]))
+    circle = rim_circle(Edges(r * np.cos(turn), r * np.sin(turn), np.arange(72), lean, 0.08), 0.2)
+    assert circle.deeper == 0.0
+    assert circle.radius_sd < 0.03
 
 
 def test_paint_and_sunk_heads_are_no_holes(rng: np.random.Generator) -> None:

@@ -157,6 +157,20 @@ def test_the_floor_of_a_wide_slot_is_not_taken_for_the_head(rng: np.random.Gener
     assert "no one surface" in rivet.reason
 
 
+def test_a_head_whose_points_lie_on_no_surface_is_not_measured(rng: np.random.Generator) -> None:
+    """What blur leaves of a narrow slot on a small head: its points scatter, and no one of them is far off."""
+    head = Head(0, 0, 4.8, 0.1)
+    reconstruction = scan(Skin(), (head,), rng)
+    local = Skin().frame.local(reconstruction.points.astype(float))
+    inside = np.hypot(local[..., 0], local[..., 1]) < 2.4
+    local[..., 2] += np.where(inside, rng.uniform(-0.06, 0.06, inside.shape), 0.0)
+    rough = replace(reconstruction, points=Skin().frame.rig(local).astype(np.float32))
+    (rivet,) = measure_rivets([truth_detection(reconstruction, Skin(), head)], rough)
+    assert rivet.height_mean_mm is None
+    assert "scatter" in rivet.reason
+    assert "the skin's" in rivet.reason
+
+
 def test_domes_do_not_widen_the_limits_of_flat_heads(rng: np.random.Generator) -> None:
     """A dome's own shape is no noise: what is left of it over a plane must not enter how points scatter."""
     flat = tuple(Head(x, 18, 9.0, 0.1) for x in (-30, 0, 30))
