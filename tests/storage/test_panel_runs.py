@@ -8,6 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
@@ -22,6 +23,7 @@ from storage.archive.aircraft import _panel
 from storage.archive.bundle import check_bundle
 from storage.archive.panel_scans import newest_scans
 from storage.archive.schema import PANEL_TABLES
+from storage.export.panel_cloud import CELL_MM
 from storage.panel_spec import load_panel_spec
 from storage.report import assembled_page, assembled_record
 from storage.rig import rig_document
@@ -217,3 +219,16 @@ def test_a_panel_of_the_aircraft_is_done_when_all_of_its_pattern_is_measured(fil
     assert state(n_expected=40, n_not_seen=0, n_not_measured=0) == ("done", "")
     assert state(n_expected=40, n_not_seen=2, n_not_measured=1) == ("partly", "2 not seen, 1 not measured")
     assert state(n_expected=40, n_parts=2) == ("partly", "2 parts that nothing joins")
+
+
+def test_the_clouds_of_a_panel_are_one(filled: Store, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    asked = ["export", "--aircraft", "MSN-1", "--panel", "P", "--store", str(filled.root), "--out", str(out)]
+    assert main([*asked, "--format", "panel-ply"]) == EXIT_DONE
+    [file] = out.rglob("*.ply")
+    vertex = plyfile.PlyData.read(str(file))["vertex"]
+    points = np.stack([vertex["x"], vertex["y"], vertex["z"]], axis=1).astype(float)
+    assert np.ptp(points[:, 0]) > 600  # three fields of some 300 mm
+    assert len(np.unique(np.floor(points / CELL_MM), axis=0)) > 0.999 * len(points)  # what overlaps is there once
+    apart = points[:, 2] + 0.5 * points[:, 1] ** 2 / 1800  # the skin is a cylinder of 1800 mm
+    assert np.std(apart - np.polyval(np.polyfit(points[:, 1], apart, 2), points[:, 1])) < 0.1
