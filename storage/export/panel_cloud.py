@@ -41,9 +41,9 @@ def write_panel_ply(subject: Subject, place: Place) -> list[Path]:
     written = []
     for part, rows in parts.items():
         points, grey = together(_placed(place, row) for row in rows)
-        nothing = np.empty((1, 0))
         written.append(place.file(f"~panel{part if len(parts) > 1 else ''}.ply"))
-        write_point_cloud(written[-1], StoredCloud(points[None].astype(np.float32), nothing, nothing), grey[None])
+        nothing = np.empty((1, 0), np.float32), np.empty((1, 0), np.uint16)
+        write_point_cloud(written[-1], StoredCloud(points[None].astype(np.float32), *nothing), grey[None])
     return written
 
 
@@ -74,5 +74,6 @@ def _placed(place: Place, row: Row) -> tuple[NDArray[np.float64], NDArray[np.uin
     paths = place.store.paths(row["station_scene_id"])
     points, texture = read_cloud(paths.cloud).points, read_preview(paths.preview)
     valid = np.isfinite(points[..., 2])
-    stands = Placement(np.reshape(row["rotation"], (3, 3)), (row["x_mm"], row["y_mm"], row["z_mm"]))
+    centre = np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
+    stands = Placement(np.reshape(row["rotation"], (3, 3)), centre)
     return stands.to_panel(points[valid]), texture[valid]
