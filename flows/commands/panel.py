@@ -44,6 +44,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     assembling.add_argument("--aircraft", metavar="SERIAL", help="without it the panels of every aircraft")
     assembling.add_argument("--panel", metavar="PANEL", help="without it all panels")
     assembling.add_argument("--panel-spec", type=Path, metavar="FILE", help="in place of the specification in force")
+    listing = add("list", list_aircraft, "an aircraft's panels: done, partly or not inspected, and where to stand next")
+    listing.add_argument("--store", type=Path, required=True, metavar="DIR")
+    listing.add_argument("--aircraft", required=True, metavar="SERIAL")
     judging = add("judge", judge, "judge an assembled panel by another specification, without measuring again")
     judging.add_argument("--store", type=Path, required=True, metavar="DIR")
     judging.add_argument("--aircraft", required=True, metavar="SERIAL")
@@ -162,6 +165,19 @@ def assemble(options: argparse.Namespace) -> int:
         expected = ", ".join(map(str, known[:5])) or "an inspected scene"
         raise StoreError(f"{options.store}: found no scan of {asked}, expected one of: {expected}")
     assemble_and_publish(store, keys, load_panel_spec(options.panel_spec) if options.panel_spec else None)
+    return 0
+
+
+def list_aircraft(options: argparse.Namespace) -> int:
+    """List the panels of an aircraft."""
+    from flows.cli import counted
+    from storage.archive import Store
+    from storage.archive.aircraft import panels_of_aircraft
+
+    for found in panels_of_aircraft(Store(options.store), options.aircraft):
+        said = [found.state, counted(found.n_scans, "station"), found.verdict or "", found.missing]
+        said += [f"scan next: {found.next_station}"] if found.next_station else []
+        print(f"panel {found.panel}: {'; '.join(part for part in said if part)}")
     return 0
 
 

@@ -2,9 +2,9 @@
 
 A finding is a feature of the newest scan of its place that does not simply pass, or one of any scan
 whose disposition left work open. Work that a disposition asked for (rework, repair, re-scan) is open until the same
-feature passes on a later scan of its station, until it is disposed of anew on a later scan, or until a person closes
-it. A disposition holds for the values it was made about: where another run of the scan measured something else, the
-finding waits again.
+feature (of a course: every position near to it) passes on a later scan of its station, until it is disposed of anew on
+a later scan, or until a person closes it. A disposition holds for the values it was made about: where another run of
+the scan measured something else, the finding waits again.
 
 A stretch of a course is one finding (`metrology.stretches`). What was decided about it was decided about each of its
 positions, so that it stands as they do: it waits as long as one of them does.
@@ -238,22 +238,37 @@ def open_work(connection: duckdb.DuckDBPyConnection, review: Review) -> dict[tup
 _SAME = """s.registration IS DISTINCT FROM 'not recognised'
     AND NOT (coalesce(s.n_unlisted, 0) > 0 AND feature_id LIKE 'X%')"""
 _PASSES = "decision IN ('pass', 'conditional pass')"
+# Positions of two scans of a course lie between each other: one is answered by those this near to it, all of them.
+_NEAR_MM = 1.5
+_COURSES = ", ".join(f"'{kind.name}'" for kind in KINDS if kind.is_course)
+_ALONG = f"feature_kind IN ({_COURSES})"
+_PLACE = f"""CASE WHEN {_ALONG} THEN split_part(feature_id, '@', 1) ELSE feature_id END AS name,
+    CASE WHEN {_ALONG} THEN TRY_CAST(split_part(feature_id, '@', 2) AS DOUBLE) END AS place_mm"""
 _DONE_SQL = f"""WITH named AS (
-    SELECT d.*, s.aircraft_serial, s.panel, s.station, s.captured_at
+    SELECT d.*, s.aircraft_serial, s.panel, s.station, s.captured_at, {_PLACE}
     FROM disposed d JOIN scenes s USING (scene_id) WHERE {_SAME}
 ), places AS (SELECT DISTINCT aircraft_serial, panel, station FROM named WHERE asks
 ), later AS (SELECT s.* FROM scenes s SEMI JOIN places USING (aircraft_serial, panel, station)
-), passed AS (
-    SELECT f.*, s.registration, s.n_unlisted FROM (
-        {" UNION ALL ".join(features_sql(kind, _PASSES, _of_scenes(kind, "later")) for kind in KINDS)}
+), found AS (
+    SELECT f.*, {_PLACE}, {_PASSES} AS passes FROM (
+        {
+    " UNION ALL ".join(
+        features_sql(kind, "true" if kind.is_course else _PASSES, _of_scenes(kind, "later")) for kind in KINDS
+    )
+}
     ) f JOIN later s USING (scene_id) WHERE {_SAME}
 ), answers AS (
-    SELECT aircraft_serial, panel, station, feature_kind, feature_id, captured_at FROM passed
-    UNION ALL SELECT aircraft_serial, panel, station, feature_kind, feature_id, captured_at FROM named
+    SELECT aircraft_serial, panel, station, feature_kind, name, place_mm, captured_at, passes, 'scan' AS by FROM found
+    UNION ALL
+    SELECT aircraft_serial, panel, station, feature_kind, name, place_mm, captured_at, true, 'person' FROM named
 )
-SELECT DISTINCT n.scene_id, n.feature_kind, n.feature_id FROM named n
-JOIN answers a USING (aircraft_serial, panel, station, feature_kind, feature_id)
-WHERE n.asks AND a.captured_at > n.captured_at"""
+SELECT DISTINCT scene_id, feature_kind, feature_id FROM (
+    SELECT n.scene_id, n.feature_kind, n.feature_id FROM named n
+    JOIN answers a USING (aircraft_serial, panel, station, feature_kind, name)
+    WHERE n.asks AND a.captured_at > n.captured_at
+        AND coalesce(abs(a.place_mm - n.place_mm) <= {_NEAR_MM}, n.place_mm IS NULL)
+    GROUP BY n.scene_id, n.feature_kind, n.feature_id, a.captured_at, a.by HAVING bool_and(a.passes)
+)"""
 
 
 def standings(connection: duckdb.DuckDBPyConnection, review: Review, scene_id: str) -> tuple[Standing, ...]:

@@ -75,6 +75,7 @@ FORMATS = {
         Format("e57", "clouds, all scans with their poses in one file", "e57:write", "", ("pye57",)),
         Format("las", "clouds, one LAS file a scan", "clouds:write_las", "", ("laspy",)),
         Format("ply", "clouds, one PLY file a scan", "clouds:write_ply"),
+        Format("panel-ply", "one thinned cloud of the assembled panel", "panel_cloud:write_panel_ply"),
         Format("pcd", "clouds, one PCD file a scan", "clouds:write_pcd"),
         Format("glb", "surfaces with the picture on them, one GLB file a scan", "mesh:write_glb"),
         Format("stl", "surfaces, one STL file a scan", "mesh:write_stl"),

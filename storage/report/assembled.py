@@ -101,12 +101,9 @@ def assembled_record(store: Store, key: PanelKey) -> AssembledRecord:
     return AssembledRecord(
         panel,
         {kind.name: _rows(store, PANEL_OF_KIND[kind.name].name, key, *kind.id_columns) for kind in KINDS},
-        *(
-            _rows(store, table.name, key, *order)
-            for table, order in (
-                (PANEL_RULES, ("rule_id",)), (PANEL_FINDINGS, ()), (PANEL_COVERAGE, ("feature_id",)),
-            )
-        ),
+        _rows(store, PANEL_RULES.name, key, "rule_id"),
+        _rows(store, PANEL_FINDINGS.name, key),
+        _rows(store, PANEL_COVERAGE.name, key, "feature_id"),
         stations,
         _rows(store, PANEL_VERDICTS.name, key, "judged_at"),
         {row["scene_id"]: row for row in newest if row["scene_id"] in used},

@@ -8,6 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
@@ -18,14 +19,16 @@ from metrology.kinds import BY_NAME
 from metrology.results import PanelKey
 from metrology.tolerance import judge
 from storage.archive import Store, maintenance
+from storage.archive.aircraft import _panel
 from storage.archive.bundle import check_bundle
 from storage.archive.panel_scans import newest_scans
 from storage.archive.schema import PANEL_TABLES
+from storage.export.panel_cloud import CELL_MM
 from storage.panel_spec import load_panel_spec
 from storage.report import assembled_page, assembled_record
 from storage.rig import rig_document
 from tests.support.panel_scans import RIG, SimulatedPanel, facing
-from tests.support.results import copied, small_result
+from tests.support.results import copied, small_key, small_result
 
 KEY = PanelKey("MSN-1", "P")
 RULES = """
@@ -185,3 +188,47 @@ def test_the_report_says_that_a_newer_scan_is_not_in_the_panel(filled: Store, tm
     [scan] = [each.scan for each in newest_scans(store, KEY) if each.scan.key.station == "S2"]
     store.publish(result_of(replace(scan, key=replace(scan.key, captured_at=scan.key.captured_at + timedelta(days=1)))))
     assert "not in it: a newer scan of S2; assemble the panel again" in assembled_page(assembled_record(store, KEY))
+
+
+def test_an_aircraft_lists_its_panels(filled: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = copied(filled, tmp_path)
+    store.publish(small_result(small_key("S7", aircraft="MSN-2", panel="Q")))
+    other = tmp_path / "r.toml"
+    other.write_text(RULES.format(revision="A", limit=0.05).replace('panel = "P"', 'panel = "R"'))
+    assert main(["panel", "add", str(other), "--store", str(store.root)]) == EXIT_DONE
+    capsys.readouterr()
+    assert main(["panel", "list", "--store", str(store.root), "--aircraft", "MSN-1"]) == EXIT_DONE
+    assert capsys.readouterr().out.splitlines() == [
+        "panel P: no pattern; 3 stations; no rules",
+        "panel Q: not; 0 stations; no scan",
+        "panel R: not; 0 stations; no scan",
+    ]
+    assert main(["panel", "list", "--store", str(store.root), "--aircraft", "MSN-2"]) == EXIT_DONE
+    assert "panel Q: partly; 1 station; not put together" in capsys.readouterr().out
+    assert main(["panel", "list", "--store", str(store.root), "--aircraft", "MSN-9"]) == EXIT_BAD_INPUT
+
+
+def test_a_panel_of_the_aircraft_is_done_when_all_of_its_pattern_is_measured(filled: Store, tmp_path: Path) -> None:
+    store = copied(filled, tmp_path)
+
+    def state(**changed: object) -> tuple[str, str]:
+        row = {**store.query("FROM panels").to_pylist()[0], **changed}
+        found = _panel(store, "P", {**row, "n": 3, "ids": row["scenes"]})
+        return found.state, found.missing
+
+    assert state(n_expected=40, n_not_seen=0, n_not_measured=0) == ("done", "")
+    assert state(n_expected=40, n_not_seen=2, n_not_measured=1) == ("partly", "2 not seen, 1 not measured")
+    assert state(n_expected=40, n_parts=2) == ("partly", "2 parts that nothing joins")
+
+
+def test_the_clouds_of_a_panel_are_one(filled: Store, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    asked = ["export", "--aircraft", "MSN-1", "--panel", "P", "--store", str(filled.root), "--out", str(out)]
+    assert main([*asked, "--format", "panel-ply"]) == EXIT_DONE
+    [file] = out.rglob("*.ply")
+    vertex = plyfile.PlyData.read(str(file))["vertex"]
+    points = np.stack([vertex["x"], vertex["y"], vertex["z"]], axis=1).astype(float)
+    assert np.ptp(points[:, 0]) > 600  # three fields of some 300 mm
+    assert len(np.unique(np.floor(points / CELL_MM), axis=0)) > 0.999 * len(points)  # what overlaps is there once
+    apart = points[:, 2] + 0.5 * points[:, 1] ** 2 / 1800  # the skin is a cylinder of 1800 mm
+    assert np.std(apart - np.polyval(np.polyfit(points[:, 1], apart, 2), points[:, 1])) < 0.1

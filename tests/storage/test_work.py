@@ -207,11 +207,11 @@ SEAM = Feature("seam station", "M1@2.0-8.0")
 AT = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 
 
-def seam_scan(steps: Sequence[float], days: float = 0) -> InspectionResult:
-    """One scan with a seam of these steps at every 2 mm, judged by a limit of 0.2 mm."""
+def seam_scan(steps: Sequence[float], days: float = 0, shift: float = 0.0) -> InspectionResult:
+    """One scan with a seam of these steps at every 2 mm, from `shift` on, judged by a limit of 0.2 mm."""
     base = scan(days, "pass", 0.05)
     first = base.features["seam station"][0]
-    rows = [replace(first, s_mm=s, step_mm=step, reason=None) for s, step in zip(AT, steps, strict=True)]
+    rows = [replace(first, s_mm=s + shift, step_mm=step, reason=None) for s, step in zip(AT, steps, strict=True)]
     judged = judge(SEAM_STATION, rows, PanelSpec("P", "A", {"default": {"step_mm": Limit(-0.2, 0.2)}}))
     return replace(base, features={**base.features, "seam station": tuple(judged)})
 
@@ -273,6 +273,22 @@ def test_work_on_a_stretch_is_open_until_all_of_it_passes(seam_store: Store) -> 
     assert stand(seam_store) == "1 open work"
     seam_store.publish(seam_scan((0.1,) * 6, days=2))
     assert stand(seam_store) == "1 decided"
+
+
+@pytest.mark.parametrize(
+    ("steps", "shift", "state"),
+    [
+        ((0.1,) * 6, 0.7, "1 decided"),
+        ((0.1, 0.1, 0.1, 0.3, 0.1, 0.1), 0.7, "1 open work"),
+        ((0.1,) * 6, 5.0, "1 open work"),  # its beginning was not seen again
+    ],
+)
+def test_work_on_a_stretch_is_done_where_positions_lie_between_those_before(
+    seam_store: Store, steps: Sequence[float], shift: float, state: str
+) -> None:
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "rework")
+    seam_store.publish(seam_scan(steps, days=1, shift=shift))
+    assert stand(seam_store) == state
 
 
 def test_work_on_a_stretch_is_closed_by_a_person_at_once(seam_store: Store) -> None:
