@@ -30,6 +30,7 @@ def add_code_options(parser: argparse.ArgumentParser, both_axes: bool = False) -
     else:
         group.add_argument("--gray", type=int, metavar="STRIPES", help=stripes)
     group.add_argument("--inverse", action="store_true", help="each Gray-code frame is followed by its inverse")
+    group.add_argument("--inverse-first", action="store_true", help="each inverse comes before its frame")
     group.add_argument("--references", action="store_true", help="an all-white and an all-black frame come last")
     group.add_argument("--lsb", action="store_true", help="Gray code begins with the finest stripes")
     group.add_argument(
@@ -57,13 +58,14 @@ def fringe_model(options: argparse.Namespace) -> FringeModel:
     if options.gray:
         document["gray"] = {
             "stripes": options.gray,
-            "inverse": options.inverse,
+            "inverse": options.inverse or options.inverse_first,
+            "inverse_first": options.inverse_first,
             "references": options.references,
             "first": "lsb" if options.lsb else "msb",
             "shift": options.shift,
         }
-    elif options.inverse or options.references or options.lsb or options.shift:
-        raise UsageError("found --inverse, --references, --lsb or --shift, expected them with --gray STRIPES")
+    elif options.inverse or options.inverse_first or options.references or options.lsb or options.shift:
+        raise UsageError("found --inverse, --inverse-first, --references, --lsb or --shift, expected them with --gray")
     if not columns:
         document.pop("steps")
     model = validate(FringeModel, document, Path("code"), UsageError)

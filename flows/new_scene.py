@@ -25,43 +25,83 @@ from storage.documents import utc_text
 from storage.frames import read_header, read_stack
 from storage.models import validate
 from storage.scene import FORMAT, MANIFEST, Camera, FringeModel, SceneModel, fringe_document, load_scene
-from storage.scene_names import as_grey, by_count_and_step, by_number, cameras_of, in_sequence, matching
+from storage.scene_names import (
+    Values,
+    as_grey,
+    by_count_and_step,
+    by_number,
+    cameras_of,
+    exposure_names,
+    in_sequence,
+    matching,
+)
 
 _MOST_CONTRADICTORY = 0.03
 _TILE = 480
 _OFFSETS_ALIKE = 0.06  # radians
 _SHIFTS_ALIKE = 0.04  # stripes
 
-Listed = dict[str, list[Path]]
+Listed = dict[str, list[list[Path]]]
+"""Each camera's frames of every exposure, in the code's order as shown."""
 
 
 def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Listed, list[str]]:
-    """Each camera's frames by the patterns of their names, in the code's order as shown; and notes about them."""
+    """Each camera's frames by the patterns of their names; and notes about them."""
     found = matching(options.folder, options.pattern)
     named: dict[Camera, str] = cameras_of(found, options.left) if "{camera}" in options.pattern else {"left": ""}
     listed: Listed = {}
     notes: list[str] = []
     for camera, name in named.items():
-        if "{frame}" in options.pattern:
-            usual = ["fringes"] * bool(code.counts) + ["gray"] * bool(code.gray)
-            usual += ["white", "black"] * bool(code.gray and code.gray.references)
-            paths = in_sequence(by_number(found, name), code, options.sequence or usual)
-        else:
-            paths = by_count_and_step(found, name, code, options.labels)
-            if options.gray_pattern:
-                paths += by_number(matching(options.folder, options.gray_pattern), name)
-        if len(paths) != code.frames:
-            raise SceneError(f"{camera} camera: found {len(paths)} frames, expected {code.frames} for this code")
-        grey = [as_grey(path, options.folder) for path in paths]
-        notes += [f"note: {note}" for _, note in grey if note]
-        listed[camera] = [path for path, _ in grey]
-        called = repr(name) if name else "the only camera"
-        notes.append(f"{camera}: {called}, {len(paths)} frames from {paths[0].name} to {paths[-1].name}")
+        listed[camera] = []
+        for exposure in exposure_names(found):
+            own = {path: values for path, values in found.items() if values.get("exposure", "") == exposure}
+            paths = _of_one_exposure(options, code, own, camera, name)
+            grey = [as_grey(path, options.folder) for path in paths]
+            notes += [f"note: {note}" for _, note in grey if note]
+            listed[camera].append([path for path, _ in grey])
+            called = " ".join(filter(None, [repr(name) if name else "the only camera", exposure]))
+            notes.append(f"{camera}: {called}, {len(paths)} frames from {paths[0].name} to {paths[-1].name}")
     return listed, notes
 
 
+def _of_one_exposure(
+    options: argparse.Namespace, code: FringeCode, found: Mapping[Path, Values], camera: str, name: str
+) -> list[Path]:
+    if "{frame}" in options.pattern:
+        usual = ["fringes"] * bool(code.counts) + ["gray"] * bool(code.gray)
+        usual += ["white", "black"] * bool(code.gray and code.gray.references)
+        paths = in_sequence(by_number(found, name), code, options.sequence or usual)
+    else:
+        paths = by_count_and_step(found, name, code, options.labels)
+        if options.gray_pattern:
+            paths += by_number(matching(options.folder, options.gray_pattern), name)
+    if len(paths) != code.frames:
+        raise SceneError(f"{camera} camera: found {len(paths)} frames, expected {code.frames} for this code")
+    return paths
+
+
+def exposure_times(options: argparse.Namespace) -> tuple[float, ...]:
+    """The exposures' times, in the order of `frames_by_name`: as they are given, or as the names have them."""
+    names = exposure_names(matching(options.folder, options.pattern))
+    if len(names) == 1:
+        return (1.0,)
+    told = options.exposures or [float(n) for n in names if n.replace(".", "", 1).isdigit() and float(n) > 0]
+    if len(told) != len(names):
+        raise SceneError(
+            f"{options.folder}: found {len(told)} times of the exposures {', '.join(names)}, expected {len(names)} "
+            "(--exposures, in this order)"
+        )
+    return tuple(told)
+
+
 def new_scene(
-    folder: Path, key: Sequence[str], rig_id: str, shown: FringeModel, listed: Listed, guess: bool = True
+    folder: Path,
+    key: Sequence[str],
+    rig_id: str,
+    shown: FringeModel,
+    listed: Listed,
+    guess: bool = True,
+    exposures: Sequence[float] = (1.0,),
 ) -> list[str]:
     """Write scene.json; returns what is to be said about the code.
 
@@ -74,6 +114,8 @@ def new_scene(
         Each camera's frames as shown.
     guess : bool
         Whether the frames say what offsets, direction, order of bits and borders are.
+    exposures : sequence of float
+        Their times.
     """
     lines: list[str] = []
     fringe = shown.model_dump(mode="json", exclude_defaults=True)
@@ -85,14 +127,17 @@ def new_scene(
         fringe |= {"direction": -1} if best.direction < 0 else {}
         if best.lsb_first and "gray" in fringe:
             fringe["gray"] |= {"first": "lsb"}
+        if best.inverse_first and "gray" in fringe:
+            fringe["gray"] |= {"inverse_first": True}
     document = {
         "format": FORMAT,
         **dict(zip(("aircraft_serial", "panel", "station", "captured_at"), key, strict=True)),
         "rig": rig_id,
         "fringe": fringe,
-        "exposures": [1.0],
+        "exposures": list(exposures),
         "frames": {
-            camera: [[path.relative_to(folder).as_posix() for path in paths]] for camera, paths in listed.items()
+            camera: [[path.relative_to(folder).as_posix() for path in paths] for paths in of]
+            for camera, of in listed.items()
         },
     }
     model = validate(SceneModel, document, folder / MANIFEST, SceneError)
@@ -102,15 +147,16 @@ def new_scene(
     return lines
 
 
-def guesses(code: FringeCode, listed: Mapping[str, Sequence[Path]]) -> dict[str, CodeGuess]:
-    """What each camera's frames say."""
+def guesses(code: FringeCode, listed: Mapping[str, Sequence[Sequence[Path]]]) -> dict[str, CodeGuess]:
+    """What each camera's frames of the middle exposure say."""
     found: dict[str, CodeGuess] = {}
-    for camera in listed:
-        frames = _read(listed[camera])
+    for camera, of in listed.items():
+        paths = of[len(of) // 2]
+        frames = _read(paths)
         try:
             found[camera] = guess_code(frames, code, saturation_level(frames[None], frames[None, : code.fringe_frames]))
         except SceneError as problem:
-            raise SceneError(f"{listed[camera][0].parent}: {camera} camera: {problem}") from None
+            raise SceneError(f"{paths[0].parent}: {camera} camera: {problem}") from None
     return found
 
 
@@ -126,7 +172,9 @@ def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
             said.append(f"phase offset {told} rad")
             said.append("steps forward" if one.direction > 0 else "steps backward (direction -1)")
         if one.code.gray:
-            said.append(f"Gray code from the {'finest' if one.lsb_first else 'coarsest'} bit on")
+            inverse = ", each bit's inverse first" if one.inverse_first else ""
+            said.append(f"Gray code from the {'finest' if one.lsb_first else 'coarsest'} bit on{inverse}")
+        if one.code.gray and one.code.counts:
             said.append(f"stripes' borders {one.code.gray.shift:+.3f} stripes beyond the fringes' wraps")
         lines.append(f"{camera}: {'; '.join(said)}; agreement {one.agreement:.0%}")
     return lines
@@ -137,7 +185,7 @@ def _common(found: Mapping[str, CodeGuess]) -> CodeGuess:
     if len(found) == 1:
         return found["left"]
     left, right = found["left"], found["right"]
-    same = left.direction == right.direction and left.lsb_first == right.lsb_first
+    same = all(getattr(left, name) == getattr(right, name) for name in ("direction", "lsb_first", "inverse_first"))
     offsets = [np.array(one.code.phase_offsets_rad or (0.0,) * len(one.code.counts)) for one in (left, right)]
     apart = np.angle(np.exp(1j * (offsets[0] - offsets[1])))
     shifts = [one.code.gray.shift if one.code.gray else 0.0 for one in (left, right)]
@@ -152,7 +200,8 @@ def _common(found: Mapping[str, CodeGuess]) -> CodeGuess:
 def _refuse_contradictions(model: SceneModel, folder: Path) -> None:
     code = model.fringe.code
     for camera in model.frames.cameras:
-        (paths,) = getattr(model.frames, camera)
+        exposures = getattr(model.frames, camera)
+        paths = exposures[len(exposures) // 2]
         frames = _read([folder / path for path in model.fringe.ordered(paths)])[None]
         if not code.counts:
             continue
@@ -175,9 +224,11 @@ def describe_scene(folder: Path, sheet: Path) -> list[str]:
     views, lines = [], []
     for camera in scene.headers:
         view = decode_phase(scene.frames(camera), scene.code, usual_size(scene.code), scene.exposures)
-        decoded = float(np.isfinite(view.coordinate).mean())
+        lit = np.isfinite(view.coordinate)
+        decoded = float(lit.mean())
+        strength = float(np.median(view.modulation[lit])) if lit.any() else 0.0
         lines.append(
-            f"{camera}: decoded {decoded:.0%} of the pixels, modulation {np.median(view.modulation):.1f} grey levels, "
+            f"{camera}: decoded {decoded:.0%} of the pixels, modulation {strength:.1f} grey levels, "
             f"noise {view.noise.sigma(100) if view.noise else 0:.2f}"
         )
         views.append(view)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from metrology.gray import runs_along_rows, stripe_numbers
+from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
 from metrology.unwrap import order_lattice
 
 Array = NDArray[np.float64]
@@ -41,12 +41,15 @@ class CodeGuess:
         With the phase offsets and the shift of the stripes that were found.
     agreement : float
         From 0, chance, to 1.
+    inverse_first : bool
+        Whether each bit's inverse comes before the bit.
     """
 
     direction: int
     lsb_first: bool
     code: FringeCode
     agreement: float
+    inverse_first: bool = False
 
 
 def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGuess:
@@ -78,7 +81,10 @@ def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGues
 
 def _phases(levels: NDArray, code: FringeCode, saturation: float) -> tuple[NDArray, NDArray[np.bool_]]:
     """(counts, h, w) wrapped phases in turns, and where all frames carry their pattern."""
-    lit = (levels.max(0) < saturation) & (levels.max(0) - levels.min(0) > 2 * _LEAST_AMPLITUDE * saturation)
+    # A bright stripe may be clipped and still is bright; fringes may not, where they are shown.
+    measured = levels[: code.fringe_frames] if code.counts else levels
+    lit = (measured.max(0) < saturation) | bool(code.gray and code.gray.inverse and not code.counts)
+    lit &= levels.max(0) - levels.min(0) > 2 * _LEAST_AMPLITUDE * saturation
     turns = []
     for k, steps in enumerate(code.step_counts):
         own = code.count_of == k
@@ -118,8 +124,11 @@ def _from_counts(turns: Array, code: FringeCode) -> CodeGuess:
 def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code: FringeCode) -> CodeGuess:
     """The order of the bits that leaves the smoothest stripes, the sign of the phase, and where the borders lie."""
     assert code.gray is not None
-    tried = [(_smooth(number, lit), lsb, number) for lsb in (False, True) for number in [_numbers(levels, code, lsb)]]
-    smooth, lsb, number = max(tried, key=lambda one: one[0])
+    orders = [(lsb, turned) for turned in ((False, True) if code.gray.inverse else (False,)) for lsb in (False, True)]
+    read = {order: _numbers(levels, code, *order, lit) for order in orders}
+    smoothness = {order: _smooth(number, lit) for order, number in read.items()}
+    lsb, turned = max(orders, key=lambda order: smoothness[order])
+    smooth, number = smoothness[lsb, turned], read[lsb, turned]
     if smooth < _LEAST_AGREEMENT:
         raise SceneError(
             f"found stripes whose numbers jump between neighbouring pixels (smooth in {smooth:.0%}), expected "
@@ -127,7 +136,7 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
             f"{', each followed by its inverse' if code.gray.inverse else ''}"
         )
     if not code.counts:
-        return CodeGuess(1, lsb, code, smooth)
+        return CodeGuess(1, lsb, code, smooth, turned)
     if not runs_along_rows(np.where(lit, number, np.nan).astype(np.float32)):
         number, turns, lit = number.T, turns.transpose(0, 2, 1), lit.T
     k = int(np.argmin(code.counts))
@@ -154,23 +163,27 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
         )
     near = abs(best) < 0.02
     gray = replace(code.gray, shift=0.0 if near else round(best, 3))
-    return CodeGuess(direction, lsb, replace(code, gray=gray), agreement)
+    return CodeGuess(direction, lsb, replace(code, gray=gray), agreement, turned)
 
 
-def _numbers(levels: NDArray, code: FringeCode, lsb: bool) -> NDArray[np.int64]:
-    """(h, w) stripe numbers with the bits in either order."""
+def _numbers(
+    levels: NDArray, code: FringeCode, lsb: bool, inverse_first: bool, lit: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """(h, w) stripe numbers with the bits in either order; of a code alone those of the stripes that are resolved."""
     gray = code.gray
     assert gray is not None
     stripes = levels[code.fringe_frames : code.fringe_frames + gray.stripe_frames]
     if gray.inverse:
-        swing = stripes[::2] - stripes[1::2]
+        swing = (stripes[::2] - stripes[1::2]) * (-1 if inverse_first else 1)
     elif gray.references:
         swing = stripes - 0.5 * (levels[-1] + levels[-2])
     elif code.counts:
         swing = stripes - levels[: code.fringe_frames].mean(0)
     else:
         swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
-    return stripe_numbers((swing[::-1] if lsb else swing) > 0)
+    swing = swing[::-1] if lsb else swing
+    bits = len(swing) if code.counts else resolved_bits(swing, lit)
+    return stripe_numbers(swing[:bits] > 0)
 
 
 def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:

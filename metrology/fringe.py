@@ -112,6 +112,11 @@ class FringeCode:
                 raise SceneError(
                     f"gray stripes: found {self.gray.stripes}, expected at least {min(self.counts)}, one per fringe"
                 )
+        elif len(self.counts) == 1 and self.counts[0] > 1:
+            raise SceneError(
+                f"fringe counts: found {self.counts[0]} alone, whose fringes nothing tells apart, expected more "
+                "counts, without a common factor, or Gray code beside it"
+            )
         elif np.gcd.reduce(self.counts) != 1:
             raise SceneError(
                 f"fringe counts: found {list(self.counts)} with a common factor, "

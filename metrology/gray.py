@@ -18,6 +18,8 @@ from metrology.jit import kernel
 
 # With fewer stripes per fringe than this a stripe border may coincide with a phase wrap.
 _SURE_STRIPES_PER_FRINGE = 2
+# Of the coarse bits' swing: what a bit must have for its stripes to be told apart.
+_RESOLVED = 0.4
 # A pixel is sure of its order where its phase is at least this share of a fringe away from the wrap.
 _SURE_SHARE = 0.25
 
@@ -57,6 +59,27 @@ def stripe_numbers(bits: Iterable[NDArray[np.bool_]]) -> NDArray[np.int64]:
         bit = bit ^ one
         number = 2 * number + bit
     return number
+
+
+def resolved_bits(swing: NDArray, lit: NDArray[np.bool_]) -> int:
+    """How many bits, from the most significant one on, have stripes that the camera resolves.
+
+    Stripes finer than the camera's pixels or blur leave no more than noise of their bit's swing.
+
+    Parameters
+    ----------
+    swing : (bits, h, w) array
+        Each bit's level less that between dark and bright.
+    lit : (h, w) bool array
+    """
+    if not lit.any():
+        return len(swing)
+    sizes = np.array([np.median(np.abs(bit[lit][::7])) for bit in swing])
+    poor = sizes < _RESOLVED * sizes.max()
+    finest = len(swing)
+    while finest > 1 and poor[finest - 1]:
+        finest -= 1
+    return finest
 
 
 def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode, size: int) -> None:

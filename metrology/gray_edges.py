@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, PixelFlag
 from metrology.fringe import FringeCode, GrayCode
-from metrology.gray import runs_along_rows, stripe_numbers
+from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
 from metrology.jit import kernel
 from metrology.noise import NoiseModel
 from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.robust import MAD
 
 Float32 = NDArray[np.float32]
 
 _LIT_SIGMAS = 5.0  # of a sample's noise: what half the difference of dark and bright must exceed
-_MAD_TO_SIGMA = 1.4826
 _EVEN = 12.0**-0.5  # standard deviation of an even spread over one stripe
 _LEAST_SIGMA_PX = 0.01
 _CHI2_ONE_MEDIAN = 0.4549  # median of the square of a standard normal value
@@ -58,11 +58,14 @@ def decode_stripes(
     sigma = noise.sigma(np.maximum(texture, 0)).astype(np.float32)
     dark = half < np.maximum(settings.min_modulation * saturation / 254, _LIT_SIGMAS * sigma)
     flags = np.where(dark, int(PixelFlag.LOW_MODULATION), 0).astype(np.uint16)
-    flags |= np.where(clipped, int(PixelFlag.SATURATED), 0).astype(np.uint16)
-    number = np.where(flags == 0, _numbers(swing, code.gray.stripes), -1).astype(np.int32)
-    place, scatter = _between_borders(swing, number)
-    stripe = projector_size / code.gray.stripes
-    coordinate = (place + np.float32(code.gray.shift)) * np.float32(stripe) - np.float32(0.5)
+    if not code.gray.inverse:  # a frame and its inverse cross between dark and bright, however bright that is
+        flags |= np.where(clipped, int(PixelFlag.SATURATED), 0).astype(np.uint16)
+    bits = resolved_bits(swing, flags == 0)
+    merged = 2 ** (code.gray.bits - bits)  # stripes of the code in one that is told apart
+    number = np.where(flags == 0, _numbers(swing[:bits], -(-code.gray.stripes // merged)), -1).astype(np.int32)
+    place, scatter = _between_borders(swing[:bits], number)
+    stripe = projector_size / code.gray.stripes * merged
+    coordinate = place * np.float32(stripe) + np.float32(code.gray.shift * stripe / merged - 0.5)
     deviation = np.where(np.isfinite(coordinate), np.maximum(scatter * stripe, 1e-4), np.nan).astype(np.float32)
     return DecodedView(coordinate.astype(np.float32), deviation, half, texture, flags, noise)
 
@@ -136,7 +139,7 @@ def _between_sigma(bends: Float32, pairs: Float32) -> float:
 
 def _robust_variance(values: Float32) -> float | None:
     seen = values[np.isfinite(values)]
-    return (_MAD_TO_SIGMA * float(np.median(np.abs(seen)))) ** 2 if seen.size else None
+    return (MAD * float(np.median(np.abs(seen)))) ** 2 if seen.size else None
 
 
 @kernel

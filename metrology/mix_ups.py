@@ -86,7 +86,10 @@ def find_mix_up(
     """
     settings = settings or HealthSettings()
     scan = _Scan(reconstruction.left, reconstruction.with_right(), reconstruction.rig)
-    limit = min(_misfit(scan, axis, settings) / _CLOSER, _MOST_OFF_PX)
+    misfit = _misfit(scan, axis, settings)
+    if scan.rig.projector is None and not np.isfinite(misfit) and _matched(reconstruction):
+        return None  # nothing tells that the frames do not fit: of two cameras exchanged and mirrored ones do as well
+    limit = min(misfit / _CLOSER, _MOST_OFF_PX)
     for hypotheses in (_exchanges_and_turns(), _undistortions()):
         found: list[tuple[float, _Hypothesis]] = []
         for hypothesis in hypotheses:
@@ -104,8 +107,7 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     too few to tell.
     """
     reconstruction = triangulate(_thinned(scan.left, _EVERY), _thinned(scan.right, _EVERY), _thinned_rig(scan.rig))
-    decoded = min(float(np.isfinite(view.coordinate).mean()) for view in (scan.left, scan.right))
-    if reconstruction.valid.mean() < _LEAST_MATCHED * decoded:
+    if not _matched(reconstruction):
         return np.inf
     if scan.rig.projector is None:
         drift = epipolar_health(reconstruction, (), axis, settings).epipolar_drift_px
@@ -114,10 +116,19 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     return np.inf if rms is None else rms
 
 
+def _matched(reconstruction: Reconstruction) -> bool:
+    """Whether most of what both cameras decoded found its counterpart."""
+    views = (reconstruction.left, reconstruction.with_right())
+    decoded = min(float(np.isfinite(view.coordinate).mean()) for view in views)
+    return bool(reconstruction.valid.mean() >= _LEAST_MATCHED * decoded)
+
+
 def _fits(scan: _Scan, axis: Axis, settings: HealthSettings) -> bool:
     """Whether texture bears out what the third view says; a rig that has drifted a little may still be mixed up."""
     reconstruction = triangulate(_thinned(scan.left, 1), _thinned(scan.right, 1), scan.rig)
     health = epipolar_health(reconstruction, (), axis, settings)
+    if scan.rig.projector is None and health.epipolar_drift_px is None:
+        return False
     return max(health.projector_rms_px or 0.0, health.epipolar_drift_px or 0.0) <= _MOST_OFF_PX
 
 

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 # Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
 MAX_DISTORTION_TERMS = 8
+# Keys of a rig's `extra`: whose projector was taken over, and how one was fitted to scans.
+PROJECTOR_OF, PROJECTOR_FIT = "projector_of", "projector_fit"
 _LARGEST = 1e12  # beyond any pixel or millimetre, and far from overflowing
 _ROTATION_TOLERANCE = 1.1e-5
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
@@ -175,6 +177,12 @@ class Rig:
         if self.projector is None:
             raise RigError(f"rig {self.id!r}: found no calibrated projector, expected one calibrated with the cameras")
         return self.projector
+
+    @property
+    def screen(self) -> Device | None:
+        """The projector where both its columns and its rows are calibrated: marks can be drawn for it."""
+        fit = self.extra.get(PROJECTOR_FIT)
+        return None if isinstance(fit, Mapping) and fit.get("assumed") else self.projector
 
     @property
     def cameras(self) -> dict[str, Device]:

@@ -98,7 +98,7 @@ def _mat(path: Path) -> dict[str, Any]:
 
 
 def _hdf5(path: Path) -> dict[str, Any]:
-    import h5py
+    import h5py  # type: ignore[import-untyped]
 
     def tables(group: Any) -> dict[str, Any]:
         return {

@@ -42,7 +42,9 @@ _ROLES = {
 }  # fmt: skip
 _SIDES = {"left": 1, "l": 1, "right": 2, "r": 2, "projector": 3, "proj": 3, "prj": 3}
 _SPELLED = {name: role for role, names in _ROLES.items() for name in names}
-_PAIRS = {f"{role.lower()}{side}": (as_, side) for role, as_ in (("K", "M"), ("M", "M"), ("D", "D")) for side in "lr"}
+_PAIRS = {
+    f"{role.lower()}{side}": (as_, _SIDES[side]) for role, as_ in (("K", "M"), ("M", "M"), ("D", "D")) for side in "lr"
+}
 _OTHER_THINGS = (
     "new",
     "optimal",
@@ -102,8 +104,7 @@ def _role_and_side(name: str) -> tuple[str, int | None] | None:
     if any(word.startswith(_OTHER_THINGS) for word in words):
         return None
     if len(words) == 1 and words[0] in _PAIRS:
-        role, letter = _PAIRS[words[0]]
-        return role, _SIDES[letter]
+        return _PAIRS[words[0]]
     if len(words) == 2 and words[1].isdigit() and words[0] in ("r", "t"):
         return None  # OpenCV's R1 and R2 are rotations of a rectification
     side: int | None = None

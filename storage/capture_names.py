@@ -93,7 +93,7 @@ def _pictures(
         name, _, number = token.partition(":")
         if name not in (*AXES, *_OTHERS) or (number and not number.isdigit()):
             raise CalibrationError(f"--sequence: found {token!r}, expected x, y, white, black, skip or skip:N")
-        size = int(number) if number else counts[name] if name in AXES else 1  # type: ignore[index]
+        size = int(number) if number else counts[name] if name in AXES else 1
         chosen = [as_grey(path, folder) for path in files[at : at + size] if name != "skip"]
         notes += [f"note: {note}" for _, note in chosen if note]
         blocks.setdefault(name, []).extend(path.relative_to(folder).as_posix() for path, _ in chosen)

@@ -77,9 +77,7 @@ def load_opencv_rig(
     try:
         scale, size = _mm_per_unit(unit, found), size or stated or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
-        if alone:
-            raise RigError("found one camera and a projector, expected two cameras")
-        right = _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
+        right = None if alone else _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
         rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)
         check_rig(rig)
         return rig

@@ -222,7 +222,7 @@ def _relative(R1: Array, t1: Array, R2: Array, t2: Array) -> Found:
 def pose_of_both(found: Mapping[str, Array]) -> Found:
     """Where the right camera stands, from what files of one camera each say of their rectification or their place."""
     if "placed1" in found and "placed2" in found:
-        left, right = (np.linalg.inv(found[f"placed{number}"]) for number in (1, 2))
+        left, right = (np.asarray(np.linalg.inv(found[f"placed{number}"]), float) for number in (1, 2))
         return _relative(left[:3, :3], left[:3, 3], right[:3, :3], right[:3, 3])
     if "rectified1" not in found or "rectified2" not in found:
         return {}

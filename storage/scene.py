@@ -53,6 +53,7 @@ class GrayModel(StrictModel):
     inverse: bool = False
     references: bool = False
     first: Literal["msb", "lsb"] = "msb"
+    inverse_first: bool = False
     shift: float = 0.0
 
 
@@ -96,7 +97,8 @@ class FringeModel(StrictModel):
             per_bit = 2 if code.gray.inverse else 1
             bits = list(range(code.gray.bits))
             for bit in bits if self.gray and self.gray.first == "msb" else bits[::-1]:
-                order += [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+                pair = [code.fringe_frames + per_bit * bit + i for i in range(per_bit)]
+                order += pair[::-1] if self.gray and self.gray.inverse_first else pair
             order += range(code.fringe_frames + code.gray.stripe_frames, code.frames)
         return tuple(frames[place] for place in order)
 

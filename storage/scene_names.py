@@ -11,7 +11,7 @@ from metrology.fringe import FringeCode
 from storage.frames import read_as_grey, read_header, write_frame
 from storage.scene import Camera
 
-FIELDS = ("camera", "pose", "count", "step", "frame", "bit", "inverse")
+FIELDS = ("camera", "pose", "exposure", "count", "step", "frame", "bit", "inverse")
 GREY = "grey"
 _LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a")
 
@@ -62,6 +62,11 @@ def cameras_of(found: Mapping[Path, Values], left: str | None) -> dict[Camera, s
         raise SceneError(f"--left: found {left!r}, expected one of {', '.join(names)}")
     first = left or next((name for name in names if name.lower() in _LEFT), names[0])
     return {"left": first, "right": next(name for name in names if name != first)}
+
+
+def exposure_names(found: Mapping[Path, Values]) -> list[str]:
+    """What {exposure} is, in natural order; one empty name where there is but one exposure."""
+    return sorted({values.get("exposure", "") for values in found.values()}, key=natural)
 
 
 def by_count_and_step(found: Mapping[Path, Values], camera: str, code: FringeCode, labels: Sequence[str]) -> list[Path]:

@@ -7,10 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from flows.code_options import add_code_options
+from flows.commands.capture_check import add_check
+
+_NEEDED = ("rig", "out", "cameras", "left", "aircraft", "panel", "station")
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
-    """Add `capture`."""
+    """Add `capture` and `capture check`."""
     parser = commands.add_parser(
         "capture",
         parents=[common],
@@ -18,10 +21,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         description="Finds the exposures that the skin needs, shows every pattern and takes it with all cameras, takes "
         "again what was dropped, checks order and content, and writes a scene folder. Cancelled, it leaves nothing.",
     )
-    parser.add_argument("--rig", type=Path, required=True, help="rig file: sizes of cameras and projector, its id")
-    parser.add_argument("--out", type=Path, required=True, metavar="SCENE", help="the scene folder to write")
-    parser.add_argument("--cameras", required=True, metavar="DRIVER:…", help="harvester:PRODUCER.cti")
-    parser.add_argument("--left", required=True, metavar="SERIAL")
+    parser.add_argument("--rig", type=Path, help="rig file: sizes of cameras and projector, its id")
+    parser.add_argument("--out", type=Path, metavar="SCENE", help="the scene folder to write")
+    parser.add_argument("--cameras", metavar="DRIVER:…", help="harvester:PRODUCER.cti")
+    parser.add_argument("--left", metavar="SERIAL")
     parser.add_argument("--right", metavar="SERIAL", help="none: one camera and the projector")
     parser.add_argument("--trigger", choices=("software", "hardware"), default="software")
     parser.add_argument(
@@ -29,13 +32,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     )
     parser.add_argument("--settle", type=float, default=0.1, metavar="S", help="from drawing to light (default 0.1)")
     parser.add_argument("--exposures", type=float, nargs="+", default=(), metavar="MS", help="by default found")
-    parser.add_argument("--aircraft", required=True, metavar="SERIAL")
-    parser.add_argument("--panel", required=True)
-    parser.add_argument("--station", required=True)
+    parser.add_argument("--aircraft", metavar="SERIAL")
+    parser.add_argument("--panel")
+    parser.add_argument("--station")
     parser.add_argument("--operator")
     parser.add_argument("--axis", choices=("x", "y"), default="x", help="x: fringes change along columns (default)")
     add_code_options(parser)
     parser.set_defaults(run=run)
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", help="without one, a scan is taken")
+    add_check(actions, common)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -44,9 +49,13 @@ def run(options: argparse.Namespace) -> int:
     from flows.capture.devices import open_cameras
     from flows.capture.screen import TkScreen
     from flows.code_options import fringe_model
+    from metrology.errors import UsageError
     from metrology.results import SceneKey
     from storage.rig import load_rig
 
+    missing = [f"--{name}" for name in _NEEDED if getattr(options, name) is None]
+    if missing:
+        raise UsageError(f"capture: found no {', '.join(missing)}, expected them to take a scan")
     rig, code = load_rig(options.rig), fringe_model(options).code
     projector = rig.with_projector()
     key = SceneKey(options.aircraft, options.panel, options.station, datetime.now(UTC).replace(microsecond=0))

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from flows.code_options import add_code_options
+
+if TYPE_CHECKING:
+    from storage.scene import FringeModel
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
@@ -78,7 +82,7 @@ def _write(options: argparse.Namespace) -> int:
     names = frame_names(code)
     listed = np.argsort(shown.ordered(range(code.frames)))  # as it is shown, from Flushline's own order
     for place, frame in enumerate(listed):
-        number = f"{place:03d}_" if shown.direction < 0 or (shown.gray and shown.gray.first == "lsb") else ""
+        number = f"{place:03d}_" if _out_of_order(shown) else ""
         write_frame(options.out / f"{number}{names[frame]}.png", frames[frame])
     document = shown.model_dump(mode="json", exclude_defaults=True)
     (options.out / "fringe.json").write_text(json.dumps(document), encoding="utf-8")
@@ -86,3 +90,8 @@ def _write(options: argparse.Namespace) -> int:
         write_frame(options.out / name, np.full((height, width), level, np.uint8))
     print(f"{len(names)} patterns, white and black in {options.out}; fringe.json there says what scene.json is to say")
     return 0
+
+
+def _out_of_order(shown: FringeModel) -> bool:
+    """Whether the patterns are shown in another order than that of their names."""
+    return shown.direction < 0 or bool(shown.gray and (shown.gray.first == "lsb" or shown.gray.inverse_first))

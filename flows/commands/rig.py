@@ -1,4 +1,4 @@
-"""flushline rig: check a rig against scenes, exchange it with OpenCV."""
+"""flushline rig: check a rig against scenes, find its projector, exchange it with other programs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
-    """Add `rig check`, `rig import` and `rig export`."""
+    """Add `rig check`, `rig import`, `rig fit-projector` and `rig export`."""
     parser = commands.add_parser("rig", help="check a rig against scenes; import and export OpenCV files")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     check = actions.add_parser(
@@ -32,6 +32,19 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     load.add_argument("--projector-size", type=parse_size, metavar="WxH", help="where the files tell only its lens")
     load.add_argument("--projector-of", type=Path, metavar="RIG", help="rig file to take the projector from")
     load.set_defaults(run=run_import)
+    fit = actions.add_parser(
+        "fit-projector",
+        parents=[common],
+        help="find the projector of a rig from scans",
+        description="Finds the projector of a rig whose cameras are calibrated, from scans of anything with depth, and "
+        "writes the rig with it. Fringes along both axes tell all of it; along one, its columns or its rows.",
+    )
+    fit.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    fit.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file with the cameras")
+    fit.add_argument("--size", type=parse_size, metavar="WxH", help="of the projector; by default of the rig's own one")
+    fit.add_argument("--out", type=Path, required=True, metavar="RIG", help="rig file to write")
+    fit.add_argument("--id", metavar="ID", help="the rig's new id; by default the one it has")
+    fit.set_defaults(run=run_fit)
     save = actions.add_parser("export", parents=[common], help="an OpenCV FileStorage file from a rig file")
     save.add_argument("rig", type=Path, metavar="RIG")
     save.add_argument("--out", type=Path, required=True, metavar="FILE", help="its ending chooses XML, YAML or JSON")
@@ -70,14 +83,16 @@ def run_check(options: argparse.Namespace) -> int:
 
 
 def run_import(options: argparse.Namespace) -> int:
-    """Read OpenCV's files, write a rig file."""
+    """Read other programs' files, write a rig file."""
+    from dataclasses import replace
     from datetime import UTC, datetime
 
+    from metrology.rig import PROJECTOR_OF
     from storage.documents import utc_text
     from storage.opencv_rig import load_opencv_rig
     from storage.rig import load_rig, save_rig
 
-    projector = load_rig(options.projector_of).projector if options.projector_of else None
+    other = load_rig(options.projector_of) if options.projector_of else None
     moment = datetime.now(UTC)
     rig = load_opencv_rig(
         options.files,
@@ -85,11 +100,25 @@ def run_import(options: argparse.Namespace) -> int:
         utc_text(moment.replace(microsecond=0)),
         options.size,
         options.unit,
-        projector,
+        other.projector if other else None,
         options.projector_size,
     )
+    if other and rig.projector is other.projector:
+        rig = replace(rig, extra={**rig.extra, PROJECTOR_OF: other.id})
     save_rig(rig, options.out)
     print(options.out)
+    return 0
+
+
+def run_fit(options: argparse.Namespace) -> int:
+    """Fit the projector to the scans, write the rig with it."""
+    from flows.fit_projector import describe_fit, fit_to_scenes
+    from storage.rig import load_rig, save_rig
+
+    rig, fitted = fit_to_scenes(load_rig(options.rig), options.scenes, options.size, options.id)
+    save_rig(rig, options.out)
+    for line in [*describe_fit(fitted), f"rig: {options.out}"]:
+        print(line)
     return 0
 
 

@@ -26,6 +26,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     )
     new.add_argument("--gray-pattern", help="Gray code beside such fringes: '{camera}/g{bit}.png'")
     new.add_argument("--sequence", nargs="+", help="what {frame} runs through: fringes gray white black skip:N")
+    new.add_argument(
+        "--exposures", type=float, nargs="+", metavar="TIME", help="of the {exposure}s; by default as they are named"
+    )
     new.add_argument("--left", metavar="NAME", help="what {camera} is of the left camera")
     new.add_argument("--labels", nargs="+", default=[], help="what {count} is of each count, in the order of --counts")
     new.add_argument("--rig", required=True, metavar="ID")
@@ -113,15 +116,16 @@ def run_from_cloud(options: argparse.Namespace) -> int:
 def run_new(options: argparse.Namespace) -> int:
     """Find the frames, find the code's conventions, write scene.json and the contact sheet."""
     from flows.code_options import fringe_model
-    from flows.new_scene import describe_scene, frames_by_name, new_scene
+    from flows.new_scene import describe_scene, exposure_times, frames_by_name, new_scene
 
     shown = fringe_model(options)
     listed, notes = frames_by_name(options, shown.code)
     captured = options.captured_at or datetime.fromtimestamp(
-        max(path.stat().st_mtime for path in listed["left"]), UTC
+        max(path.stat().st_mtime for path in listed["left"][0]), UTC
     ).isoformat(timespec="seconds")
     key = (options.aircraft, options.panel, options.station, captured)
-    made = new_scene(options.folder, key, options.rig, shown, listed, guess=not options.as_declared)
+    times = exposure_times(options)
+    made = new_scene(options.folder, key, options.rig, shown, listed, not options.as_declared, times)
     for line in [*dict.fromkeys(notes), *made]:
         print(line)
     for line in describe_scene(options.folder, options.sheet or options.folder / "contact-sheet.png"):
@@ -135,8 +139,9 @@ def run_guess(options: argparse.Namespace) -> int:
     from storage.scene import MANIFEST, load_manifest
 
     model = load_manifest(options.folder / MANIFEST)
-    paths: dict[str, list[Path]] = {
-        camera: [options.folder / path for path in getattr(model.frames, camera)[0]] for camera in model.frames.cameras
+    paths: dict[str, list[list[Path]]] = {
+        camera: [[options.folder / path for path in paths] for paths in getattr(model.frames, camera)]
+        for camera in model.frames.cameras
     }
     for line in guess_lines(guesses(model.fringe.code, paths)):
         print(line)

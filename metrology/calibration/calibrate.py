@@ -101,13 +101,11 @@ class Calibration:
     def rig(self, rig_id: str, calibrated_at: str) -> Rig:
         """The rig, its covariance and residuals in `extra`; with the devices that were calibrated."""
         devices = self.adjusted.state.devices
-        if "right" not in devices:
-            raise CalibrationError("found no calibration of right, expected both cameras")
         return Rig(
             rig_id,
             calibrated_at,
             devices["left"],
-            devices["right"],
+            devices.get("right"),
             devices.get("projector"),
             {"calibration": self.summary()},
         )
@@ -239,10 +237,12 @@ def _of_one_layout(
     detections: Sequence[Detection], reasons: dict[int, list[str]]
 ) -> tuple[Layout | None, list[Detection]]:
     """The layout of the ChArUco board in most pictures, and the pictures of it."""
-    layouts = [d.board.layout for d in detections if d.board is not None and d.board.layout is not None]
-    if not layouts:
+    boards = [d.board for d in detections if d.board is not None and d.board.layout is not None]
+    if not boards:
         return None, list(detections)
+    layouts = [board.layout for board in boards if board.otherwise is None] or [board.layout for board in boards]
     layout = max(set(layouts), key=layouts.count)
+    detections = [_read_as(detection, layout) for detection in detections]
     kept = []
     for detection in detections:
         if detection.board is not None and detection.board.layout != layout:
@@ -253,6 +253,14 @@ def _of_one_layout(
         else:
             kept.append(detection)
     return layout, kept
+
+
+def _read_as(detection: Detection, layout: Layout | None) -> Detection:
+    """A picture that fits both layouts of the ChArUco board, read by the one of most pictures."""
+    board = detection.board
+    if board is None or board.layout == layout or board.otherwise is None:
+        return detection
+    return replace(detection, board=board.otherwise)
 
 
 def _merged(views: Sequence[Sighting]) -> Sighting:

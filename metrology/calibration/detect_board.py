@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 Layout = Literal["new", "old"]
 
 LARGEST_SIGMA_PX = 0.03
+_USELESS_SIGMA_PX = 0.3
+_OUT_OF_PLACE = 0.5  # of a square
 _LEAST_RIM = 0.8
 _OVEREXPOSED = 0.02
 _SIZE_TOLERANCE = 0.1  # of a dot's diameter over its spacing against the board's description
@@ -52,6 +55,8 @@ class BoardView:
         Width and height of the image.
     layout : "new", "old" or None
         Of a ChArUco board: as OpenCV draws it since 4.6, or before; None where there is no difference.
+    otherwise : BoardView or None
+        The picture read by the other layout, where the markers in view do not tell which it is.
     """
 
     index: NDArray[np.intp]
@@ -60,6 +65,7 @@ class BoardView:
     blur_px: float
     size: tuple[int, int]
     layout: Layout | None = None
+    otherwise: BoardView | None = None
 
 
 def detect_board(frames: BoardFrames, board: Board) -> BoardView:
@@ -208,12 +214,14 @@ def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardV
     )
     layouts: tuple[Layout | None, ...] = ("new", "old") if board.rows % 2 == 0 else (None,)
     found: dict[Layout | None, tuple[NDArray[np.intp], Array]] = {}
+    in_place: dict[Layout | None, int] = {}
     for layout in layouts:
         printed.setLegacyPattern(layout == "old")
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(printed).detectBoard(grey)
+        corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(printed).detectBoard(grey)
         if ids is not None and len(ids):
             found[layout] = np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, float).reshape(-1, 2)
-    best = max(found, key=lambda layout: len(found[layout][0]), default=None)
+            in_place[layout] = _markers_in_place(printed, board, *found[layout], markers, marker_ids)
+    best = max(found, key=lambda layout: (in_place[layout], len(found[layout][0])), default=None)
     index, pixels = found.get(best, (np.empty(0, np.intp), np.empty((0, 2))))
     expected = len(board.grid)
     if len(index) < 0.25 * expected or len(index) < 6:
@@ -221,7 +229,30 @@ def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardV
         raise CalibrationError(
             f"found {len(index)} of {expected} corners of the {board}{tried}: half in view, blurred or another one"
         )
-    return replace(_refine_corners(lit, board, index, pixels), layout=best)
+    view = replace(_refine_corners(lit, board, index, pixels), layout=best)
+    other = next((layout for layout in found if layout != best), None)
+    if other is None or in_place[other] < in_place[best]:
+        return view
+    turned = replace(_refine_corners(lit, board, *found[other]), layout=other)
+    return replace(view, otherwise=turned)
+
+
+def _markers_in_place(
+    printed: cv2.aruco.CharucoBoard,
+    board: Board,
+    index: NDArray[np.intp],
+    pixels: Array,
+    markers: Sequence[NDArray[Any]],
+    ids: NDArray[Any] | None,
+) -> int:
+    """How many markers lie where the board has them, by its corners: of the other layout some are out of place."""
+    if len(index) < 4 or ids is None:
+        return 0
+    homography = fit_homography(pixels, board.points[index, :2])
+    seen = apply_homography(homography, np.array([np.reshape(marker, (4, 2)).mean(0) for marker in markers], float))
+    places = [np.asarray(corners, float).reshape(-1, 3)[:, :2].mean(0) for corners in printed.getObjPoints()]
+    known = np.array([places[marker] for marker in np.ravel(ids)])
+    return int((np.linalg.norm(seen - known, axis=1) < _OUT_OF_PLACE * board.spacing_mm).sum())
 
 
 def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: Array) -> BoardView:
@@ -233,9 +264,14 @@ def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: A
     for k, start in enumerate(pixels):
         ends = apply_homography(homography, points[k] + np.eye(2)) - apply_homography(homography, points[k] - np.eye(2))
         fit = fit_corner(lit, start, ends / np.linalg.norm(ends, axis=1, keepdims=True), float(reach[k]))
-        if fit is not None and fit.sigma_px < 3 * LARGEST_SIGMA_PX:
+        if fit is not None:
             fits.append(fit)
             kept.append(k)
+    # A coarse or noisy camera knows all corners less well; what is worse than most is no corner.
+    typical = float(np.median([fit.sigma_px for fit in fits])) if fits else 0.0
+    limit = min(3 * max(LARGEST_SIGMA_PX, typical), _USELESS_SIGMA_PX)
+    sharp = [(fit, k) for fit, k in zip(fits, kept, strict=True) if fit.sigma_px < limit]
+    fits, kept = [fit for fit, _ in sharp], [k for _, k in sharp]
     if len(fits) < LEAST_PART * len(pixels):
         raise CalibrationError(
             f"{len(fits)} of {len(pixels)} corners of the {board} are sharp enough to be measured: blurred or too dark"

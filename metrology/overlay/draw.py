@@ -103,7 +103,7 @@ def draw_overlay(
     """
     settings = settings or OverlaySettings()
     projector = screen(reconstruction.rig)
-    if reconstruction.rig.projector is None:
+    if reconstruction.rig.screen is None:
         title = [*title, "LEFT CAMERA - NOT FOR PROJECTION"]
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)

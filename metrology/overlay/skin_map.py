@@ -71,7 +71,7 @@ def map_skin(reconstruction: Reconstruction) -> SkinMap:
 
 def screen(rig: Rig) -> Device:
     """The device that an overlay is drawn for: the projector, or the left camera where none is calibrated."""
-    return rig.projector or rig.left
+    return rig.screen or rig.left
 
 
 def _on_panel(points: Array) -> NDArray[np.bool_]:

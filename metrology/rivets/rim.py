@@ -76,10 +76,10 @@ def head_circle(
         Centre of the head's edge; the radius reaches to the middle of the dark line, as it would show on a flush head.
     """
     rig = reconstruction.rig
-    if rig.projector is None or rig.right is None:  # where the light comes from tells the rim's shadow
+    if rig.screen is None or rig.right is None:  # where the light comes from tells the rim's shadow
         return None
     origin = np.array([start.x, start.y, head_height])
-    slopes = np.array([_slope(device, frame, origin) for device in (rig.left, rig.right, rig.projector)])
+    slopes = np.array([_slope(device, frame, origin) for device in (rig.left, rig.right, rig.screen)])
     height = head_height - skin_height
     hidden = abs(height) * float(np.linalg.norm(slopes[:2], axis=1).max())
     pixel = _pixel_mm(rig.left, frame, origin)

@@ -54,7 +54,7 @@ def run(*arguments: str | Path) -> int:
 def measured(folder: Path) -> NDArray[np.float64]:
     """Distances of the measured points from the plane, by a rig without its projector."""
     scene, rig = load_scene(folder), replace(small_rig(), projector=None)
-    found = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code)
+    found = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code, scene.exposures)
     return np.asarray((found.points @ PLANE_NORMAL - PLANE_DISTANCE)[found.flags == 0])
 
 
@@ -110,6 +110,55 @@ def test_bits_from_the_finest_on_are_told(tmp_path: Path, capsys: pytest.Capture
     assert np.quantile(np.abs(measured(folder)), 0.99) < 1.5
 
 
+def test_inverses_that_come_first_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = FringeCode("x", 4, (16,), GrayCode(32, True))
+    turned = [*range(4), *(4 + (i ^ 1) for i in range(10))]
+    views = {camera: frames[turned] for camera, frames in scan(code).items()}
+    folder = save(tmp_path, views, SINGLE[: code.frames])
+    arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "16", "--gray", "32", "--inverse")
+    assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
+    assert "each bit's inverse first" in capsys.readouterr().out
+    assert json.loads((folder / "scene.json").read_text())["fringe"]["gray"]["inverse_first"]
+    assert np.quantile(np.abs(measured(folder)), 0.99) < 1.5
+
+
+def test_stripes_finer_than_the_camera_are_left_aside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = FringeCode("x", 0, (), GrayCode(1024, True))
+    rng = np.random.default_rng(4)
+    views = {}
+    for camera, frames in scan(code).items():
+        blurred = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 0.8) for frame in frames])
+        clipped = 1.6 * blurred  # bright stripes at the end of the range: a frame and its inverse still cross
+        views[camera] = np.clip(np.rint(clipped + rng.normal(0, 1, blurred.shape)), 0, 255).astype(np.uint8)
+    folder = save(tmp_path, views, SINGLE[: code.frames])
+    arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "--gray", "1024", "--inverse")
+    assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
+    off = measured(folder)
+    assert len(off) > 0.25 * 320 * 240
+    assert np.quantile(np.abs(off), 0.95) < 3
+
+
+def test_several_exposures_are_told_by_their_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    views = scan(FringeCode("x", 4, (7, 6, 5)))
+    for time in (5, 10):
+        darker = {
+            camera: (frames.astype(float) * time / 10).round().astype(np.uint8) for camera, frames in views.items()
+        }
+        save(tmp_path, darker, [f"t{time}/{name}" for name in COUNTS])
+    arguments = ("--pattern", "t{exposure}/{camera}/f{count}_{step}.png", "--counts", "7", "6", "5", "--rig", "small")
+    assert run("scene", "new", tmp_path, *arguments) == 0
+    assert json.loads((tmp_path / "scene.json").read_text())["exposures"] == [5.0, 10.0]
+    assert np.quantile(np.abs(measured(tmp_path)), 0.99) < 1.5
+    assert run("scene", "new", tmp_path, *arguments, "--exposures", "3") == 2
+    assert "found 1 times of the exposures 5, 10, expected 2" in capsys.readouterr().err
+    assert run("capture", "check", tmp_path) == 0
+
+
+def test_one_count_without_gray_code_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("patterns", "--out", tmp_path, "--counts", "64") == 2
+    assert "found 64 alone, whose fringes nothing tells apart" in capsys.readouterr().err
+
+
 def test_wrong_declarations_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = save(tmp_path, scan(FringeCode("x", 4, (7, 6, 5))), COUNTS)
     pattern = ("--pattern", "{camera}/f{count}_{step}.png", "--rig", "small")
@@ -140,6 +189,7 @@ def test_every_code_of_patterns_is_one_that_scenes_accept(tmp_path: Path) -> Non
         ["--counts", "1", "8", "64", "--steps", "3", "4", "8", "--offset", "0.5"],
         ["--counts", "32", "--gray", "64", "--lsb", "--inverse", "--references", "--direction", "-1"],
         ["--counts", "--gray", "160"],
+        ["--counts", "--gray", "160", "--inverse-first", "--references"],
     ):
         out = tmp_path / "-".join(arguments)
         assert run("patterns", "--out", out, "--size", "320", "8", *arguments) == 0

@@ -44,7 +44,7 @@ def find_gaps(
     """
     if joint == "lap":
         return [NO_GAP] * len(sections), joint
-    projector = reconstruction.rig.projector
+    projector = reconstruction.rig.screen
     # The grey-level model needs two views, and to know where the light is.
     if settings.edges == "image" and projector is not None and reconstruction.right is not None:
         return image_edges(

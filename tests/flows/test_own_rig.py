@@ -1,0 +1,194 @@
+"""From a box of parts: a code on a board calibrates, a capture is checked, scans find the projector."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from flows.cli import main
+from metrology.fringe import Axis, FringeCode, GrayCode
+from metrology.moments import moment_of
+from metrology.results import SceneKey
+from metrology.rig import Device, Rig
+from storage.rig import load_rig, save_rig
+from storage.scene import write_scene
+from tests.support.rendered_fringes import clean_frames, plane_depth, recorded, seen_coordinate, small_rig
+
+WHEN = "2026-11-01T00:00:00Z"
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+# A chessboard before one camera and a projector.
+COLS, ROWS, SQUARE = 8, 6, 20.0
+BEAM = (256, 192)
+CAMERA = Device(
+    480, 360, np.array([[620.0, 0, 241.3], [0, 622.0, 178.2], [0, 0, 1]]), np.zeros(5), np.eye(3), np.zeros(3)
+)
+TILTS = ((0, 12, 3), (22, 0, -9), (-20, 18, 14), (15, -25, -4), (-15, -12, 10))
+
+
+def lamp() -> Device:
+    turn = np.asarray(cv2.Rodrigues(np.radians([2.0, 14.0, 1.0]))[0])
+    K = np.array([[330.0, 0, 127.5], [0, 330.0, 150.0], [0, 0, 1]])
+    return Device(*BEAM, K, np.zeros(5), turn, -turn @ np.array([120.0, 15.0, 10.0]))
+
+
+def board_and_light(pose: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(h, w) reflectance and (h, w, 2) projector pixels of what the camera sees of a pose."""
+    R = np.asarray(cv2.Rodrigues(np.radians(np.array(TILTS[pose], float)))[0])
+    wide, tall = (COLS - 1) * SQUARE, (ROWS - 1) * SQUARE
+    t = np.array([8.0 * (pose % 3 - 1), 6.0 * (pose % 2), 420.0 + 15 * pose]) - R @ np.array([wide / 2, tall / 2, 0])
+    fine = 3
+    v, u = (np.mgrid[: fine * CAMERA.height, : fine * CAMERA.width] + 0.5) / fine - 0.5
+    rays = CAMERA.rays(np.stack([u, v], -1))
+    points = rays * ((R[:, 2] @ t) / (rays @ R[:, 2]))[..., None]
+    x, y = np.moveaxis((points - t) @ R[:, :2], -1, 0)
+    white = (np.floor(x / SQUARE) + np.floor(y / SQUARE)) % 2 == 0
+    on = (x > -SQUARE) & (x < wide + SQUARE) & (y > -SQUARE) & (y < tall + SQUARE)
+    grey = np.where(on, np.where(white, 0.9, 0.15), 0.6)
+
+    def binned(image: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(cv2.resize(image, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA))
+
+    return binned(grey), binned(lamp().project(points))
+
+
+def code_on_board(folder: Path) -> None:
+    rng = np.random.default_rng(3)
+    for pose in range(len(TILTS)):
+        grey, light = board_and_light(pose)
+        frames = []
+        for along, stripes in enumerate(BEAM):
+            position = (light[..., along] + 0.5) / stripes
+            frames += list(GrayCode(stripes, True).lines(position.ravel()).reshape(-1, *position.shape))
+        frames += [np.ones_like(grey), np.zeros_like(grey)]
+        (folder / f"capture_{pose}").mkdir(parents=True)
+        for number, frame in enumerate(frames):
+            level = grey * (12 + 200 * cv2.GaussianBlur(frame, (0, 0), 0.5)) + rng.normal(0, 0.8, grey.shape)
+            cv2.imwrite(
+                str(folder / f"capture_{pose}" / f"graycode_{number:02d}.png"),
+                np.clip(level, 0, 255).round().astype(np.uint8),
+            )
+
+
+def test_a_code_on_a_board_calibrates_one_camera_and_a_projector(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code_on_board(tmp_path / "raw")
+    out = tmp_path / "rig.json"
+    arguments = ["calibrate", tmp_path / "raw", "--pictures", "capture_{pose}/graycode_{frame}.png"]
+    arguments += ["--board", f"chessboard:{COLS}x{ROWS}:{SQUARE}", "--inverse", "--out", out]
+    assert run(*arguments, "--projector", f"{BEAM[0]}x{BEAM[1]}", "--gray", *BEAM) == 0
+    said = capsys.readouterr().out
+    assert "5 of 5 poses" in said
+    found = load_rig(out)
+    assert found.right is None
+    assert found.with_projector().K[0, 0] == pytest.approx(330, rel=5e-3)
+    assert found.left.K[0, 0] == pytest.approx(620, rel=5e-3)
+    assert np.linalg.norm(found.with_projector().centre - lamp().centre) < 3
+    assert run(*arguments, "--projector", "256x192", "--gray", 1024, 192) == 2  # ten bits along x
+    assert "found 34 frames, expected 38: x y white black" in capsys.readouterr().err
+    assert run(*arguments, "--projector", "256x192", "--gray", *BEAM, "--sequence", "x", "skip:18") == 2
+    assert "no y" in capsys.readouterr().err
+
+
+def scan(folder: Path, rig: Rig, axis: Axis, apart: float, station: str) -> Path:
+    """A roof of two planes, nearer by `apart` millimetres, seen by both cameras."""
+    code = FringeCode(axis, 4, (13, 12, 11))
+    size = code.size(rig.with_projector().width, rig.with_projector().height)
+    rng, views = np.random.default_rng(7), []
+    for device in (rig.left, rig.with_right()):
+        planes = []
+        for tilt in (0.45, -0.45):
+            normal = np.array([tilt, -0.1, -1.0]) / np.linalg.norm([tilt, -0.1, -1.0])
+            planes.append(plane_depth(device, normal, float(normal @ [0.0, 0.0, 700.0 - apart])))
+        nearer = np.linalg.norm(planes[0] - device.centre, axis=-1) > np.linalg.norm(planes[1] - device.centre, axis=-1)
+        seen = seen_coordinate(rig, np.where(nearer[..., None], planes[1], planes[0]), axis)
+        lit = np.isfinite(seen)
+        frames = clean_frames(np.where(lit, seen, 0), code, size, 110.0, 80.0)
+        views.append(recorded(np.where(lit, frames, 4.0), rng, 1.0))
+    key = SceneKey("TRIAL", "P1", station, moment_of(WHEN))
+    write_scene(folder, key, rig.id, code, [1.0], views[0], views[1])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    """A rig file without a projector; scans along x and y of a station, and along x of another one."""
+    folder = tmp_path_factory.mktemp("own")
+    save_rig(replace(small_rig(), projector=None), folder / "cameras.json")
+    made = [scan(folder / "x1", small_rig(), "x", 0.0, "S1"), scan(folder / "y1", small_rig(), "y", 0.0, "S1")]
+    return folder / "cameras.json", [*made, scan(folder / "x2", small_rig(), "x", 90.0, "S2")]
+
+
+def test_scans_find_the_projector(
+    scans: tuple[Path, list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras, folders = scans
+    out = tmp_path / "rig.json"
+    assert run("rig", "fit-projector", *folders, "--rig", cameras, "--out", out) == 2
+    assert "--size WxH" in capsys.readouterr().err
+    assert run("rig", "fit-projector", *folders, "--rig", cameras, "--size", "320x240", "--out", out) == 0
+    assert "focal length" in capsys.readouterr().out
+    found, true = load_rig(out), small_rig().with_projector()
+    assert found.screen is not None
+    assert np.linalg.norm(found.with_projector().centre - true.centre) < 5
+    points = np.array([[x, y, 690.0 + x / 4] for x in (-80, 0, 80) for y in (-60, 0, 60)])
+    assert np.abs(found.with_projector().project(points) - true.project(points)).max() < 0.5
+    assert run("rig", "check", out, folders[0]) == 0
+    assert run("rig", "fit-projector", folders[1], "--rig", cameras, "--size", "320x240", "--out", out) == 2
+    assert "fringes along x of the same station before it" in capsys.readouterr().err
+
+
+def test_columns_alone_are_no_screen(
+    scans: tuple[Path, list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras, (first, _, second) = scans
+    out = tmp_path / "rig.json"
+    assert run("rig", "fit-projector", first, second, "--rig", cameras, "--size", "320x240", "--out", out) == 0
+    assert "rows are assumed" in capsys.readouterr().out
+    found = load_rig(out)
+    assert found.projector is not None
+    assert found.screen is None
+
+
+def test_another_rigs_projector_is_the_culprit(
+    scans: tuple[Path, list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras, folders = scans
+    moved = small_rig().with_projector()
+    other = replace(small_rig(), id="elsewhere", projector=replace(moved, t=moved.t + np.array([6.0, 0.0, 0.0])))
+    save_rig(other, tmp_path / "other.json")
+    assert run("rig", "export", tmp_path / "other.json", "--out", tmp_path / "cv.json") == 0
+    left, right = small_rig().left, small_rig().with_right()
+    np.savez(
+        tmp_path / "stereo.npz", K1=left.K, D1=left.distortion, K2=right.K, D2=right.distortion, R=right.R, T=right.t,
+        image_size=np.array([320, 240]),
+    )  # fmt: skip
+    mixed = tmp_path / "mixed.json"
+    taken = ("--projector-of", tmp_path / "other.json")
+    assert run("rig", "import", tmp_path / "stereo.npz", "--id", "mixed", "--out", mixed, *taken) == 0
+    run("rig", "check", mixed, folders[0])
+    said = capsys.readouterr().out
+    assert "the projector was taken from rig 'elsewhere'" in said
+    assert cameras.is_file()
+
+
+def test_a_capture_is_checked(
+    scans: tuple[Path, list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, folders = scans
+    assert run("capture", "check", folders[0]) == 0
+    assert "left: lit" in capsys.readouterr().out
+    assert run("capture", "check", tmp_path) == 2
+    assert "found no scene.json" in capsys.readouterr().err
+    names = ("--pattern", "{camera}/e0_c{count}_s{step}.png", "--counts", 13, 12, 11)
+    assert run("capture", "check", folders[0], *names) == 0
