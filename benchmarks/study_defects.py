@@ -7,8 +7,8 @@ recall, errors of depth and extents, and how often U95 covers the error; the sam
 scanned again and again; and depths by what people do otherwise: a plane, and a cylinder, fitted by least squares.
 
 Clouds are traced with the noise of a scan (0.012 mm a point, correlated over two pixels) and are means over the area
-that a point of a scan is one of; heads and seams are where they are: a few seconds for each panel. With --rendered fringes are rendered, decoded and matched, and heads and seams
-are looked for: a minute or two for each.
+that a point of a scan is one of; heads and seams are where they are: a few seconds for each panel. With --rendered
+fringes are rendered, decoded and matched, and heads and seams are looked for: a minute or two for each.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -258,60 +259,84 @@ def main() -> None:
     study_repeats(arguments.repeats, arguments.rendered)
 
 
-def study_dents(panels: int, rendered: bool) -> None:
-    errors, covered, lost, false, wide, seconds = [], [], [], 0, [], []
-    peers: dict[str, list[float]] = {
-        "plane, whole view": [],
-        "plane, near": [],
-        "cylinder, whole view": [],
-        "cylinder, near": [],
-    }
-    for number in range(panels):
-        (scan,) = scans(specification(number, True), 1, rendered)
-        measure_defects(scan.sighted)
+@dataclass
+class Tally:
+    """What was found of the defects of all panels."""
+
+    errors: list[tuple[float, float]] = field(default_factory=list)
+    covered: list[bool] = field(default_factory=list)
+    extents: list[float] = field(default_factory=list)
+    partly: list[str] = field(default_factory=list)
+    lost: list[tuple[float, str]] = field(default_factory=list)
+    false: list[str] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    peers: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, number: int, scan: Scan) -> None:
+        """Look for the defects of a panel."""
         start = time.process_time()
         rows = measure_defects(scan.sighted)
-        seconds.append(time.process_time() - start)
-        seen = [t for t in scan.truth if t.visible]
-        pairs = [(t, paired(t, rows)) for t in seen]
-        # What is partly out of view is no false finding.
-        false += sum(all(paired(t, [row]) is None for t in scan.truth) for row in rows)
-        for t, row in pairs:
-            if row is None or row.depth_mm is None or row.hidden_by:
-                lost.append((number, t.id, t.depth_mm, t.half_depth_axes_mm, local_u95(scan, t), row and row.reason))
-                continue
-            e = row.depth_mm - t.depth_mm
-            errors.append((abs(e), abs(e / t.depth_mm)))
-            covered.append(abs(e) <= row.depth_u95_mm)
-            wide += [row.length_mm / max(t.half_depth_axes_mm) - 1, row.width_mm / min(t.half_depth_axes_mm) - 1]
-            print(
-                f"  {number:3d} {t.id} {t.shape:7s} {t.depth_mm:+.3f} mm, {t.half_depth_axes_mm[0]:.0f} × "
-                f"{t.half_depth_axes_mm[1]:.0f} mm: {row.kind} {e:+.4f} ± {row.depth_u95_mm:.4f}, extents "
-                f"{wide[-2]:+.3f} {wide[-1]:+.3f}",
-                flush=True,
-            )
-            for name, everything, by in (
-                ("plane, whole view", True, depth_by_plane),
-                ("plane, near", False, depth_by_plane),
-                ("cylinder, whole view", True, depth_by_cylinder),
-                ("cylinder, near", False, depth_by_cylinder),
-            ):
-                peers[name].append(abs(by(scan.sighted.reconstruction, t, everything) - t.depth_mm))
-    sure = [entry for entry in lost if abs(entry[2]) > 5 * entry[4]]
-    print(
-        f"{len(errors) + len(lost)} defects: {len(errors)} measured, {len(lost)} not, of these {len(sure)} above 5 U95"
-    )
-    for entry in lost:
-        panel, name, depth, axes, u95, reason = entry
-        print(f"  not measured: panel {panel} {name} {depth:+.3f} mm, {axes}, U95 {u95:.4f}; {reason}")
-    absolute, relative = np.array(errors).T
-    within = np.mean((absolute <= 0.005) | (relative <= 0.03))
-    print(f"depth: median error {np.median(absolute):.4f} mm, worst {absolute.max():.4f}")
-    print(f"within 0.005 mm or 3 %: {within:.1%}; U95 covers {np.mean(covered):.1%}")
-    print(f"extents: median error {np.median(np.abs(wide)):.1%}, 95 % {np.quantile(np.abs(wide), 0.95):.1%}")
-    print(f"false {false}; CPU {np.median(seconds):.3f} s, worst {max(seconds):.3f}")
-    for name, depths in peers.items():
-        print(f"{name}: median error {np.nanmedian(depths):.3f} mm")
+        self.seconds.append(time.process_time() - start)
+        self.false += [f"panel {number}: {row.kind} {row.depth_mm} mm" for row in rows if not _belongs(row, scan.truth)]
+        for truth in scan.truth:
+            if truth.visible:
+                self._compare(number, truth, paired(truth, rows), scan)
+
+    def _compare(self, number: int, truth: TrueDent, row: Defect | None, scan: Scan) -> None:
+        length, width = truth.half_depth_axes_mm
+        name = f"  {number:3d} {truth.id} {truth.shape:7s} {truth.depth_mm:+.3f} mm, {length:.0f} × {width:.0f} mm"
+        if row is None:
+            u95 = local_u95(scan, truth)
+            self.lost.append((abs(truth.depth_mm) / u95, f"{name}: lost, U95 of a depth of nothing {u95:.4f} mm"))
+            return
+        if row.depth_mm is None or row.depth_u95_mm is None or row.hidden_by:
+            self.partly.append(f"{name}: {row.depth_mm} mm; {row.reason}")
+            return
+        e = row.depth_mm - truth.depth_mm
+        self.errors.append((abs(e), abs(e / truth.depth_mm)))
+        self.covered.append(abs(e) <= row.depth_u95_mm)
+        extents = (row.length_mm or 0.0) / length - 1, (row.width_mm or 0.0) / width - 1
+        self.extents += extents
+        print(
+            f"{name}: {row.kind} {e:+.4f} ± {row.depth_u95_mm:.4f}, extents {extents[0]:+.3f} {extents[1]:+.3f}",
+            flush=True,
+        )
+        for by, depth in (("plane", depth_by_plane), ("cylinder", depth_by_cylinder)):
+            for where, everything in (("whole view", True), ("near", False)):
+                found = depth(scan.sighted.reconstruction, truth, everything)
+                self.peers.setdefault(f"{by}, {where}", []).append(abs(found - truth.depth_mm))
+
+    def report(self) -> None:
+        """Print it."""
+        for line in (*self.partly, *(line for _, line in self.lost)):
+            print(line)
+        sure = sum(times > 5 for times, _ in self.lost)
+        number = len(self.errors) + len(self.partly) + len(self.lost)
+        print(f"{number} defects: {len(self.errors)} measured, {len(self.partly)} seen in part, {len(self.lost)} lost,")
+        print(f"of these {sure} above 5 U95; {len(self.false)} false {self.false}")
+        absolute, relative = np.array(self.errors).T
+        within = np.mean((absolute <= 0.005) | (relative <= 0.03))
+        extents = np.abs(self.extents)
+        print(f"depth: median error {np.median(absolute):.4f} mm, worst {absolute.max():.4f}")
+        print(f"within 0.005 mm or 3 %: {within:.1%}; U95 covers {np.mean(self.covered):.1%}")
+        print(f"extents: median error {np.median(extents):.1%}, 95 % {np.quantile(extents, 0.95):.1%}")
+        print(f"CPU median {np.median(self.seconds):.3f} s, worst {max(self.seconds):.3f}")
+        for name, depths in self.peers.items():
+            print(f"{name}: median error {np.nanmedian(depths):.3f} mm")
+
+
+def _belongs(row: Defect, truths: Sequence[TrueDent]) -> bool:
+    """Whether a row lies on a true defect, on the foot that it has beyond a seam too."""
+    here = np.array([row.x_mm, row.y_mm, row.z_mm], float)
+    return any(np.linalg.norm(here - truth.xyz_mm) < 0.5 * max(truth.foot_axes_mm) for truth in truths)
+
+
+def study_dents(panels: int, rendered: bool) -> None:
+    tally = Tally()
+    for number in range(panels):
+        tally.add(number, scans(specification(number, True), 1, rendered)[0])
+    if panels:
+        tally.report()
 
 
 def study_bare(panels: int, rendered: bool) -> None:

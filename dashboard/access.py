@@ -31,16 +31,24 @@ class Person:
     role : "nobody", "viewer" or "reviewer"
     verified : bool
         Whether a log-in vouches for the name.
+    design_authority : bool
+        Whether a reviewer may also let parts pass that are not as drawn.
     """
 
     name: str
     role: Role
     verified: bool
+    design_authority: bool = True
 
     @property
     def may_review(self) -> bool:
         """Whether they may dispose and sign off."""
         return self.role == "reviewer"
+
+    @property
+    def may_accept(self) -> bool:
+        """Whether they may decide "use as is" and "repair"."""
+        return self.may_review and self.design_authority
 
 
 def login_configured() -> bool:
@@ -68,7 +76,7 @@ def current_person(roles: RolesModel, root: Path) -> Person:
     if LogOuts(root).ended(claims):
         return Person("", "nobody", False)
     name = name_of(claims)
-    return Person(name, role_of(name, claims, roles), True)
+    return Person(name, role_of(name, claims, roles), True, is_design_authority(name, claims, roles))
 
 
 def name_of(claims: Mapping[str, object]) -> str:
@@ -88,11 +96,23 @@ def log_out(root: Path) -> None:
 
 def role_of(name: str, claims: Mapping[str, object], roles: RolesModel) -> Role:
     """The role of a person who logged in, by their name or by the claim that the settings name."""
-    found = claims.get(roles.claim) if roles.claim else None
-    values = {value for value in (found if isinstance(found, list | tuple) else [found]) if isinstance(value, str)}
+    values = _values(claims, roles)
     if _listed(name, roles.reviewers) or values & set(roles.reviewer_values):
         return "reviewer"
     return "viewer" if _listed(name, roles.viewers) or values & set(roles.viewer_values) else "nobody"
+
+
+def is_design_authority(name: str, claims: Mapping[str, object], roles: RolesModel) -> bool:
+    """Whether a person who logged in is the design authority; everyone is where the settings name none."""
+    if not (roles.design_authority or roles.design_authority_values):
+        return True
+    return _listed(name, roles.design_authority) or bool(_values(claims, roles) & set(roles.design_authority_values))
+
+
+def _values(claims: Mapping[str, object], roles: RolesModel) -> set[str]:
+    """What the claim that the settings name says of a person."""
+    found = claims.get(roles.claim) if roles.claim else None
+    return {value for value in (found if isinstance(found, list | tuple) else [found]) if isinstance(value, str)}
 
 
 def _listed(name: str, names: tuple[str, ...]) -> bool:

@@ -16,6 +16,9 @@ from typing import Any
 
 import streamlit as st
 
+_UNKNOWN = "address_unknown"
+_MOST_SAID = 200
+
 
 def one_of(name: str, options: Sequence[str], default: str | None = None) -> dict[str, Any]:
     """Arguments of a field with one value: the one that the address names, else `default`, else the first.
@@ -27,6 +30,7 @@ def one_of(name: str, options: Sequence[str], default: str | None = None) -> dic
     """
     first = default if default in options else options[0] if options else None
     named = st.query_params.get(name)
+    _note_unknown(name, [named] if named else [], options)
     # Always, for a field of another page with this name leaves its value here, which the new field would not show.
     st.session_state[name] = named if named in options else first
     return {"key": name, "on_change": _write_one, "args": (name, first)}
@@ -37,9 +41,23 @@ def some_of(name: str, options: Sequence[str], default: Sequence[str] = ()) -> d
     first = [option for option in options if option in default]
     given = st.query_params.get_all(name)
     named = [option for option in options if option in given]
+    _note_unknown(name, [value for value in given if value], options)
     # An address that names nothing at all (name=) says that nothing is chosen.
     st.session_state[name] = named if named or given == [""] else first
     return {"key": name, "on_change": _write_some, "args": (name, first)}
+
+
+def unknown_values() -> list[str]:
+    """What the address asks of this page's fields that they do not have, each in words; asked once per run."""
+    noted: list[str] = st.session_state.pop(_UNKNOWN, [])
+    return noted
+
+
+def _note_unknown(name: str, values: Sequence[str], options: Sequence[str]) -> None:
+    unknown = [value for value in values if value not in options]
+    if unknown:
+        noted = st.session_state.setdefault(_UNKNOWN, [])
+        noted.append(f"{name} {', '.join(unknown)}"[:_MOST_SAID])
 
 
 def put(**named: str | None) -> None:

@@ -27,8 +27,9 @@ _STYLE = """<style>
 </style>"""
 
 
-# Where a page leads to another one with a query, Streamlit first writes the query behind the address of the page that is
-# left: the browser's back button would lead there, to a page that nobody saw. This puts the next page in its place.
+# Where a page leads to another one with a query, Streamlit first writes the query behind the address of the page
+# that is left: the browser's back button would lead there, to a page that nobody saw. This puts
+# the next page in its place.
 _ONE_STEP = """<script>
 if (!window.flushlineOneStep) {
   window.flushlineOneStep = true;

@@ -7,7 +7,7 @@ path: a new night's results are a new path, so nothing stale is ever shown and n
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from metrology.tolerance import PanelSpec
 from storage.archive.bookkeeping import is_known
 from storage.archive.bundle import FITS, MANIFEST
 from storage.archive.decisions import shown_finding
+from storage.archive.known_defects import Accepted, accepted_before
 from storage.archive.older import cover
 from storage.archive.store import Store
 from storage.archive.work import Standing, reviewed_features, signed_scenes, standings
@@ -83,6 +84,10 @@ class Archive:
     def standings(self, scene_id: str) -> tuple[Standing, ...]:
         """How the findings of a scene stand."""
         return _standings(str(self.root), self.generation, self._review_version, scene_id)
+
+    def accepted(self, scene_id: str) -> Mapping[str, Accepted]:
+        """Defects of a scene that were accepted on an earlier one, by their ids."""
+        return _accepted(str(self.root), self.generation, self._review_version, scene_id)
 
     def file(self, relative: object) -> Path:
         """A file of the store; refused where the path leads out of it."""
@@ -175,6 +180,15 @@ def _standings(root: str, generation: str, version: tuple[int, ...], scene_id: s
     cursor = _cursor(root, generation)
     try:
         return standings(cursor, _review(root, version), scene_id)
+    finally:
+        cursor.close()
+
+
+@st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
+def _accepted(root: str, generation: str, version: tuple[int, ...], scene_id: str) -> Mapping[str, Accepted]:
+    cursor = _cursor(root, generation)
+    try:
+        return accepted_before(cursor, _review(root, version), scene_id)
     finally:
         cursor.close()
 

@@ -21,10 +21,13 @@ from dashboard.frame import PageContext, link, plain
 from metrology.errors import FlushlineError, OutdatedError
 from storage.archive.decisions import close_work, dispose, sign_off_all
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, said
-from storage.review import DISPOSITIONS, MAX_COMMENT, Entry, Review, ShownFinding, ShownScene
+from storage.review import DISPOSITIONS, MAX_COMMENT, Disposition, Entry, Review, ShownFinding, ShownScene
 
 _OUTCOME = "review_outcome"
 _MOST_NAMED = 12
+ACCEPTS: tuple[Disposition, ...] = ("use as is", "repair")
+"""What accepts a part that is not as drawn: where roles are configured, the design authority's to decide."""
+_KEYS: dict[Disposition, str] = {"use as is": "u", "rework": "w", "repair": "p", "scrap": "s", "re-scan": "n"}
 Done = Callable[[], None]
 
 
@@ -122,11 +125,20 @@ def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> N
     key = _checksum(shown)
     # Kept where the same findings are shown anew; the disposition is not.
     comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
-    left, right = st.columns([5, 2])
-    disposition = left.pills("Disposition", DISPOSITIONS, key=f"disposition-{key}")
-    with right:
+    disposition = _choose_disposition(context, f"disposition-{key}")
+    left, right = st.columns([2, 5])
+    with left:
         ask_who(context)
-    with st.form(f"decide-{key}", border=False):
+    with right, st.form(f"decide-{key}", border=False):
+        concession_key = f"concession-{key}"
+        if disposition in ACCEPTS and context.settings.concessions:
+            st.text_input(
+                "Concession or NCR number",
+                key=concession_key,
+                max_chars=80,
+                placeholder="concession or NCR number",
+                label_visibility="collapsed",
+            )
         st.text_input(
             "Comment",
             key=comment_key,
@@ -140,17 +152,44 @@ def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> N
             type="primary",
             icon=":material/edit_note:",
             key=f"record-{key}",
+            shortcut="Enter",
             on_click=_record,
-            args=(context, tuple(shown), f"disposition-{key}", comment_key, done),
+            args=(context, tuple(shown), f"disposition-{key}", (concession_key, comment_key), done),
         )
+
+
+def _choose_disposition(context: PageContext, key: str) -> str | None:
+    """Buttons with keys, of which one is chosen; those that this person may not choose are grey."""
+    st.markdown(":small[Disposition]")
+    chosen: str | None = st.session_state.get(key)
+    with st.container(horizontal=True, gap="small"):
+        for disposition in DISPOSITIONS:
+            allowed = context.person.may_accept or disposition not in ACCEPTS
+            st.button(
+                disposition,
+                key=f"{key}-{disposition}",
+                type="primary" if disposition == chosen else "secondary",
+                shortcut=_KEYS[disposition],
+                disabled=not allowed,
+                help=None if allowed else "Use as is and repair are the design authority's: see the dashboard's roles.",
+                on_click=_choose,
+                args=(key, disposition),
+            )
+    return chosen
+
+
+def _choose(key: str, disposition: str) -> None:
+    """Choose a disposition; a second time takes the choice back."""
+    st.session_state[key] = None if st.session_state.get(key) == disposition else disposition
 
 
 def ask_who(context: PageContext) -> None:
     """A field for the name, where nobody logs in."""
     if not context.person.verified:
         st.text_input(
-            "Your name", key="who", max_chars=120, help="Nobody logs in here, so the log keeps the name you give."
-        )
+            "Your name", key="who", max_chars=120, placeholder="your name", label_visibility="collapsed",
+            help="Nobody logs in here, so the log keeps the name you give.",
+        )  # fmt: skip
 
 
 def _who(context: PageContext) -> str:
@@ -158,23 +197,28 @@ def _who(context: PageContext) -> str:
 
 
 def _record(
-    context: PageContext, shown: tuple[ShownFinding, ...], disposition_key: str, comment_key: str, done: Done
+    context: PageContext, shown: tuple[ShownFinding, ...], disposition_key: str, text_keys: tuple[str, str], done: Done
 ) -> None:
     disposition, who = st.session_state.get(disposition_key), _who(context)
     if not disposition or not who:
         st.session_state[_OUTCOME] = _Outcome("hint", "Choose a disposition and give your name.")
         return
-    comment = str(st.session_state.get(comment_key) or "")
+    concession, comment = (str(st.session_state.get(key) or "").strip() for key in text_keys)
+    if disposition in ACCEPTS and context.settings.concessions:
+        if not concession:
+            st.session_state[_OUTCOME] = _Outcome("hint", f"*{disposition}* needs its concession or NCR number.")
+            return
+        comment = f"{concession}: {comment}" if comment else concession
     text = f"Recorded *{disposition}* for {_named(shown)}."
     _try(lambda: dispose(context.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
 
 
 def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
     """What to do about open work: wait for the next scan, or close it with a reason."""
-    work = [entry for s in shown if (entry := review.work().get((s.scene_id, s.feature)))]
-    if len(work) < len(shown) or not _is_open(context, shown):
+    work = [review.work().get((s.scene_id, feature)) for s in shown for feature in s.features]
+    if not all(work) or not _is_open(context, shown):
         return
-    asked = " or ".join(sorted({str(entry.disposition) for entry in work}))
+    asked = " or ".join(sorted({str(entry.disposition) for entry in work if entry}))
     st.warning(
         f"Open work: {asked} of {_named(shown)}. It is done when a later scan of the station passes.",
         icon=":material/construction:",
@@ -240,9 +284,9 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
     shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]
     key = _checksum(shown)
     with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
-        decided = [e for (scene_id, _), e in review.current().items() if scene_id in standings]
+        decided = {e.number: e for (scene_id, _), e in review.current().items() if scene_id in standings}
         taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
-        st.markdown(f"Scanned {taken}, {_counted(decided)}.")
+        st.markdown(f"Scanned {taken}, {_counted(list(decided.values()))}.")
         if meaning:
             st.markdown(f"Says: **{plain(meaning)}**")
         st.caption("Its dispositions can not be changed afterwards.")

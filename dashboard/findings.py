@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -11,6 +12,7 @@ import pandas as pd
 from dashboard.data import Archive
 from dashboard.palette import OPEN_DECISIONS
 from metrology.kinds import BY_NAME, KINDS
+from metrology.verdicts import OUTSIDE
 from storage.archive.views import RANK_SQL
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, findings_sql
 from storage.review import Feature
@@ -117,14 +119,24 @@ def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
     # The selection stands in all tables: in those of features it lets DuckDB pass over most rows.
     near, near_selected = replace(wanted.selection, rigs=()).where()
     decisions = list(wanted.decisions) or [""]
-    verdict = f"decision IN ({', '.join('?' * len(decisions))})"
+    # A stretch is listed by its gravest verdict, with all of its positions.
+    of_rows = [*decisions, *(OUTSIDE if set(decisions) & set(OUTSIDE) else ())]
     # Open work is listed whatever a later run of its scan says, unless verdicts are chosen.
-    worked, worked_decisions = ("true", list[str]()) if set(decisions) == set(OPEN_DECISIONS) else (verdict, decisions)
-    sql = findings_sql([BY_NAME[name] for name in wanted.kinds], verdict, worked, near, scenes)
+    every = set(decisions) == set(OPEN_DECISIONS)
+    worked, worked_decisions = ("true", list[str]()) if every else (_among("decision", of_rows), of_rows)
+    kinds = [BY_NAME[name] for name in wanted.kinds]
+    sql = findings_sql(kinds, _among("decision", of_rows), worked, near, scenes)
+    of_kind = [*of_rows, *near_selected, *near_selected, *worked_decisions, *of_rows]
     states = {OPEN: UNRESOLVED, ALL: ()}.get(wanted.state, (wanted.state,))
-    condition = f"WHERE state IN ({', '.join('?' * len(states))})" if states else ""
-    of_kind = [*decisions, *near_selected, *near_selected, *worked_decisions, *decisions]
-    return f"FROM ({sql}) {condition}", [*selected, *of_kind * len(wanted.kinds), *states]
+    chosen: list[tuple[str, Sequence[str]]] = [("state", states)] if states else []
+    chosen += [] if every else [("decision", decisions)]
+    conditions = " AND ".join(_among(name, values) for name, values in chosen) or "true"
+    parameters = [*selected, *of_kind * len(kinds), *(value for _, values in chosen for value in values)]
+    return f"FROM ({sql}) WHERE {conditions}", parameters
+
+
+def _among(column: str, values: Sequence[str]) -> str:
+    return f"{column} IN ({', '.join('?' * len(values))})"
 
 
 def feature_of(row: Any) -> Feature:

@@ -13,7 +13,7 @@ from typing import Any, cast
 import streamlit as st
 
 from dashboard.access import Person, current_person, log_out, login_configured
-from dashboard.address import one_of
+from dashboard.address import one_of, unknown_values
 from dashboard.data import Archive
 from dashboard.locale import STYLE_NAMES, Locale, locale_of
 from dashboard.settings import SettingsModel, load_settings, store_root
@@ -74,7 +74,14 @@ def _page(title: str, render: Callable[[PageContext], None], needs_results: bool
     if needs_results and archive.empty:
         say_how_to_begin(archive)
         return
+    place = st.empty()
+    unknown_values()
     render(PageContext(archive, locale, person, settings))
+    if unknown := unknown_values():
+        said = "; ".join(plain(value) for value in unknown)
+        place.warning(
+            f"The address asks for what is not here, and is shown without it: {said}.", icon=":material/link_off:"
+        )
 
 
 def _corner(settings: SettingsModel, person: Person, root: Path) -> Locale:

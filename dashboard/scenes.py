@@ -51,9 +51,13 @@ def worst_feature(features: SceneFeatures) -> Feature | None:
 
 
 def find_feature(features: SceneFeatures, feature: Feature) -> Any | None:
-    """The row that a feature names; None where the scene has none."""
+    """The row that a feature names, of a stretch its worst position's; None where the scene has none."""
     rows = features[feature.kind]
-    return next(rows[rows["feature_id"] == feature.id].itertuples(), None)
+    if feature.is_stretch:
+        found = rows[rows["stretch"] == feature.id].sort_values("beyond_mm", ascending=False, kind="stable")
+    else:
+        found = rows[rows["feature_id"] == feature.id]
+    return next(found.itertuples(), None)
 
 
 def requirements(archive: Archive, bundle: object, chosen: Feature, row: Any) -> list[Requirement] | None:

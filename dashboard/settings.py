@@ -3,6 +3,7 @@
 title = "Hall 7"
 numbers = "de"                       # us, de, iso; by default the browser's
 not_aircraft = ["STD-*"]             # serial numbers of gauges and standard parts: the overview leaves them out
+concessions = true                   # "use as is" and "repair" ask for a concession or NCR number
 inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
 prefect_api = "http://flows:4200/api"  # whose flow runs it shows; by default PREFECT_API_URL
 [roles]
@@ -11,6 +12,8 @@ viewers = ["*"]                      # may look; "*" is everyone who logged in
 claim = "groups"                     # or by what the provider says of a person: a claim, and its values for each role
 reviewer_values = ["flushline-qe"]
 viewer_values = ["hall-7"]
+design_authority = ["k.ito@example.com"]  # reviewers who may also decide "use as is" and "repair"; by default all may
+design_authority_values = ["design"]
 """
 
 from __future__ import annotations
@@ -37,10 +40,12 @@ class RolesModel(StrictModel):
     claim: str | None = None
     reviewer_values: tuple[str, ...] = ()
     viewer_values: tuple[str, ...] = ()
+    design_authority: tuple[str, ...] = ()
+    design_authority_values: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _values_have_a_claim(self) -> RolesModel:
-        if self.claim is None and (self.reviewer_values or self.viewer_values):
+        if self.claim is None and (self.reviewer_values or self.viewer_values or self.design_authority_values):
             raise ValueError("found values for roles without a claim, expected claim to name what holds them")
         return self
 
@@ -51,6 +56,7 @@ class SettingsModel(StrictModel):
     title: str = "Flushline"
     numbers: str | None = None
     not_aircraft: tuple[str, ...] = ()
+    concessions: bool = False
     inboxes: tuple[str, ...] = ()
     prefect_api: str | None = None
     roles: RolesModel = RolesModel()

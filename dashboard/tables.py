@@ -17,6 +17,7 @@ from metrology.kinds import KINDS
 _SIGNED = (
     "value_mm",
     "difference_mm",
+    "margin",
     "deviation_mm",
     *(quantity.column for kind in KINDS for quantity in kind.quantities if quantity.signed),
 )
@@ -82,6 +83,7 @@ _NARROW = ("reason",)
 _HELP = {
     "value_mm": "Height of a rivet head, + proud of the skin; step of a seam, side B above side A",
     "u95_mm": "Expanded uncertainty, 95 %",
+    "margin": "Distance to the nearest limit, mm (tilt: °): negative beyond it",
     "waiting": "Findings without a disposition, and those whose rework, repair or re-scan is not done",
     "open_work": "Of those waiting: rework, repair or re-scan was asked for and is not done",
     "worst_mm": "Largest |height| or |step| among what does not simply pass",

@@ -39,12 +39,23 @@ def assemble_after(store: Store, scene_ids: Iterable[str]) -> None:
 
     The scenes are stored by then: what is wrong with a panel is said, and nothing else comes of it.
     """
-    for key in sorted({PanelKey(*scene_id.split("~")[:2]) for scene_id in scene_ids}, key=str):
+    for key in _panels_of(store, scene_ids):
         try:
             if _is_worth_it(store, key):
                 assemble_and_publish(store, [key])
         except FlushlineError as problem:
             print_error(f"panel {key}: {problem}; the scenes are stored, 'flushline panel assemble' tries again")
+
+
+def _panels_of(store: Store, scene_ids: Iterable[str]) -> list[PanelKey]:
+    """The panels that scenes are of, as the archive has them."""
+    wanted = list(scene_ids)
+    if not wanted:
+        return []
+    rows = store.query(
+        "SELECT DISTINCT aircraft_serial, panel FROM scenes WHERE scene_id IN (SELECT unnest(?)) ORDER BY ALL", [wanted]
+    )
+    return [PanelKey(**row) for row in rows.to_pylist()]
 
 
 def _is_worth_it(store: Store, key: PanelKey) -> bool:

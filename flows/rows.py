@@ -7,6 +7,7 @@ import csv
 import io
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, date, datetime, time
 from decimal import Decimal
@@ -82,7 +83,7 @@ def plain(value: Any) -> Any:
 
 
 def _write_json(names: list[str], rows: Iterator[tuple[Any, ...]], output: IO[bytes]) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
         raise StoreError(f"query: found several columns {twice[0]!r}, expected names of their own (… AS name) for JSON")
     output.write(b"[")

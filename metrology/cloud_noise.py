@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.errors import SceneError
+from metrology.robust import MAD
 
 Float32 = NDArray[np.float32]
 
 _TILE = 32
 _ENOUGH = 0.5  # of a tile's pixels
-_MAD = 1.4826
 _CLIP = 3.0
 _ROUNDS = 3
 _BLOCK = 8
@@ -84,7 +84,7 @@ def _scatter(depth: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.
         right = (weight * value) @ design
         residual = value - np.linalg.solve(normal, right[..., None])[..., 0] @ design.T
         off = np.where(used, np.abs(residual), np.nan)
-        sigma = _MAD * np.nanmedian(off, axis=1)
+        sigma = MAD * np.nanmedian(off, axis=1)
         kept = used & (off <= _CLIP * np.maximum(sigma, _LEAST_MM)[:, None])
     taken = design.shape[1] * _pixels_alike(np.where(kept, residual, 0.0), kept) / _TILE**2
     return sigma / np.sqrt(1.0 - min(taken, _MOST_TAKEN))

@@ -18,11 +18,11 @@ from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
 from metrology.jit import kernel
 from metrology.noise import NoiseModel
 from metrology.reconstruction_settings import ReconstructionSettings
+from metrology.robust import MAD
 
 Float32 = NDArray[np.float32]
 
 _LIT_SIGMAS = 5.0  # of a sample's noise: what half the difference of dark and bright must exceed
-_MAD_TO_SIGMA = 1.4826
 _EVEN = 12.0**-0.5  # standard deviation of an even spread over one stripe
 _LEAST_SIGMA_PX = 0.01
 _CHI2_ONE_MEDIAN = 0.4549  # median of the square of a standard normal value
@@ -139,7 +139,7 @@ def _between_sigma(bends: Float32, pairs: Float32) -> float:
 
 def _robust_variance(values: Float32) -> float | None:
     seen = values[np.isfinite(values)]
-    return (_MAD_TO_SIGMA * float(np.median(np.abs(seen)))) ** 2 if seen.size else None
+    return (MAD * float(np.median(np.abs(seen)))) ** 2 if seen.size else None
 
 
 @kernel

@@ -159,6 +159,9 @@ class Kind:
     size : tuple of str
         Columns of its extent, mm. The largest is the ring that the projector draws; rows of two scans nearer than half
         of it are of one feature of the panel.
+    along : str
+        Column of the direction of its length in the left image, degrees, where it is longer than wide: pictures show
+        the ellipse of `major_px` and `minor_px`, and the projector an arrow along it.
     """
 
     name: str
@@ -181,6 +184,7 @@ class Kind:
     settings: str = ""
     cells: tuple[Cell, ...] = ()
     size: tuple[str, ...] = ()
+    along: str = ""
 
     @property
     def is_course(self) -> bool:
@@ -380,6 +384,7 @@ DEFECT = Kind(
     unlimited="metrology.defects.verdict:unlimited_defect",
     note="metrology.defects.verdict:defect_note",
     size=("length_mm", "foot_length_mm"),
+    along="direction_deg",
     measure="metrology.defects.measure:measure_defects",
     cells=(
         Cell("kind", ("kind",)),

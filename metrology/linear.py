@@ -6,7 +6,7 @@ import math
 
 from metrology.jit import kernel
 
-_SINGULAR = 1e-12  # least pivot of a matrix scaled to unit diagonal
+_SINGULAR = 1e-12  # least pivot, as a share of the diagonal's entry
 
 
 @kernel
@@ -18,7 +18,7 @@ def factor(matrix, size):  # type: ignore[no-untyped-def]
             for m in range(k):
                 total -= matrix[j, m] * matrix[k, m]
             if j == k:
-                if total <= _SINGULAR:
+                if not total > _SINGULAR * (_SINGULAR + matrix[j, j]):
                     return False
                 matrix[j, j] = math.sqrt(total)
             else:
@@ -37,3 +37,12 @@ def substitute(matrix, size, x):  # type: ignore[no-untyped-def]
         for k in range(j + 1, size):
             x[j] -= matrix[k, j] * x[k]
         x[j] /= matrix[j, j]
+
+
+@kernel
+def solve(matrix, x, size):  # type: ignore[no-untyped-def]
+    """Solve A x = b in place by Cholesky, given the lower triangle; False where it is not positive definite."""
+    if not factor(matrix, size):
+        return False
+    substitute(matrix, size, x)
+    return True

@@ -103,6 +103,20 @@ class Feature:
         return not self.is_missing and self.decision != "unconfirmed"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Course(Feature):
+    """What the rows of kinds hold beside that whose rows are positions along something (`Kind.is_course`)."""
+
+    stretch: Annotated[
+        str | None,
+        "what the position is a finding with: consecutive positions that do not pass, COURSE@FROM-TO; NULL where it is "
+        "alone, or in order",
+    ] = None
+    beyond_mm: Annotated[
+        float | None, "how far its worst quantity lies beyond the limits, mm; negative inside; NULL without limits"
+    ] = None
+
+
 Features = Mapping[str, Sequence[Feature]]
 """What was found on a scan, by the names of the kinds."""
 
@@ -207,7 +221,7 @@ class SeamLine:
 
 
 @dataclass(frozen=True)
-class SeamStation(Feature):
+class SeamStation(Course):
     """One row of `seam_stations`."""
 
     seam_id: Annotated[

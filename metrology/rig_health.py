@@ -29,6 +29,7 @@ from metrology.far_offset import measure_far_offsets
 from metrology.fringe import Axis
 from metrology.results import Rivet, RivetDetection
 from metrology.rig import PROJECTOR_OF, Rig
+from metrology.robust import MAD
 from metrology.texture_offset import TextureOffsets, measure_offsets
 
 Array = NDArray[np.float64]
@@ -110,7 +111,6 @@ _LEAST_BLOCK_PART = 0.1
 # A block's median is known well enough from every eighth row and column, at a sixty-fourth of the projections.
 _STRIDE = 8
 _OUTLIER_MADS = 4.0
-_MAD_TO_SIGMA = 1.4826
 
 
 def epipolar_health(
@@ -257,7 +257,7 @@ def _epipolar(offsets: TextureOffsets, rig: Rig, floor: float) -> _Deviation | N
         root = np.sqrt(weight * keep)
         solution = np.linalg.lstsq(design * root[:, None], value * root, rcond=None)[0]
         residual = value - design @ solution
-        scatter = _MAD_TO_SIGMA * float(np.median(np.abs(residual[keep]))) + 1e-6
+        scatter = MAD * float(np.median(np.abs(residual[keep]))) + 1e-6
         keep = np.abs(residual) < _OUTLIER_MADS * scatter
     design, value, root = design[keep], value[keep], np.sqrt(weight[keep])
     fitted = design @ solution
@@ -295,7 +295,7 @@ def _third_view(reconstruction: Reconstruction, axis: Axis, settings: HealthSett
     scatter = _medians(np.abs(off - middles[group]), group, count)[full]
     middle, count = middles[full], count[full]
     # A median of n normal values scatters by 1.2533 σ / √n; neighbouring pixels share little noise.
-    sigma = 1.2533 * _MAD_TO_SIGMA * scatter / np.sqrt(count)
+    sigma = 1.2533 * MAD * scatter / np.sqrt(count)
     rms = float(np.sqrt(np.mean(middle**2)))
     return _Deviation(rms, rms, float(np.sqrt(np.mean(sigma**2))), len(middle), settings.projector_floor_px)
 

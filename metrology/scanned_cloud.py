@@ -16,10 +16,10 @@ from metrology.noise import NoiseModel
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Rig
 from metrology.rig_health import RigHealth
+from metrology.robust import MAD
 
 Float32 = NDArray[np.float32]
 
-_MAD = 1.4826
 _QUANTISATION = 1.0 / 12.0
 # The Laplacian of neighbours' Laplacians sees noise and hardly a skin; it is 6 standard deviations wide.
 _NOISE_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
@@ -130,7 +130,7 @@ def _picture_noise(texture: Float32) -> NoiseModel:
     for low, high in pairwise(edges):
         inside = (level >= low) & (level <= high)
         if inside.any():
-            found.append((float(level[inside].mean()), float((_MAD * np.median(rough[inside]) / _NOISE_GAIN) ** 2)))
+            found.append((float(level[inside].mean()), float((MAD * np.median(rough[inside]) / _NOISE_GAIN) ** 2)))
     mean, variance = np.array(found).T
     gain = 0.0
     if np.ptp(mean) > 0:

@@ -1,145 +1,198 @@
-"""A stretch of a course is one finding: consecutive positions beyond a limit, with their worst value and length."""
+"""A stretch of a course is one finding: consecutive positions beyond a limit, with their worst value and length.
+
+Positions within U95 of a limit, and those that were not measured, make stretches of their own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from metrology.kinds import Kind, Quantity
 from metrology.limits import Limit, PanelSpec
 from metrology.requirements import downstream_of, limit_of
-from metrology.results import Decision, Feature, Severity
-from metrology.verdicts import DECISIONS, OUTSIDE, SEVERITIES
+from metrology.results import Course, Decision, Severity
+from metrology.verdicts import DECISIONS, IN_ORDER, OUTSIDE, SEVERITIES
 
+Row = TypeVar("Row", bound=Course)
 _GAP = 1.5  # spacings between positions that are still next to each other
 
 
 @dataclass(frozen=True)
+class Excess:
+    """The worst of one quantity over a stretch: the position that is farthest beyond its limit.
+
+    Attributes
+    ----------
+    quantity : Quantity
+    row : Course
+    limit : Limit
+    beyond : float
+        In the quantity's unit; negative inside.
+    """
+
+    quantity: Quantity
+    row: Course
+    limit: Limit
+    beyond: float
+
+    @property
+    def value(self) -> float:
+        """Measured there."""
+        return float(getattr(self.row, self.quantity.column))
+
+    @property
+    def u95(self) -> float | None:
+        """Its expanded uncertainty."""
+        u95: float | None = getattr(self.row, self.quantity.u95_column)
+        return u95
+
+
+@dataclass(frozen=True)
 class Stretch:
-    """Consecutive positions of a course of which one quantity lies beyond a limit, or was not measured.
+    """Consecutive positions of a course that do not simply pass, for the same reason.
 
     Attributes
     ----------
     kind : Kind
     name : str
         Of the course.
-    quantity : Quantity
-    rows : tuple of Feature
-        In their order.
-    length_mm : float
-    worst : Feature
-        The position that is farthest beyond.
-    decision : Decision
-        The gravest.
-    severity : Severity or None
-    limit : Limit or None
-        At the worst position.
+    rows : tuple of Course
+        In their order, judged.
+    spacing_mm : float
+        Usual distance of the course's positions.
+    excesses : tuple of Excess
+        Of the quantities that lie beyond a limit or within U95 of one, the worst one first; none where nothing was
+        measured.
     """
 
     kind: Kind
     name: str
-    quantity: Quantity
-    rows: tuple[Feature, ...]
-    length_mm: float
-    worst: Feature
-    decision: Decision
-    severity: Severity | None
-    limit: Limit | None
+    rows: tuple[Course, ...]
+    spacing_mm: float
+    excesses: tuple[Excess, ...]
 
     @property
     def from_mm(self) -> float:
         """Where it begins along the course."""
-        return float(getattr(self.rows[0], self.kind.id_columns[1]))
+        return self._at(self.rows[0])
 
     @property
     def to_mm(self) -> float:
         """Where it ends."""
-        return float(getattr(self.rows[-1], self.kind.id_columns[1]))
+        return self._at(self.rows[-1])
+
+    @property
+    def length_mm(self) -> float:
+        """With half a spacing at both ends."""
+        return self.to_mm - self.from_mm + self.spacing_mm
 
     @property
     def feature_id(self) -> str:
-        """Such as ``S1@24.0-88.0``."""
-        return f"{self.name}@{self.from_mm:.1f}-{self.to_mm:.1f}"
+        """Such as ``S1@24.0-88.0``; of a single position its own."""
+        single = self.kind.id_of(self.rows[0])
+        return single if len(self.rows) == 1 else f"{single}-{self.to_mm:.1f}"
+
+    @cached_property
+    def decision(self) -> Decision:
+        """The gravest."""
+        return min((row.decision for row in self.rows), key=list(DECISIONS).index)
+
+    @property
+    def severity(self) -> Severity | None:
+        """The gravest."""
+        return min((row.severity for row in self.rows), key=list(SEVERITIES).index)
+
+    @property
+    def worst(self) -> Course:
+        """The position that is farthest beyond a limit."""
+        return self.excesses[0].row if self.excesses else self.rows[0]
 
     @property
     def said(self) -> str:
         """In one line."""
-        where = f"{self.quantity.said} from {self.from_mm:.0f} to {self.to_mm:.0f} mm ({self.length_mm:.0f} mm)"
-        value, u95 = getattr(self.worst, self.quantity.column), getattr(self.worst, self.quantity.u95_column)
-        if value is None:
-            return f"{where} not measured"
-        at = getattr(self.worst, self.kind.id_columns[1])
-        return f"{where}, worst {value:+.3f} ± {u95:.3f} {self.quantity.unit} at {at:.0f} mm, expected {self.limit}"
+        where = f"from {self.from_mm:.0f} to {self.to_mm:.0f} mm ({self.length_mm:.0f} mm)"
+        if not self.excesses:
+            return f"{where} {self.decision}" + (f": {self.rows[0].reason}" if self.rows[0].reason else "")
+        return f"{where}: " + "; ".join(map(self._said, self.excesses))
+
+    def _said(self, excess: Excess) -> str:
+        quantity = excess.quantity
+        u95 = "" if excess.u95 is None else f" ± {excess.u95:.3f}"
+        return (
+            f"worst {quantity.said} {excess.value:+.3f}{u95} {quantity.unit} at {self._at(excess.row):.0f} mm, "
+            f"expected {excess.limit}"
+        )
+
+    def _at(self, row: Course) -> float:
+        return float(getattr(row, self.kind.id_columns[1]))
 
 
-def stretches(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[Stretch]:
-    """The stretches of all courses of a kind, course by course, quantity by quantity."""
+def stretches(kind: Kind, rows: Sequence[Course], spec: PanelSpec) -> list[Stretch]:
+    """The stretches of all courses of a kind, course by course, of rows that are judged."""
     name, position = kind.id_columns
-    courses: dict[str, list[Feature]] = {}
+    courses: dict[str, list[Course]] = {}
     for row in sorted(rows, key=lambda row: getattr(row, position)):
         courses.setdefault(getattr(row, name), []).append(row)
+    return [stretch for label, course in courses.items() for stretch in _of_course(kind, label, course, spec)]
+
+
+def with_stretches(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
+    """Judged rows that name the stretch they are of, and say how far they lie beyond their limits."""
+    named = {
+        id(row): stretch.feature_id
+        for stretch in stretches(kind, rows, spec)
+        if len(stretch.rows) > 1
+        for row in stretch.rows
+    }
     return [
-        stretch
-        for label, course in courses.items()
-        for quantity in kind.quantities
-        for stretch in _of_course(kind, label, course, quantity, spec)
+        replace(row, stretch=named.get(id(row)), beyond_mm=max(beyond, default=None))
+        for row in rows
+        for beyond in [[excess.beyond for excess in _excesses(kind, row, spec)]]
     ]
 
 
-def _of_course(kind: Kind, label: str, course: Sequence[Feature], quantity: Quantity, spec: PanelSpec) -> list[Stretch]:
+def _of_course(kind: Kind, label: str, course: Sequence[Course], spec: PanelSpec) -> Iterator[Stretch]:
     s = [float(getattr(row, kind.id_columns[1])) for row in course]
     spacing = float(np.median(np.diff(s))) if len(s) > 1 else 0.0
-    judged = [_judged(row, quantity, spec) for row in course]
     found: list[list[int]] = []
-    for k, (decision, _) in enumerate(judged):
-        is_out, is_unknown = decision in OUTSIDE, decision == "not measured"
-        if not (is_out or is_unknown):
+    for k, row in enumerate(course):
+        if row.decision in IN_ORDER:
             continue
-        last = found[-1][-1] if found else None
-        follows = last == k - 1 and s[k] - s[k - 1] < _GAP * spacing
-        if follows and is_out == (judged[k - 1][0] in OUTSIDE):
+        follows = bool(found) and found[-1][-1] == k - 1 and s[k] - s[k - 1] < _GAP * spacing
+        if follows and _reason_to_look(row) == _reason_to_look(course[k - 1]):
             found[-1].append(k)
         else:
             found.append([k])
-    return [_stretch(kind, label, course, quantity, judged, members, spacing) for members in found]
+    for members in found:
+        rows = tuple(course[k] for k in members)
+        yield Stretch(kind, label, rows, spacing, _worst(kind, rows, spec))
 
 
-def _judged(row: Feature, quantity: Quantity, spec: PanelSpec) -> tuple[Decision, Limit | None]:
-    limit = limit_of(spec.zone(row.zone), quantity, downstream_of(quantity, row))
-    if limit is None or quantity.lacking(row):
-        return "no limit", limit
-    value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
-    if value is None or u95 is None:
-        return "not measured", limit
-    return limit.decision(value, u95), limit
+def _reason_to_look(row: Course) -> Decision:
+    """Beyond a limit by more or by less than U95 is alike."""
+    return OUTSIDE[0] if row.decision in OUTSIDE else row.decision
 
 
-def _stretch(
-    kind: Kind, label: str, course: Sequence[Feature], quantity: Quantity,
-    judged: Sequence[tuple[Decision, Limit | None]], members: Sequence[int], spacing: float,
-) -> Stretch:  # fmt: skip
-    def beyond(k: int) -> float:
-        value, limit = getattr(course[k], quantity.column), judged[k][1]
-        return -limit.margin(value) if value is not None and limit is not None else 0.0
+def _worst(kind: Kind, rows: Sequence[Course], spec: PanelSpec) -> tuple[Excess, ...]:
+    """The worst of each quantity that keeps rows from passing."""
+    worst: dict[str, Excess] = {}
+    for excess in (excess for row in rows for excess in _excesses(kind, row, spec)):
+        name = excess.quantity.name
+        does_not_pass = excess.u95 is None or excess.beyond > -excess.u95
+        if does_not_pass and (name not in worst or excess.beyond > worst[name].beyond):
+            worst[name] = excess
+    return tuple(sorted(worst.values(), key=lambda excess: -excess.beyond))
 
-    worst = max(members, key=beyond)
-    value, limit = getattr(course[worst], quantity.column), judged[worst][1]
-    first, last = (float(getattr(course[k], kind.id_columns[1])) for k in (members[0], members[-1]))
-    colours: list[Severity] = [
-        lim.severity(v)
-        for k in members
-        if (lim := judged[k][1]) is not None and (v := getattr(course[k], quantity.column)) is not None
-    ]
-    return Stretch(
-        kind,
-        label,
-        quantity,
-        tuple(course[k] for k in members),
-        last - first + spacing,
-        course[worst],
-        min((judged[k][0] for k in members), key=list(DECISIONS).index),
-        min(colours, key=list(SEVERITIES).index) if value is not None and colours else None,
-        limit,
-    )
+
+def _excesses(kind: Kind, row: Course, spec: PanelSpec) -> Iterator[Excess]:
+    """How far each quantity of a row that was measured lies beyond its limit."""
+    for quantity in kind.quantities:
+        limit = limit_of(spec.zone(row.zone), quantity, downstream_of(quantity, row))
+        value = getattr(row, quantity.column)
+        if limit is not None and value is not None and not quantity.lacking(row):
+            yield Excess(quantity, row, limit, -limit.margin(value))

@@ -27,7 +27,8 @@ from metrology.kinds import Kind, load
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
 from metrology.plausibility import unjudged, without
 from metrology.requirements import Requirement, downstream_of, limit_of, requirements
-from metrology.results import Decision, Feature, Severity
+from metrology.results import Course, Decision, Feature, Severity
+from metrology.stretches import with_stretches
 from metrology.verdicts import DECISIONS, SEVERITIES, Verdict
 
 __all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "as_measured", "judge"]
@@ -83,8 +84,12 @@ def _too_vague(name: str, unit: str, u95: float | None, limit: Limit | None) -> 
 
 
 def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
-    """Features of one kind with severity, decision and the reason for anything short of a pass."""
-    return [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
+    """All features of one kind with severity, decision and the reason for anything short of a pass.
+
+    Positions along a course also name the stretch that they are of.
+    """
+    judged = [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
+    return with_stretches(kind, judged, spec) if kind.is_course else judged  # type: ignore[type-var]
 
 
 def as_measured(kind: Kind, row: Row) -> Row:
@@ -98,6 +103,8 @@ def as_measured(kind: Kind, row: Row) -> Row:
     for part in parts:
         reason = re.sub(rf"(?:^|; ){part}(?=$|; )", "", reason)
     decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "no limit"
+    if isinstance(row, Course):
+        row = replace(row, stretch=None, beyond_mm=None)
     return replace(row, severity=None, decision=decision, reason=reason.removeprefix("; ") or None)
 
 

@@ -18,7 +18,6 @@ from storage.review_entries import (
     ASKS_FOR_WORK,
     DISPOSITIONS,
     FORMAT,
-    FORMAT_OF_CLOSES,
     MAX_COMMENT,
     Disposition,
     Entry,
@@ -26,6 +25,7 @@ from storage.review_entries import (
     Review,
     ShownFinding,
     ShownScene,
+    format_of,
 )
 from storage.review_head import Head
 from storage.review_keeping import Check, Keeping
@@ -103,7 +103,7 @@ class ReviewLog:
             raise UsageError(f"disposition: found {disposition!r}, expected one of {', '.join(DISPOSITIONS)}")
         if not shown:
             raise UsageError("disposition: found no feature, expected at least one")
-        wanted = [{**_of_feature(s), "action": "disposition", "disposition": disposition} for s in shown]
+        wanted = [{**_of_feature(s, "disposition"), "disposition": disposition} for s in shown]
 
         def check(review: Review) -> None:
             for finding in shown:
@@ -121,13 +121,13 @@ class ReviewLog:
             raise UsageError("close: found no reason, expected why the work is done")
         if not shown:
             raise UsageError("close: found no feature, expected at least one")
-        wanted = [{**_of_feature(s), "action": "close", "format": FORMAT_OF_CLOSES} for s in shown]
+        wanted = [_of_feature(s, "close") for s in shown]
 
         def check(review: Review) -> None:
             work = review.work()
             for finding in shown:
                 _check_undecided_since(review, finding)
-                if (finding.scene_id, finding.feature) not in work:
+                if any((finding.scene_id, feature) not in work for feature in finding.features):
                     raise UsageError(
                         f"{finding.scene_id} {finding.feature.id}: found no open work, expected a disposition such as "
                         f"{' or '.join(ASKS_FOR_WORK)} that nobody closed"
@@ -172,8 +172,12 @@ class ReviewLog:
         return self._keeping.append([{**same, **part} for part in wanted], scenes, check)
 
 
-def _of_feature(shown: ShownFinding) -> dict[str, Any]:
+def _of_feature(shown: ShownFinding, action: str) -> dict[str, Any]:
+    if not shown.features:
+        raise UsageError(f"{shown.scene_id} {shown.feature.id}: found no positions, expected those of the stretch")
     return {
+        "format": format_of(action, shown.feature.is_stretch),
+        "action": action,
         "scene_id": shown.scene_id,
         "run_id": shown.run_id,
         "feature_kind": shown.feature.kind,
@@ -199,7 +203,7 @@ def _check_nothing_decided_since(review: Review, shown: ShownScene) -> None:
 
 
 def _check_undecided_since(review: Review, shown: ShownFinding) -> None:
-    last = review.last_about(shown.scene_id, shown.feature)
+    last = review.last_about(shown.scene_id, *shown.features)
     if (last.number if last else 0) != shown.last_entry:
         found = f"decided since it was shown ({last.said})" if last else "shown with a decision that the log lacks"
         raise OutdatedError(f"{shown.scene_id} {shown.feature.id}: found it {found}, expected it as it was shown")

@@ -9,11 +9,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from storage.review_entries import FORMAT, FORMAT_OF_CLOSES, Entry, EntryModel, Review
+from storage.review_entries import FORMAT, FORMAT_OF_STRETCHES, Entry, EntryModel, Review
 from storage.review_file import checksum, read_lines
 from storage.review_head import Head
 
-_KNOWN = f"an entry of {FORMAT} or {FORMAT_OF_CLOSES}"
+_KNOWN = f"an entry of {FORMAT} to {FORMAT_OF_STRETCHES}"
 
 
 def chained(wanted: Sequence[Mapping[str, Any]], head: Head) -> list[Entry]:

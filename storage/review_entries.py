@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -17,7 +18,8 @@ from storage.review_file import checksum
 
 FORMAT = "flushline-review/1"
 FORMAT_OF_CLOSES = "flushline-review/2"
-"""Of entries that versions before closes cannot read; all others keep the format that they know."""
+FORMAT_OF_STRETCHES = "flushline-review/3"
+"""Of entries that versions before closes, and before stretches, cannot read; all others keep the format they know."""
 Disposition = Literal["use as is", "rework", "repair", "scrap", "re-scan"]
 DISPOSITIONS: tuple[Disposition, ...] = get_args(Disposition)
 ASKS_FOR_WORK: tuple[Disposition, ...] = ("rework", "repair", "re-scan")
@@ -25,16 +27,20 @@ ASKS_FOR_WORK: tuple[Disposition, ...] = ("rework", "repair", "re-scan")
 MAX_COMMENT = 4000
 SHOWN_NUMBERS = ("value_mm", "tilt_deg", "width_mm")
 """What was shown of a finding that is compared with what another run measures."""
+POSITIONS = "positions"
+"""Of what was shown of a stretch: each of its positions."""
+SHOWN_OF_POSITION = ("feature_id", "decision", "u95_mm", *SHOWN_NUMBERS)
 
 
 class EntryModel(StrictModel):
     """The document of an entry, one line of JSON.
 
     `shown` holds what the person had before them: values, verdict, reason, revision of the limits, software version,
-    settings and rig. A close says, as its comment, why the work that a disposition asked for is done.
+    settings and rig. A close says, as its comment, why the work that a disposition asked for is done. An entry about a
+    stretch of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them.
     """
 
-    format: Literal["flushline-review/1", "flushline-review/2"]
+    format: Literal["flushline-review/1", "flushline-review/2", "flushline-review/3"]
     number: Annotated[int, Field(ge=1)]
     at: UtcTime
     who: str
@@ -50,9 +56,20 @@ class EntryModel(StrictModel):
 
     @model_validator(mode="after")
     def _check_format(self) -> EntryModel:
-        if (self.action == "close") != (self.format == FORMAT_OF_CLOSES):
-            raise ValueError(f"{FORMAT_OF_CLOSES} for a close, {FORMAT} for all else")
+        stretch = Feature(self.feature_kind or "", self.feature_id or "").is_stretch
+        if (expected := format_of(self.action, stretch)) != self.format:
+            raise ValueError(f"{expected} for a {self.action}{' of a stretch' if stretch else ''}")
+        if stretch and not all(
+            isinstance(each, dict) and isinstance(each.get("feature_id"), str)
+            for each in self.shown.get(POSITIONS) or [None]
+        ):
+            raise ValueError("each position of a stretch with its feature_id")
         return self
+
+
+def format_of(action: str, stretch: bool) -> str:
+    """Format of an entry: the oldest that has such entries."""
+    return FORMAT_OF_STRETCHES if stretch else FORMAT_OF_CLOSES if action == "close" else FORMAT
 
 
 class Entry(NamedTuple):
@@ -121,6 +138,22 @@ class Entry(NamedTuple):
         return Feature(self.feature_kind, self.feature_id) if self.feature_kind and self.feature_id else None
 
     @property
+    def parts(self) -> tuple[Entry, ...]:
+        """The entry of a stretch as one of each position that it is about; any other entry alone."""
+        if self.format != FORMAT_OF_STRETCHES:
+            return (self,)
+        return tuple(
+            self._replace(
+                feature_id=each["feature_id"],
+                decided_verdict=_text(each.get("decision")),
+                decided_value_mm=_number(each.get("value_mm")),
+                decided_tilt_deg=_number(each.get("tilt_deg")),
+                decided_width_mm=_number(each.get("width_mm")),
+            )
+            for each in self.shown[POSITIONS]
+        )
+
+    @property
     def what(self) -> str:
         """What was decided."""
         return {"sign-off": "signed off", "close": "work closed"}.get(self.action, str(self.disposition))
@@ -129,6 +162,10 @@ class Entry(NamedTuple):
     def said(self) -> str:
         """What was decided, by whom and when, in one line."""
         return f"{self.what} by {self.who} at {utc_text(self.at)}"
+
+
+# From and to along a course, where they are written as ids are; no other id ends so.
+_STRETCH_ID = re.compile(r"@-?\d+\.\d-(?=-?\d+\.\d$)")
 
 
 def _number(value: object) -> float | None:
@@ -141,18 +178,23 @@ def _text(value: object) -> str | None:
 
 @dataclass(frozen=True)
 class Feature:
-    """A feature of a scene, such as a rivet or a position along a seam.
+    """A feature of a scene, such as a rivet, a position along a seam, or a stretch of positions.
 
     Attributes
     ----------
     kind : str
         Name of its kind.
     id : str
-        As the kind makes it (`metrology.kinds.Kind.id_of`).
+        As the kind makes it (`metrology.kinds.Kind.id_of`); of a stretch ``COURSE@FROM-TO``.
     """
 
     kind: str
     id: str
+
+    @property
+    def is_stretch(self) -> bool:
+        """Whether it is several positions of a course."""
+        return _STRETCH_ID.search(self.id) is not None
 
 
 @dataclass(frozen=True)
@@ -174,6 +216,13 @@ class ShownFinding:
     feature: Feature
     values: Mapping[str, Any] = field(default_factory=dict)
     last_entry: int = 0
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """What a decision about it is about: each position of a stretch, else the feature itself."""
+        if not self.feature.is_stretch:
+            return (self.feature,)
+        return tuple(Feature(self.feature.kind, each["feature_id"]) for each in self.values.get(POSITIONS, ()))
 
 
 @dataclass(frozen=True)
@@ -219,7 +268,7 @@ class Review:
         return longer
 
     def current(self) -> dict[tuple[str, Feature], Entry]:
-        """The last disposition of each feature, by scene and feature."""
+        """The last disposition of each feature, by scene and feature: of a stretch, of each position."""
         return self._dispositions
 
     def sign_offs(self) -> dict[str, Entry]:
@@ -234,9 +283,10 @@ class Review:
         """The close of each feature whose work a person closed, and about which nothing was decided since."""
         return {key: entry for key, entry in self._last_by_feature.items() if entry.action == "close"}
 
-    def last_about(self, scene_id: str, feature: Feature) -> Entry | None:
-        """The last entry about a feature of a scene."""
-        return self._last_by_feature.get((scene_id, feature))
+    def last_about(self, scene_id: str, *features: Feature) -> Entry | None:
+        """The last entry about any of some features of a scene; of a stretch all positions are to be named."""
+        found = (self._last_by_feature.get((scene_id, feature)) for feature in features)
+        return max((entry for entry in found if entry), key=lambda entry: entry.number, default=None)
 
     def last_of_scene(self, scene_id: str) -> int:
         """Number of the last entry about a scene or one of its features; 0 for none."""
@@ -250,9 +300,11 @@ class Review:
     @cached_property
     def _dispositions(self) -> dict[tuple[str, Feature], Entry]:
         return {
-            (entry.scene_id, entry.feature): entry
+            (part.scene_id, part.feature): part
             for entry in self.entries
-            if entry.action == "disposition" and entry.feature
+            if entry.action == "disposition"
+            for part in entry.parts
+            if part.feature
         }
 
     @cached_property
@@ -269,7 +321,7 @@ class Review:
 
     @cached_property
     def _last_by_feature(self) -> dict[tuple[str, Feature], Entry]:
-        return {(entry.scene_id, entry.feature): entry for entry in self.entries if entry.feature}
+        return {(part.scene_id, part.feature): part for entry in self.entries for part in entry.parts if part.feature}
 
     @cached_property
     def _last_by_scene(self) -> dict[str, Entry]:

@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
 from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
+from metrology.defects.row import Defect
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
 from metrology.fastening import Fasteners, detect_fasteners
 from metrology.inspection import InspectionResult
-from metrology.kinds import KINDS, RIVET, SEAM_STATION
+from metrology.kinds import DEFECT, KINDS, RIVET, SEAM_STATION
 from metrology.one_camera import triangulate_one
 from metrology.overlay import Overlay
 from metrology.panel import PanelLayout
 from metrology.registration import Registration
+from metrology.registration.known import with_known_names
 from metrology.results import Features, Rivet, RivetDetection, SceneKey, SeamLine, SeamStation, of_type
 from metrology.rig import Rig
 from metrology.rig_health import RigHealth
@@ -33,6 +35,7 @@ from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.archive.bundle import encode as encode_files
 from storage.archive.known import KnownScene
+from storage.archive.known_defects import earlier_defects
 from storage.archive.signed import refuse_signed_off
 from storage.cloud_scene import CloudScene
 from storage.frames import FrameStack, file_checksum
@@ -238,7 +241,16 @@ def register(
             settings.registration,
             missing_rows=vouched is not None,
         )
-    return registration.with_others(registered, others, pattern)
+    return _with_known_defects(registration.with_others(registered, others, pattern), key, store)
+
+
+def _with_known_defects(registered: Registration, key: SceneKey, store: Store) -> Registration:
+    """Defects of a recognised scan keep the names that earlier scans of the station gave them."""
+    defects = of_type(registered.others, Defect)
+    if not defects or registered.placement is None:
+        return registered
+    named = with_known_names(defects, earlier_defects(store.layout, key))
+    return replace(registered, others={**registered.others, DEFECT.name: named})
 
 
 def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:

@@ -4,24 +4,49 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+# Before numpy is loaded: two processes with two threads each would wait for each other, as `flushline` sets it too.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Tests that share what takes long to start run one after the other in one process; all others file by file.
 _TOGETHER = {
     "tests/dashboard/test_browser": "browser",
     "tests/flows/test_prefect.py": "prefect server",
     "tests/flows/test_dask.py": "prefect server",
+    "tests/metrology/test_rivet_measurement.py": "reference scans",
+    "tests/metrology/test_seam_detection.py": "reference scans",
+    "tests/storage/test_review": "postgresql",
 }
+_LONG = {"browser", "services", "slow"}
 
 
-@pytest.hookimpl(tryfirst=True)
+def _group(nodeid: str) -> str:
+    file = nodeid.partition("::")[0]
+    return next((group for begins, group in _TOGETHER.items() if file.startswith(begins)), file)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Tests of one group share a process, and its fixtures.
+
+    Not by `--dist loadgroup`: xdist 3.8 writes the group into a field of the test's name that pytest 9.2 no longer has.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Together(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return _group(nodeid)
+
+    return Together(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Say which tests run in the same process (`--dist loadgroup`)."""
-    for item in items:
-        file = item.nodeid.partition("::")[0]
-        group = next((group for begins, group in _TOGETHER.items() if file.startswith(begins)), file)
-        item.add_marker(pytest.mark.xdist_group(group))
+    """Groups that take long come first: at the end no process waits long for the others."""
+    long = {_group(item.nodeid) for item in items if any(mark.name in _LONG for mark in item.iter_markers())}
+    items.sort(key=lambda item: _group(item.nodeid) not in long)
 
 
 @pytest.fixture(scope="session")

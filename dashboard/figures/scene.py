@@ -80,7 +80,7 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
         return
     colour = SEVERITY_COLOURS[severity]
     if "major_px" in part:
-        u, v = _rims(part)
+        u, v = _rims(part, kind.along or "angle_deg")
         fig.add_scatter(
             x=u, y=v, mode="lines", line={"color": colour, "width": 2.5}, hoverinfo="skip", showlegend=False
         )
@@ -120,10 +120,10 @@ def _said(kind: Kind, row: Any, locale: Locale) -> str:
     return "<br>".join(lines)
 
 
-def _rims(rivets: pd.DataFrame) -> tuple[list[float | None], list[float | None]]:
-    """Outlines of the heads, with a gap after each."""
+def _rims(rivets: pd.DataFrame, direction: str) -> tuple[list[float | None], list[float | None]]:
+    """Outlines of the heads (or defects), with a gap after each; `direction` is the column of their major axes'."""
     turn = np.linspace(0, 2 * np.pi, _RIM_POINTS)
-    angle = np.radians(rivets["angle_deg"].to_numpy(float))[:, None]
+    angle = np.radians(rivets[direction].to_numpy(float))[:, None]
     a, b = (rivets[name].to_numpy(float)[:, None] / 2 * np.ones(_RIM_POINTS) for name in ("major_px", "minor_px"))
     x, y = a * np.cos(turn), b * np.sin(turn)
     u = rivets["u_px"].to_numpy(float)[:, None] + np.cos(angle) * x - np.sin(angle) * y
@@ -143,7 +143,7 @@ def _add_values(fig: go.Figure, kind: Kind, rows: pd.DataFrame, locale: Locale) 
         said = "?" if pd.isna(value) else locale.number(value, 3, sign=first.signed)
         fig.add_annotation(
             x=row.u_px,
-            y=row.v_px - getattr(row, "minor_px", 0.0) / 2,
+            y=row.v_px - np.nan_to_num(float(getattr(row, "minor_px", 0.0))) / 2,
             text=f"{escape(row.feature_id)} {said}",
             showarrow=False,
             yshift=10,
@@ -158,18 +158,20 @@ def mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None,
     if chosen is None:
         return
     rows = features[chosen.kind]
-    found = rows[rows["feature_id"] == chosen.id]
+    found = rows[rows["stretch" if chosen.is_stretch else "feature_id"] == chosen.id]
     if found.empty:
         return
-    place = found.iloc[0]
-    fig.add_scatter(
-        x=[place["u_px"]],
-        y=[place["v_px"]],
-        mode="markers",
-        marker={"symbol": "circle-open", "size": 34, "color": colour, "line": {"width": 3}},
-        hoverinfo="skip",
-        showlegend=False,
-    )
+    place = found.iloc[len(found) // 2]
+    # Between lines of the other brightness: seen on bright skin and on dark.
+    for line, width in (("#000000" if colour == "#FFFFFF" else "#FFFFFF", 7), (colour, 3)):
+        fig.add_scatter(
+            x=[place["u_px"]],
+            y=[place["v_px"]],
+            mode="markers",
+            marker={"symbol": "circle-open", "size": 34, "color": line, "line": {"width": width}},
+            hoverinfo="skip",
+            showlegend=False,
+        )
 
 
 def deviation_map(field: FieldDeviation, locale: Locale, height: int = 520) -> go.Figure:

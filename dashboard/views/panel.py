@@ -17,11 +17,14 @@ from dashboard.frame import PageContext, go, link, plain
 from dashboard.locale import with_minus
 from dashboard.panels import InScan, PanelView, earlier_scans, in_scan, load_panel, of_stretch, panel_names
 from dashboard.picking import clickable_chart
+from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
 from dashboard.tables import show_table
 from dashboard.views.scene import close_up
 from metrology.kinds import BY_NAME, KINDS
+from metrology.results import PanelKey
 from storage.archive.work import said
+from storage.report import panel_report
 from storage.review import Feature
 
 TITLE = "Panel"
@@ -51,6 +54,7 @@ def render(context: PageContext) -> None:
     left, right = st.columns([11, 9])
     with left:
         _map(context, view, chosen)
+        _report(context, aircraft, panel)
         _sign(context, view, scenes)
     with right:
         _beside(context, view, scenes, chosen)
@@ -152,6 +156,11 @@ def _part_of(view: PanelView, chosen: Feature | None) -> int:
 
 def _look_at(feature: str) -> None:
     put(feature=feature, view=None, part=None)
+
+
+def _report(context: PageContext, aircraft: str, panel: str) -> None:
+    store, key = context.archive.store, PanelKey(aircraft, panel)
+    offer_report(f"{aircraft}~{panel}", lambda: panel_report(store, key))
 
 
 def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:

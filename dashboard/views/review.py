@@ -24,6 +24,7 @@ from dashboard.findings import (
 )
 from dashboard.frame import PageContext, link, plain
 from dashboard.locale import NOTHING
+from dashboard.margins import with_margins
 from dashboard.palette import DECISION_MARKS, OPEN_DECISIONS
 from dashboard.picking import clicked_row
 from dashboard.pictures import around, load_picture
@@ -45,20 +46,30 @@ _COLUMNS = {
     "feature_id": "Feature",
     "value_mm": "Value, mm",
     "u95_mm": "± U95",
+    "margin": "To limit",
     "decision": "Verdict",
     "state": "State",
     "disposition": "Disposition",
     "reason": "Why",
     "captured_at": "Scanned",
 }
+_ORDERS: dict[str, tuple[tuple[str, ...], bool]] = {
+    "gravest": ((), True),
+    "farthest beyond": (("margin_share",), True),
+    "place": (("aircraft_serial", "panel", "station", "feature_kind", "feature_id"), True),
+    "newest scan": (("captured_at",), False),
+}
+"""Columns that the list is sorted by, and whether upwards; the gravest first as they come."""
 Name = tuple[str, Feature]
 """A finding: its scene and what it is there."""
 
 
 def render(context: PageContext) -> None:
     """Show the page."""
-    wanted = _filters(context)
+    wanted, order = _filters(context)
     rows = findings(context.archive, wanted)
+    if len(rows):
+        rows = _sorted(with_margins(context.archive, rows), order)
     names = [(str(row.scene_id), feature_of(row)) for row in rows.itertuples()]
     at = _standing(context, names, wanted)
     if at is None:
@@ -75,9 +86,14 @@ def render(context: PageContext) -> None:
         _one(context, names, at, alone=not ticked)
 
 
-def _filters(context: PageContext) -> Wanted:
+def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
+    columns, ascending = _ORDERS[order]
+    return rows.sort_values(list(columns), ascending=ascending, kind="stable", na_position="last") if columns else rows
+
+
+def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
-    first, second, third = st.columns([3, 2, 1.4])
+    first, second, third, fourth = st.columns([3, 2, 1, 1])
     decisions = first.pills(
         "Verdict", OPEN_DECISIONS, selection_mode="multi", **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS)
     )
@@ -89,7 +105,11 @@ def _filters(context: PageContext) -> Wanted:
         help="Open: waiting for a disposition, or with open work (rework, repair, re-scan that is not done).",
         **one_of("state", STATES),
     )
-    return Wanted(tuple(decisions), tuple(kinds), state, selection)
+    order = fourth.selectbox(
+        "Sorted by", list(_ORDERS), help="j and k go along this order, among the gravest 500.",
+        **one_of("sort", list(_ORDERS)),
+    )  # fmt: skip
+    return Wanted(tuple(decisions), tuple(kinds), state, selection), str(order)
 
 
 @dataclass(frozen=True)
@@ -177,6 +197,7 @@ def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: N
     styled, config = styled_table(shown, columns, context.locale)
     # The key names the rows: another list begins without ticks, which would else go with the rows' numbers.
     key = f"findings-{st.session_state.get(_TURN, 0)}-{hash((tuple(names), tuple(rows['run_id'])))}"
+    _select(key, names, at)
     event = st.dataframe(
         styled,
         hide_index=True,
@@ -188,6 +209,14 @@ def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: N
         selection_mode=["multi-row", "single-cell"],
     )
     return [names[row] for row in event["selection"]["rows"] if row < len(names)]
+
+
+def _select(key: str, names: Sequence[Name], at: Name) -> None:
+    """Select the row of what is looked at, so that it shows and can be clicked again after another one was."""
+    state = st.session_state.get(key)
+    ticked = list(state["selection"].get("rows") or ()) if state else []
+    cells = [(names.index(at), _COLUMNS["feature_id"])] if at in names else []
+    st.session_state[key] = {"selection": {"rows": ticked, "columns": [], "cells": cells}}
 
 
 def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:

@@ -20,6 +20,7 @@ from dashboard.locale import with_minus
 from dashboard.palette import DECISION_BADGES, DECISION_MARKS
 from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
+from dashboard.reports import offer_report
 from dashboard.scenes import (
     find_feature,
     load_features,
@@ -29,12 +30,13 @@ from dashboard.scenes import (
     worst_feature,
 )
 from metrology.errors import FlushlineError, StoreError
-from metrology.kinds import BY_NAME, HOLE, KINDS, RIVET, SEAM_STATION, Kind
+from metrology.kinds import BY_NAME, DEFECT, HOLE, KINDS, RIVET, SEAM_STATION, Kind
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.archive.views import NEWEST_FIRST
 from storage.archive.work import said
 from storage.cloud import StoredCloud
+from storage.report import scene_report
 from storage.review import Feature
 
 TITLE = "Scene"
@@ -246,6 +248,7 @@ def _files(context: PageContext, row: Any) -> None:
             ("Manifest", f"{row.bundle_path}/manifest.json", "application/json"),
         ):
             _download(context, label, path, kind, row.scene_id)
+    offer_report(str(row.scene_id), lambda: scene_report(context.archive.store, str(row.scene_id)))
 
 
 def _download(context: PageContext, label: str, path: object, kind: str, scene_id: str) -> None:
@@ -298,6 +301,8 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
         st.markdown(f":small[**Why:** {plain(with_minus(str(reason)))}]")
+    if kind is DEFECT and (accepted := context.archive.accepted(str(row.scene_id)).get(chosen.id)):
+        st.markdown(f":small[:material/history: {plain(with_minus(str(accepted)).capitalize())}]")
     if compact:
         return
     try:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from dashboard.address import one_of
+from dashboard.address import one_of, put
+from dashboard.figures.answer import answer_figure
 from dashboard.frame import PageContext, plain
+from dashboard.questions import MORE, QUESTIONS
 from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
 from metrology.errors import FlushlineError, UsageError
@@ -17,20 +20,11 @@ from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 from storage.saved_queries import SavedQueries
 
 TITLE = "SQL"
-_EXAMPLES = {
-    "Worst rivets of the newest scans": "SELECT * FROM worst_rivets LIMIT 100",
-    "How each panel stands": "SELECT * FROM panel_summary\n"
-    "ORDER BY n_rivets_failing + n_seam_stations_failing DESC\nLIMIT 200",
-    "Steps of each seam": "SELECT * FROM seam_summary ORDER BY step_abs_p95_mm DESC LIMIT 200",
-    "What could not be measured, and why": "SELECT reason, count(*) AS n\nFROM rivets WHERE decision = 'not measured'\n"
-    "GROUP BY reason ORDER BY n DESC",
-    "Rivets that people let pass": "SELECT r.*, d.who, d.comment\nFROM rivets r JOIN dispositions d\n"
-    "ON r.scene_id = d.scene_id AND r.rivet_id = d.feature_id\nWHERE d.disposition = 'use as is'",
-    "Open work": "SELECT scene_id, feature_id, disposition, who, decided_at\nFROM dispositions "
-    "WHERE open_work ORDER BY decided_at",
-    "Seconds per scene and rig": "SELECT rig_id, count(*) AS scenes, median(seconds_total) AS seconds\n"
-    "FROM scenes GROUP BY rig_id ORDER BY scenes DESC",
-}
+_EXAMPLES = {**QUESTIONS, **MORE}
+_MOST_KEPT = 20
+_LONGEST_LINK = 4000
+_TEXT, _NAME, _ANSWER, _HISTORY = "sql_text", "sql_of", "answer", "sql_history"  # kept while one looks at other pages
+_RUN = "sql_run"
 
 
 def render(context: PageContext) -> None:
@@ -56,30 +50,96 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
 
 
 def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], saved: SavedQueries) -> None:
-    name = st.selectbox("Examples and saved queries", list(known), **one_of("query", list(known)))
-    if st.session_state.get("sql_of") != name:
-        st.session_state["sql_of"], st.session_state["sql"] = name, known.get(str(name), "")
-    sql = st.text_area(
-        "Query", key="sql", height=150, help="DuckDB SQL. Ctrl+Enter takes the text over; it can not change anything."
-    )
+    _questions()
+    kept = st.session_state.get(_NAME)
+    name = st.selectbox("Examples and saved queries", list(known), **one_of("query", list(known), kept))
+    sql = _text(known, str(name))
     with st.container(horizontal=True, vertical_alignment="bottom"):
         run = st.button("Run", type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
         _keep(context, names, saved, str(name), sql)
-        st.caption(f"at most {context.locale.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s")
-    if run:
-        st.session_state["answer"] = None
-        try:
-            queue = st.empty()
-            with st.spinner("Asking the archive …"):
-                st.session_state["answer"] = run_query(context.archive.root, sql, on_wait=lambda: _say_waiting(queue))
-            queue.empty()
-        except FlushlineError as problem:
-            st.error(plain(problem), icon=":material/error:")
-    answer = st.session_state.get("answer")
-    if answer is not None:
-        note = f", the first {context.locale.whole(len(answer.rows))} shown" if answer.truncated else ""
+        _history()
+        st.caption(
+            f"at most {context.locale.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s; the address of this page holds "
+            "the query, so that you can pass it on"
+        )
+    if run or st.session_state.pop(_RUN, False):
+        _run(context, sql)
+    _show(context)
+
+
+def _questions() -> None:
+    """A button for each of the questions asked most, which answers it."""
+    with st.container(horizontal=True, gap="small"):
+        for question in QUESTIONS:
+            st.button(question, key=f"question-{question}", on_click=_take_over, args=(question, QUESTIONS[question]))
+
+
+def _take_over(name: str | None, sql: str) -> None:
+    """Put a query into the field and run it."""
+    st.session_state[_TEXT], st.session_state[_RUN] = sql, True
+    if name:
+        st.session_state[_NAME] = name
+        put(query=name, sql=None)
+    else:
+        put(sql=sql[:_LONGEST_LINK])
+
+
+def _text(known: dict[str, str], name: str) -> str:
+    """The query's field: what the address holds, what was chosen, or what was typed before."""
+    held = st.query_params.get("sql")
+    if st.session_state.get(_NAME) != name:
+        st.session_state[_NAME] = name
+        st.session_state[_TEXT] = held or known.get(name, "")
+    elif held and _TEXT not in st.session_state:
+        st.session_state[_TEXT] = held
+    st.session_state["sql"] = st.session_state.get(_TEXT, "")
+    sql = st.text_area(
+        "Query", key="sql", height=150, on_change=_typed, args=(known.get(name, ""),),
+        help="DuckDB SQL. Ctrl+Enter takes the text over; it can not change anything.",
+    )  # fmt: skip
+    return str(sql or "")
+
+
+def _typed(example: str) -> None:
+    sql = str(st.session_state.get("sql") or "")
+    st.session_state[_TEXT] = sql
+    put(sql=sql if sql != example and len(sql) <= _LONGEST_LINK else None)
+
+
+def _run(context: PageContext, sql: str) -> None:
+    st.session_state[_ANSWER] = None
+    try:
+        queue = st.empty()
+        with st.spinner("Asking the archive …"):
+            st.session_state[_ANSWER] = run_query(context.archive.root, sql, on_wait=lambda: _say_waiting(queue))
+        queue.empty()
+    except FlushlineError as problem:
+        st.error(plain(problem), icon=":material/error:")
+        return
+    asked = [sql, *(earlier for earlier in st.session_state.get(_HISTORY, []) if earlier != sql)]
+    st.session_state[_HISTORY] = asked[:_MOST_KEPT]
+
+
+def _history() -> None:
+    """What was asked in this session, the last first."""
+    asked: list[str] = st.session_state.get(_HISTORY, [])
+    with st.popover("History", icon=":material/history:", disabled=not asked):
+        for number, sql in enumerate(asked):
+            line = " ".join(sql.split())
+            short = line if len(line) <= 70 else f"{line[:70]}…"
+            st.button(plain(short), key=f"asked-{number}-{hash(sql)}", on_click=_take_over, args=(None, sql),
+                      type="tertiary")  # fmt: skip
+
+
+def _show(context: PageContext) -> None:
+    answer = st.session_state.get(_ANSWER)
+    if answer is None:
+        return
+    note = f", the first {context.locale.whole(len(answer.rows))} shown" if answer.truncated else ""
+    with st.container(horizontal=True, vertical_alignment="center"):
         st.caption(f"{'more than ' if answer.truncated else ''}{context.locale.whole(len(answer.rows))} rows{note}")
-        st.dataframe(answer.rows, hide_index=True, height=330)
+        numbers = [name for name in answer.rows.columns if pd.api.types.is_numeric_dtype(answer.rows[name])]
+        chart = bool(numbers) and st.toggle("Chart", key="sql_chart")
         st.download_button(
             "Download CSV",
             lambda: csv_report(answer.rows, context.locale),
@@ -88,6 +148,20 @@ def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], sav
             on_click="ignore",
             icon=":material/download:",
         )
+    if chart:
+        _chart(context, answer.rows, numbers)
+    else:
+        st.dataframe(answer.rows, hide_index=True, height=330)
+
+
+def _chart(context: PageContext, rows: pd.DataFrame, numbers: list[str]) -> None:
+    """A number of the answer for each of its rows: bars by a name, else a line by a number or a time."""
+    left, right = st.columns(2)
+    x = left.selectbox("Along", list(rows.columns), key="sql_x")
+    y = right.selectbox("Number", numbers, index=len(numbers) - 1, key="sql_y")
+    st.plotly_chart(
+        answer_figure(rows, str(x), str(y), context.locale), key="sql-figure", config={"displaylogo": False}
+    )
 
 
 def _say_waiting(place: DeltaGenerator) -> None:

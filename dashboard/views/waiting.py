@@ -24,6 +24,7 @@ from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
 _MOST_ROWS = 200
 # The column of each open decision's count.
 _COLUMNS = {decision: decision.replace(" ", "_") for decision in OPEN_DECISIONS}
+_OF_FEATURES = "features_"
 
 
 def where_work_waits(context: PageContext, beside: DeltaGenerator) -> None:
@@ -51,9 +52,13 @@ def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
     """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
     condition, selected = selection.where()
     features = " + ".join(f"coalesce({_rows(kind)}, 0)" for kind in KINDS)
+    # A stretch of a seam is one finding of several features.
     by_decision = ", ".join(
-        f"count(*) FILTER (newest AND decision = '{decision}') AS {column}" for decision, column in _COLUMNS.items()
+        f"{what} FILTER (newest AND decision = '{decision}') AS {prefix}{column}"
+        for decision, column in _COLUMNS.items()
+        for what, prefix in (("count(*)", ""), ("sum(n_positions)", _OF_FEATURES))
     )
+    of_features = [f"{_OF_FEATURES}{column}" for column in _COLUMNS.values()]
     sql = f"""
 WITH s AS (
     SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, rig_verdict,
@@ -73,7 +78,7 @@ WITH s AS (
         count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, {NEWEST_TIME} AS last_scan
     FROM s GROUP BY ALL
 )
-SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.values(), "features")},
+SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.values(), *of_features, "features")},
     worst_mm, scenes, unjudged, last_scan
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
@@ -96,8 +101,8 @@ def _totals(context: PageContext, panels: pd.DataFrame) -> None:
     boxes[0].metric(
         "Waiting for a person",
         locale.whole(panels["waiting"].sum()),
-        help="Features of the newest scans that do not simply pass and have no disposition, on scenes "
-        "that are not signed off; and open work.",
+        help="Rivets, stretches of seams and the like that do not simply pass on the newest scans and have no "
+        "disposition, on scans that are not signed off; and open work.",
     )
     boxes[1].metric(
         "Open work",
@@ -122,7 +127,10 @@ def _totals(context: PageContext, panels: pd.DataFrame) -> None:
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    counts: dict[str, int] = {decision: int(panels[column].sum()) for decision, column in _COLUMNS.items()}
+    """Features by verdict."""
+    counts: dict[str, int] = {
+        decision: int(panels[f"{_OF_FEATURES}{column}"].sum()) for decision, column in _COLUMNS.items()
+    }
     # What is unconfirmed is not counted among the features.
     judged = sum(count for decision, count in counts.items() if decision != "unconfirmed")
     return {**counts, "pass": max(0, int(panels["features"].sum()) - judged)}

@@ -80,7 +80,9 @@ def _of_kind(kind: Kind, assembly: Assembly, spec: PanelSpec, layout: PanelLayou
         else:
             rows = [each.sighting(row) for each in seen for row in each.scan.features.get(kind.name, ())]
             found += [[feature] for feature in _in_order(single_features(kind, number, rows))]
-    return [_judged(feature, spec) for group in _named(kind, found, assembly, listed) for feature in group]
+    features = [feature for group in _named(kind, found, assembly, listed) for feature in group]
+    judged = judge(kind, [feature.row for feature in features], spec)
+    return [replace(feature, row=row) for feature, row in zip(features, judged, strict=True)]
 
 
 def _seen(assembly: Assembly, part: Part) -> list[_Seen]:
@@ -140,7 +142,3 @@ def _named(
         changed: dict[str, Any] = {kind.id_columns[0]: name}
         named.append([replace(feature, row=replace(feature.row, **changed)) for feature in group])
     return named
-
-
-def _judged(feature: PanelFeature, spec: PanelSpec) -> PanelFeature:
-    return replace(feature, row=judge(feature.kind, [feature.row], spec)[0])

@@ -12,7 +12,7 @@ from metrology.limits import PanelSpec
 from metrology.panel import PanelLayout
 from metrology.results import Feature
 from metrology.rules import Rule
-from metrology.stretches import stretches
+from metrology.stretches import Stretch, stretches
 from metrology.verdicts import IN_ORDER
 
 
@@ -66,15 +66,7 @@ def judgement(
 
 def _findings(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[FindingRow]:
     if kind.is_course:
-        return [
-            FindingRow(
-                kind.name, each.feature_id, each.quantity.name, getattr(each.worst, each.quantity.column),
-                getattr(each.worst, each.quantity.u95_column), each.from_mm, each.to_mm, each.length_mm,
-                each.worst.x_panel_mm, each.worst.y_panel_mm, each.worst.z_panel_mm, each.severity, each.decision,
-                each.said,
-            )
-            for each in stretches(kind, rows, spec)
-        ]  # fmt: skip
+        return [_of_stretch(each) for each in stretches(kind, rows, spec)]  # type: ignore[arg-type]
     first = kind.quantities[0]
     return [
         FindingRow(
@@ -84,3 +76,13 @@ def _findings(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[Find
         for row in rows
         if row.decision not in IN_ORDER
     ]  # fmt: skip
+
+
+def _of_stretch(found: Stretch) -> FindingRow:
+    first = found.excesses[0] if found.excesses else None
+    worst = found.worst
+    return FindingRow(
+        found.kind.name, found.feature_id, (first.quantity if first else found.kind.quantities[0]).name,
+        first.value if first else None, first.u95 if first else None, found.from_mm, found.to_mm, found.length_mm,
+        worst.x_panel_mm, worst.y_panel_mm, worst.z_panel_mm, found.severity, found.decision, found.said,
+    )  # fmt: skip

@@ -12,6 +12,7 @@ from metrology.calibration.detect_board import BoardView
 from metrology.calibration.eccentricity import eccentricity
 from metrology.calibration.homography import apply_homography, fit_homography, unit_area
 from metrology.errors import CalibrationError
+from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ def _local_value(coordinate: NDArray[np.floating], centre: Array, radius: float)
     for _ in range(3):
         solution = np.linalg.lstsq(design, value, rcond=None)[0]
         off = np.abs(value - design @ solution)
-        scatter = 1.4826 * np.median(off, axis=0) + 1e-9
+        scatter = MAD * np.median(off, axis=0) + 1e-9
         keep = (off < _TRIM_SIGMAS * scatter).all(1)
         if keep.all() or keep.sum() < _LEAST_PIXELS:
             break

@@ -23,6 +23,7 @@ from metrology.cloud import Reconstruction
 from metrology.errors import CalibrationError, RigError
 from metrology.fringe import Axis
 from metrology.rig import Device
+from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,6 @@ _LEAST_PER_BLOCK = 20
 _LEAST_BLOCKS = 60
 _ROUNDS = 3
 _HUBER = 2.5  # robust standard deviations at which the loss turns linear
-_MAD_TO_SIGMA = 1.4826
 _COVERAGE = 2.0
 _SQUARE = 0.005  # standard deviation of fy/fx − 1 where one of them is not seen
 _WORST_FOCAL = 0.05  # U95 over the focal length from which the scans count as flat
@@ -216,7 +216,7 @@ class _Problem:
 
         scale = 1.0
         first = residuals(x)[: self.blocks]
-        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(first))), 1e-4)
+        scale = max(MAD * float(np.median(np.abs(first))), 1e-4)
         found = least_squares(residuals, x, loss="huber", f_scale=_HUBER, x_scale="jac", max_nfev=200)
         off = found.fun[: self.blocks]
         weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(off), 1e-9))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.defects.bottom_fit import Form, Points, Vertex, fitted
-from metrology.defects.patch import Patch
+from metrology.defects.patch import SUPPORT_PX, Patch
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,7 +20,6 @@ _CORRELATED = 1.3  # standard deviation of means over areas against that of the 
 _FORMS: tuple[Form, ...] = ("smooth", "point", "fold")
 _TEMPERED = 0.5  # evidence counts half: real forms are none of these exactly
 _FLATTEST = 1e-6  # 1/mm
-_SUPPORT_PX = 1.4  # standard deviation of the area that a point is an average of
 
 
 @dataclass(frozen=True)
@@ -111,5 +110,5 @@ def _points(
         centre=centre,
         radii=radii,
         # Points and grid cells are means over an area.
-        blur_mm=float(np.sqrt((_SUPPORT_PX * pixel_mm) ** 2 + (step_mm**2 - pixel_mm**2) / 12)),
+        blur_mm=float(np.sqrt((SUPPORT_PX * pixel_mm) ** 2 + (step_mm**2 - pixel_mm**2) / 12)),
     )

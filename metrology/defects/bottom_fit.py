@@ -47,6 +47,7 @@ _CUSPS: dict[Form, tuple[tuple[float, float], ...]] = {
 _BESIDE_CUSP = 0.0, 0.4  # mean and standard deviation of the squares there
 _ROUNDS = 4
 _FARTHEST = 0.35  # of the half axes may the bottom lie from where it was looked for
+_MOST_ROUNDED = 0.15  # of its half width that the rounding may reach
 _ROUNDED_MM, _ROUNDED_SD_MM = 1.5, 1.0  # radius to which a sheet's point or fold is rounded, too small to be seen
 
 
@@ -113,7 +114,7 @@ def _solved(points: Points, form: Form, place: Array, scale: float) -> tuple[Arr
     left = off - design @ change
     evidence = -0.5 * float(left @ left + np.sum((change / sd) ** 2))
     evidence -= 0.5 * float(np.linalg.slogdet(normal)[1]) + float(np.log(sd).sum())
-    return mean + change, covariance, evidence
+    return mean + change, np.asarray(covariance, float), evidence
 
 
 def _prior(form: Form, scale: float) -> tuple[Array, Array]:
@@ -178,8 +179,9 @@ def _vertex(points: Points, form: Form, place: Array, solution: Array, covarianc
     if form != "smooth":
         # √(u² + r²) in place of |u| loses slope² × radius: a hyperbola.
         slope = max(-float(solution[_SMOOTH]), 0.0) / b
-        depth -= slope**2 * _ROUNDED_MM
-        variance += (slope**2 * _ROUNDED_SD_MM) ** 2
+        most = _MOST_ROUNDED * b / max(slope, 1e-9)
+        depth -= slope**2 * min(_ROUNDED_MM, most)
+        variance += (slope**2 * min(_ROUNDED_SD_MM, most)) ** 2
         # Bent within the area of a point: how much sharper, nothing tells.
         unseen = slope / points.blur_mm
         curvature, curvature_sd = curvature + unseen, float(np.hypot(curvature_sd, 0.5 * unseen))

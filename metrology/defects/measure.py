@@ -21,13 +21,16 @@ from metrology.sighted import Sighted
 
 Array = NDArray[np.float64]
 
-_SURE = 2.5  # U95 that a defect must be deep: five standard deviations
+_SURE = 2.5  # U95 of the skin that a defect must be deep: five standard deviations
+_SURE_AT_END = 7.5  # where it deepens up to the end of the view: beyond the skin's last points nothing holds it
+_OPEN = 0.25  # share of such an outline that lies there
 _FOOT = 0.1  # of its depth
 _FOOT_SDS = 2.5
 _CUT = 0.04  # share of an outline that may lie elsewhere
 _MOST_OF_PLATE = 0.4  # of a plate that a defect may cover for the rest to tell the skin
 _LEAST_VIEW_MM = 15.0  # what is cut by the view and smaller may be a fastener
 _EDGES = 6  # directions in which a straight-edge is laid
+_VAGUE = 0.5  # of a scratch's depth that its U95 may be
 _BY_LEVEL = 0.9  # share by which an extent changes where depth changes by that share: slope of a cos² bowl
 _GRID = 0.3  # of a grid step, standard deviation of an extent beside that of its levels
 _HIDDEN: dict[HiddenBy, str] = {
@@ -39,13 +42,18 @@ _HIDDEN: dict[HiddenBy, str] = {
 
 @dataclass(frozen=True)
 class _Found:
-    """A region as it was measured."""
+    """A region as it was measured.
+
+    `seen` is its greatest smoothed depth, mm: whether it is one does not hang on how well its bottom is known.
+    """
 
     region: Region
     patch: Patch
     bottom: Bottom
     outline: Outline
     depth_sd: float
+    seen: float
+    seen_sd: float
 
 
 def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) -> list[Defect]:
@@ -80,8 +88,16 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     outline = outline_at(patch, smoothed, 0.5 * bottom.depth, at) or outline
     x, y = (np.array([c]) for c in patch.reference.frame.local(patch.frame.rig([bottom.x, bottom.y, 0.0]))[:2])
     by_reference = float(patch.reference.variance(x, y)[0])
-    sd = np.sqrt(bottom.sd**2 + by_reference + skin.waves[region.plate] ** 2 + region.doubt**2)
-    return _Found(region, patch, bottom, outline, float(sd))
+    window = region.rows, region.columns
+    smoothed = np.where(region.cells, region.sign * skin.smoothed[window], -np.inf)
+    place = np.unravel_index(int(smoothed.argmax()), smoothed.shape)
+    seen = float(smoothed[place])
+    if bottom.depth < seen:  # a form that does not follow its points
+        bottom = replace(bottom, depth=seen, sd=float(np.hypot(bottom.sd, seen - bottom.depth)))
+    skin_variance = by_reference + region.doubt**2
+    sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
+    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + skin_variance)
+    return _Found(region, patch, bottom, outline, float(sd), seen, float(seen_sd))
 
 
 def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
@@ -92,10 +108,12 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 
 
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
-    """Whether it is one for certain; what the view cuts may be the rim of a head."""
-    if found.bottom.depth < max(settings.least_depth_mm, _SURE * COVERAGE_95 * found.depth_sd):
+    """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
+    cut = found.outline.cut_by_view
+    sure = COVERAGE_95 * found.seen_sd * (_SURE_AT_END if cut > _OPEN and found.bottom.hidden else _SURE)
+    if found.seen < max(settings.least_depth_mm, sure):
         return False
-    return found.outline.cut_by_view < _CUT or found.outline.length > _LEAST_VIEW_MM
+    return cut < _CUT or found.outline.length > _LEAST_VIEW_MM
 
 
 def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
@@ -124,9 +142,12 @@ def _height(found: _Found) -> float:
 
 def _with_depth(row: Defect, found: _Found, settings: DefectSettings) -> Defect:
     """Depth with its U95, and whether all of the defect was seen."""
-    pixels = found.outline.width / found.patch.step_mm * found.patch.step_px
+    pixels = found.patch.true_pixels(found.outline.width)
     if row.kind == "scratch" and pixels < settings.scratch_pixels:
-        reason = f"line without measurable depth: {pixels:.1f} pixels wide, and points average over as many"
+        reason = f"line without measurable depth: narrower than the {settings.scratch_pixels:g} pixels that tell one"
+        return replace(row, decision="not measured", reason=reason)
+    if row.kind == "scratch" and COVERAGE_95 * found.depth_sd > _VAGUE * found.bottom.depth:
+        reason = f"line without measurable depth: its points leave ±{COVERAGE_95 * found.depth_sd:.3f} mm"
         return replace(row, decision="not measured", reason=reason)
     hidden = _hidden_by(found)
     return replace(
@@ -161,7 +182,7 @@ def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, s
         length_u95_mm=length_u95,
         width_mm=outline.width,
         width_u95_mm=width_u95,
-        direction_deg=_direction(found, sighted),
+        **_in_image(found, sighted),
         area_mm2=outline.area,
         fastener_distance_mm=away.fastener,
         seam_distance_mm=away.seam,
@@ -199,9 +220,13 @@ def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, set
     return row
 
 
-def _direction(found: _Found, sighted: Sighted) -> float:
-    """Of its length in the left image, degrees."""
-    bottom, turn = found.bottom, found.outline.angle
-    ends = [[bottom.x + s * np.cos(turn), bottom.y + s * np.sin(turn), 0.0] for s in (-1.0, 1.0)]
-    (u0, v0), (u1, v1) = sighted.reconstruction.rig.left.project(found.patch.frame.rig(np.array(ends)))
-    return float(np.degrees(np.arctan2(v1 - v0, u1 - u0)) % 180)
+def _in_image(found: _Found, sighted: Sighted) -> dict[str, float]:
+    """Direction of its length, and extents of its outline along it and across, in the left image."""
+    outline, frame, project = found.outline, found.patch.frame, sighted.reconstruction.rig.left.project
+    along = np.array([np.cos(outline.angle), np.sin(outline.angle), 0.0])
+    start, end = project(frame.rig(np.stack([-along, along])))
+    way = (end - start) / np.linalg.norm(end - start)
+    border = project(frame.rig(np.stack([outline.x, outline.y, np.zeros_like(outline.x)], axis=1)))
+    major, minor = np.ptp(border @ way), np.ptp(border @ [-way[1], way[0]])
+    turn = float(np.degrees(np.arctan2(way[1], way[0])) % 180)
+    return {"direction_deg": turn, "major_px": float(major), "minor_px": float(minor)}

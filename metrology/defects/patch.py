@@ -23,6 +23,9 @@ _SPIKE, _SPIKE_SHARE = 8.0, 0.15  # standard deviations of a point, and share of
 _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_PX = (2.4, 8.0)
+_FWHM = 2.355  # of a Gaussian, standard deviations
+SUPPORT_PX = 1.4
+"""Standard deviation of the area that a point is a mean of."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,11 @@ class Patch:
     def cell_mm2(self) -> float:
         """Area of a grid cell in the tangent plane."""
         return self.step_mm**2
+
+    def true_pixels(self, width_mm: float) -> float:
+        """Pixels that a narrow line is wide, less what smoothing has added to its outline."""
+        pixels = width_mm / self.step_mm * self.step_px
+        return float(np.sqrt(max(pixels**2 - (_FWHM * np.hypot(_SMOOTH_PX[0], SUPPORT_PX)) ** 2, 0.0)))
 
     def smoothed(self, radius_mm: float) -> Array:
         """Depth as its outline is taken from."""

@@ -37,6 +37,8 @@ class Defect(Feature):
     direction_deg: Annotated[float | None, "direction of its length in the left image, from +u towards +v, degrees"] = (
         None
     )
+    major_px: Annotated[float | None, "extent of its outline at half depth along direction_deg, left image, px"] = None
+    minor_px: Annotated[float | None, "extent of that outline at 90° to it, left image, px"] = None
     foot_length_mm: Annotated[float | None, "greatest extent of its outline at a tenth of its depth, mm"] = None
     foot_width_mm: Annotated[float | None, "extent of that outline at 90° to its length, mm"] = None
     straight_edge_depth_mm: Annotated[

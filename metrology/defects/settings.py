@@ -26,7 +26,7 @@ class DefectSettings:
     scratch_width_mm : float
         What is narrower at half depth, and over four times as long, is a scratch.
     scratch_pixels : float
-        Width at half depth that a scratch must have for its depth to be measured: points average over fewer pixels.
+        Width at half depth that a scratch must have for its depth to be measured: points are means over fewer pixels.
     """
 
     least_depth_mm: float = 0.015
@@ -34,7 +34,7 @@ class DefectSettings:
     straight_edge_mm: float = 150.0
     pull_in_mm: float = 0.1
     scratch_width_mm: float = 3.0
-    scratch_pixels: float = 6.0
+    scratch_pixels: float = 3.0
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -43,7 +43,7 @@ class DefectSettings:
             ("straight_edge_mm", 10.0, 1000.0),
             ("pull_in_mm", 0.0, 5.0),
             ("scratch_width_mm", 0.1, 20.0),
-            ("scratch_pixels", 2.0, 50.0),
+            ("scratch_pixels", 1.0, 50.0),
         ):
             if not least <= getattr(self, name) <= most:
                 raise UsageError(f"{name}: found {getattr(self, name):g}, expected {least:g} … {most:g}")

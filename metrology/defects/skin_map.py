@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 
 _ROUNDS = 4  # of finding what lies off the skin, and fitting the skin to the rest
 _DOUBTFUL_ROUNDS = 2  # at first, in which a dent may have bent the reference beside it
+_UNCHANGED = 2e-3  # of a plate's cells: what is left out has stayed the same
 _SMOOTH_CELLS = 1.5
 _WAVES_CELLS = 8.0  # over which the skin's own waviness is told from noise
 _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
@@ -113,7 +114,8 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
         regions = _regions(smoothed, sd, cells, settings)
         left_out = _undisputed(regions, smoothed, cells, references) if number < _DOUBTFUL_ROUNDS else regions
         before, covered = covered, _footprints(left_out, covered.shape, _MARGIN)
-        due = [p for p in cells.plates if (before != covered)[cells.plate == p].any()]
+        changed = (before != covered) & cells.free
+        due = [p for p in cells.plates if changed[cells.plate == p].sum() > _UNCHANGED * (cells.plate == p).sum()]
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)

@@ -11,6 +11,7 @@ from metrology.cloud import Reconstruction
 from metrology.defects.cells import SIZE
 from metrology.defects.patch import Patch
 from metrology.defects.skin_map import SkinMap
+from metrology.jit import kernel
 
 Array = NDArray[np.float64]
 
@@ -79,12 +80,21 @@ def section(
 
 def _laid_on(t: Array, surface: Array) -> Array:
     """The upper hull of a profile."""
-    hull: list[int] = []
-    for k in range(len(t)):
-        while len(hull) > 1:
-            i, j = hull[-2], hull[-1]
+    hull = np.empty(len(t), np.int64)
+    hull = hull[: _upper_hull(t, surface, hull)]
+    return np.asarray(np.interp(t, t[hull], surface[hull]))
+
+
+@kernel
+def _upper_hull(t, surface, hull):  # type: ignore[no-untyped-def]
+    """Number of points of the upper hull of a profile, whose indices are written to `hull`; all (n,)."""
+    count = 0
+    for k in range(t.shape[0]):
+        while count > 1:
+            i, j = hull[count - 2], hull[count - 1]
             if (surface[j] - surface[i]) * (t[k] - t[i]) > (surface[k] - surface[i]) * (t[j] - t[i]):
                 break
-            hull.pop()
-        hull.append(k)
-    return np.asarray(np.interp(t, t[hull], surface[hull]))
+            count -= 1
+        hull[count] = k
+        count += 1
+    return count

@@ -13,7 +13,7 @@ from metrology.defects.outline import Outline
 from metrology.defects.patch import Patch
 from metrology.defects.skin_map import SkinMap
 from metrology.registration.rows import has_position, positions
-from metrology.results import Rivet, SeamStation
+from metrology.results import Feature, Rivet, SeamStation
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -35,21 +35,19 @@ class Distances:
 def distances(outline: Outline, frame: Frame, rivets: Sequence[Rivet], stations: Sequence[SeamStation]) -> Distances:
     """Distances along the tangent plane; 0 where an outline reaches them."""
     border = np.stack([outline.x, outline.y], axis=1)
-    rims = []
-    for rivet in rivets:
-        if not has_position(rivet) or rivet.diameter_mm is None:
-            continue
-        centre = frame.local(positions([rivet]))[0, :2]
-        away = float(np.linalg.norm(border - centre, axis=1).min()) - 0.5 * rivet.diameter_mm
-        rims.append(0.0 if _encloses(border, centre) else max(away, 0.0))
-    edges = []
-    for station in stations:
-        if not has_position(station):
-            continue
-        middle = frame.local(positions([station]))[0, :2]
-        away = float(np.linalg.norm(border - middle, axis=1).min()) - 0.5 * (station.width_mm or 0.0)
-        edges.append(max(away, 0.0))
-    return Distances(min(rims, default=None), min(edges, default=None))
+    heads = [rivet for rivet in rivets if has_position(rivet) and rivet.diameter_mm is not None]
+    seams = [station for station in stations if has_position(station)]
+    rims = _from_border(border, frame, heads, [0.5 * (head.diameter_mm or 0.0) for head in heads])
+    edges = _from_border(border, frame, seams, [0.5 * (station.width_mm or 0.0) for station in seams])
+    if any(_encloses(border, middle) for middle in frame.local(positions(heads))[:, :2]):
+        rims = np.zeros(1)
+    return Distances(*(float(max(away.min(), 0.0)) if len(away) else None for away in (rims, edges)))
+
+
+def _from_border(border: Array, frame: Frame, rows: Sequence[Feature], radii: Sequence[float]) -> Array:
+    """(n,) distances of features of given radii from a curve in the tangent plane, mm."""
+    middles = frame.local(positions(rows))[:, :2]
+    return np.asarray(np.linalg.norm(middles[:, None] - border, axis=2).min(axis=1, initial=np.inf) - radii)
 
 
 def _encloses(border: Array, point: Array) -> bool:

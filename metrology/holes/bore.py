@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from metrology.holes.countersink import Countersink
-from metrology.holes.rim import DIRECTIONS, EDGE_SD_PX, Edges, RimCircle, View, rim_circle
+from metrology.holes.rim import DIRECTIONS, EDGE_SD_PX, Edges, RimCircle, View, leans, rim_circle
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
 from metrology.surfaces import Polynomial
@@ -24,11 +24,18 @@ _INNERMOST = 0.3  # of the countersink's radius: no bore is smaller
 _SMOOTH_PX = 0.7  # of the derivative along a profile
 _STEEP = 0.06  # of the skin's brightness per pixel: an edge; grain is a third of it
 _TOGETHER_PX = 0.75  # within which edges are of one circle, before its own centre is known
+_OFF_CONE_MM = 0.6  # by which a circle may seem to lie off the cone; a shadow's edge lies anywhere
 _ENOUGH = 0.3  # of all directions in which there must be an edge of it
 
 
 def bore_circle(
-    patch: Patch, skin: Polynomial, views: tuple[View, ...], cone: Countersink, outer: RimCircle, pixel_mm: float
+    patch: Patch,
+    skin: Polynomial,
+    views: tuple[View, ...],
+    cone: Countersink,
+    outer: RimCircle,
+    pixel_mm: float,
+    blur_px: float,
 ) -> RimCircle | None:
     """The circle in which a countersink ends; None where too few edges lie on one.
 
@@ -41,6 +48,8 @@ def bore_circle(
     outer : RimCircle
         Where the countersink meets the skin.
     pixel_mm : float
+    blur_px : float
+        Of the pictures.
     """
     radii = np.arange(outer.radius - _CLEAR_PX * pixel_mm, _INNERMOST * outer.radius, -_SPACING_PX * pixel_mm)
     if len(radii) < 4 / _SPACING_PX:
@@ -50,11 +59,14 @@ def bore_circle(
     # Every sample lies on the cone; only where the cone ends it does not.
     depth = np.array([cone.depth_at(radius) for radius in radii])
     places = patch.frame.rig(np.stack([x, y, skin.height(x, y) - depth], axis=-1))
-    which, at = [], []
+    which, at, lean = [], [], []
+    fall = cone.depth_at(0.0) - cone.depth_at(1.0)
     for device, texture in views:
         directions, positions = _steep_places(sample_image(texture, device.project(places)))
         which.append(directions)
         at.append(np.interp(positions, np.arange(len(radii)), radii))
+        sideways = leans(at[-1], turn[directions], patch.frame.local(device.centre))
+        lean.append(sideways / (1 - fall * sideways))  # the place on the cone that is seen there lies higher, too
     direction, radius = np.concatenate(which), np.concatenate(at)
     if len(radius) == 0:
         return None
@@ -65,8 +77,11 @@ def bore_circle(
         return None
     kept = near[:, best]
     r, angle = radius[kept], turn[direction[kept]]
-    edges = Edges(outer.x + r * np.cos(angle), outer.y + r * np.sin(angle), direction[kept], EDGE_SD_PX)
-    return rim_circle(edges, pixel_mm)
+    x, y = outer.x + r * np.cos(angle), outer.y + r * np.sin(angle)
+    blur_px = float(np.hypot(blur_px, _SMOOTH_PX))
+    edges = Edges(x, y, direction[kept], np.concatenate(lean)[kept], EDGE_SD_PX, blur_px)
+    bore = rim_circle(edges, pixel_mm)
+    return None if bore is None or abs(bore.deeper) > _OFF_CONE_MM else bore
 
 
 def _steep_places(profiles: Array) -> tuple[NDArray[np.int64], Array]:

@@ -12,7 +12,8 @@ Array = NDArray[np.float64]
 _BINS_PX = 0.5
 _LEAST_WIDTH_PX = 3.0
 _LEAST_FALL_MM = 0.15  # below the skin: beyond noise and a broken edge
-_FLATTEST, _STEEPEST = np.tan(np.radians(20)), np.tan(np.radians(70))  # slopes of cones of 140° to 40°
+# Slopes of cones of 140° to 60°: none that is usual is sharper, and matching bends a bore's wall to less than that.
+_FLATTEST, _STEEPEST = np.tan(np.radians(20)), np.tan(np.radians(60))
 _SHARED = 8.0  # neighbouring bins that are worth one: matching correlates four pixels
 _SCATTER = 0.12  # of its depth by which a cone's profile may depart from a line
 

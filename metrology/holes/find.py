@@ -27,6 +27,7 @@ _LONG = 0.9  # the same of what stands far out: both cameras and the projector l
 _SURROUNDED = 0.75  # of the pixels round a hole, saturated ones left out, must lie on the skin
 _KNOWN = 0.5  # of the pixels round a hole must not be saturated
 _SUNK_SHARE = 0.35  # of the diameter: a head sunk deeper has left its place
+_DARK_SUNK_MM = 1.2  # what lies deeper and is dark, too, is another sheet behind a hole
 _BRIGHT = 0.5  # of the skin's brightness: no hole into which no light falls, nor black paint
 _EMPTY = 0.5  # share of pixels without a point that makes a hole empty
 # Diameters of the discs that part a hole from what it touches: a shadow, a chip, a stroke of paint without points.
@@ -139,7 +140,8 @@ def _opening(patch: Mask, window: tuple[slice, slice], view: _View) -> Opening |
     middle = float(np.median(seen)) if len(seen) > (1 - _EMPTY) * len(inside) and len(seen) else None
     if middle is None:
         return Opening(ellipse, None) if brightness(ellipse, view.texture, _STRIDE) < _BRIGHT else None
-    deepest = min(view.sunk_mm, _SUNK_SHARE * 2 * ellipse.radius / view.scale)
+    dark = brightness(ellipse, view.texture, _STRIDE) < _BRIGHT
+    deepest = min(_DARK_SUNK_MM if dark else view.sunk_mm, _SUNK_SHARE * 2 * ellipse.radius / view.scale)
     return Opening(ellipse, middle) if middle < -deepest or middle > view.sunk_mm else None
 
 

@@ -13,7 +13,7 @@ from metrology.cloud import Reconstruction
 from metrology.holes.bore import bore_circle
 from metrology.holes.countersink import Countersink, countersink
 from metrology.holes.find import Opening, brightness
-from metrology.holes.rim import CLOUD_SD_PX, DIRECTIONS, RimCircle, View, cloud_edges, picture_edges, rim_circle
+from metrology.holes.rim import CLOUD_SD_PX, DIRECTIONS, Edges, RimCircle, View, cloud_edges, picture_edges, rim_circle
 from metrology.results import COVERAGE_95, Hole, HoleKind, RivetDetection
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, point_sets
 from metrology.rivets.settings import RivetSettings
@@ -29,6 +29,9 @@ _LEAST_MM = 0.5
 _DARK = 0.15  # of the skin's brightness: black paint sends back more than a hole into which no light falls
 _PROFILE_PX = 8.0  # of skin beyond the largest radius of a rim
 _BORDER_PX = 1.0  # by which a cone's border in pictures may lie off the cloud's, beyond its U95
+_SMEAR_PX = 2.5  # to either side of a wall that matching bends
+_SHOWN = 0.75  # of all directions in which pictures show the skin's edge
+_SHARP_PX = 0.35  # standard deviation of the radius of an edge that is one
 _SIZE = 1.35  # times the radius at which it was found may the rim lie
 
 
@@ -77,12 +80,19 @@ def _measured(
         reason = f"temporary fastener: it stands {opening.inside_mm:.1f} mm proud; flushness is not measured"
         return replace(placed, decision="not measured", reason=reason)
     height = patch.h - skin.height(patch.x, patch.y)
-    cone = countersink(np.hypot(patch.x, patch.y), height, patch.guard / patch.guard_px, _SIZE * patch.radius)
-    pixel_mm = patch.guard / patch.guard_px
+    pixel_mm, within = patch.guard / patch.guard_px, _SIZE * patch.radius
+    cone = countersink(np.hypot(patch.x, patch.y), height, pixel_mm, within)
     views = tuple((device, view.texture) for device, view in reconstruction.cameras.values())
-    rim = _rim(patch, skin, views, pixel_mm)
+    edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
+    rim = _rim(edges, patch, height, pixel_mm)
+    if cone is not None and rim is not None and _smeared(cone, rim, pixel_mm):
+        cone = None
+    if cone is None and rim is not None and rim.deeper > 0:
+        lies = f"its edge in the pictures lies {rim.deeper:.1f} mm below the skin"
+        reason = f"{lies}: a countersink of unknown size, or a shadow"
+        return replace(placed, decision="not measured", reason=reason)
     if cone is not None:
-        rim, placed = _below(cone, rim, placed, patch, skin, views, pixel_mm)
+        rim, placed = _below(cone, rim, placed, patch, skin, views, pixel_mm, edges.blur_px)
     if rim is None or rim.radius < _LEAST_MM:
         below = "" if cone is None else " below its countersink"
         return replace(placed, decision="not measured", reason=f"no circle follows its rim{below}")
@@ -101,26 +111,31 @@ def _at(row: Hole, point: Array, reconstruction: Reconstruction) -> Hole:
     return replace(row, x_mm=x, y_mm=y, z_mm=z, u_px=float(u), v_px=float(v))
 
 
-def _rim(patch: Patch, skin: Polynomial, views: tuple[View, ...], pixel_mm: float) -> RimCircle | None:
-    """Where the skin ends."""
-    within = _SIZE * patch.radius
-    edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
+def _smeared(cone: Countersink, rim: RimCircle, pixel_mm: float) -> bool:
+    """Whether a cone is but a bore's wall as matching smears it: pictures show the skin's edge inside its border."""
+    inside = 0.5 * cone.diameter_mm - rim.radius
+    narrow = cone.diameter_mm - cone.lower_diameter_mm < 4 * _SMEAR_PX * pixel_mm
+    shown = rim.directions > _SHOWN * DIRECTIONS and rim.deeper <= 0 and rim.radius_sd < _SHARP_PX * pixel_mm
+    return narrow and shown and 0.5 * COVERAGE_95 * cone.diameter_sd_mm < inside < _SMEAR_PX * pixel_mm
+
+
+def _rim(edges: Edges, patch: Patch, height: Array, pixel_mm: float) -> RimCircle | None:
+    """Where the skin ends: in the pictures, else in the cloud."""
     rim = rim_circle(edges, pixel_mm) if edges.directions >= _ENOUGH * DIRECTIONS else None
-    height = patch.h - skin.height(patch.x, patch.y)
-    return rim or rim_circle(cloud_edges(patch, height, pixel_mm, within), pixel_mm)
+    return rim or rim_circle(cloud_edges(patch, height, pixel_mm, _SIZE * patch.radius), pixel_mm)
 
 
 def _below(
     cone: Countersink, rim: RimCircle | None, placed: Hole, patch: Patch, skin: Polynomial, views: tuple[View, ...],
-    pixel_mm: float,
+    pixel_mm: float, blur_px: float,
 ) -> tuple[RimCircle | None, Hole]:  # fmt: skip
     """The bore below a countersink, and the row with the countersink: its border of pictures, else of the cloud."""
     diameter, sd = cone.diameter_mm, cone.diameter_sd_mm
     outer = RimCircle(0.0, 0.0, 0.5 * diameter, 0.5 * sd, 0)
     off = np.inf if rim is None or rim.radius_sd > CLOUD_SD_PX * pixel_mm else abs(2 * rim.radius - diameter)
-    if rim is not None and off < COVERAGE_95 * sd + _BORDER_PX * pixel_mm:
+    if rim is not None and rim.deeper <= 0 and off < COVERAGE_95 * sd + _BORDER_PX * pixel_mm:
         outer, diameter, sd = rim, 2 * rim.radius, 2 * rim.radius_sd
-    bore = bore_circle(patch, skin, views, cone, outer, pixel_mm)
+    bore = bore_circle(patch, skin, views, cone, outer, pixel_mm, blur_px)
     row = replace(
         placed,
         countersink_diameter_mm=diameter,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
-from metrology.robust import fit_circle
+from metrology.robust import fit_circle, reweighted
 from metrology.surfaces import Polynomial
 
 Array = NDArray[np.float64]
@@ -26,11 +26,16 @@ _SPACING_PX = 0.25
 _CONTRAST = 0.2  # of the skin's brightness: an edge; grain is a tenth of it
 _PLATEAU_PX = 1.5  # behind an edge that must stay as dark, or blur moves its middle
 _PLATEAU = 0.7
+_QUARTER = 0.674  # standard deviations from a quarter of a blurred step to its half
+_MOST_BLUR_PX = 1.25  # of a camera that sees sharply; a wider edge is a wall's shade
 _FALL_MM = 0.25  # below the skin: over the rim
 EDGE_SD_PX = 0.08  # systematic: what the blur of a curved edge and a wall's shine move it by
 CLOUD_SD_PX = 0.5
 _SCATTER_PX = 0.2  # of a radius by its edges' scatter: they follow no one circle
 _SHARED = 4.0  # neighbouring edges that are worth one
+_SURE = 4.0  # standard deviations of a depth that is beyond doubt
+_DEEPER_MM = 0.2  # than was taken: beyond a broken edge
+_DRAWN = 0.5  # of their scatter may all edges be off to one side
 _NEAREST_PX = 0.02  # of an edge off its place: sampled profiles tell it no better
 
 
@@ -44,14 +49,20 @@ class Edges:
         mm, in the patch's frame.
     direction : (n,) ndarray of int
         In which of `DIRECTIONS` each lies.
+    lean : (n,) ndarray
+        How far out it seems to lie for each mm that it lies deeper than was taken.
     sd_px : float
         How far one may lie off its place systematically, px.
+    blur_px : float
+        Standard deviation of the blur over which it was found: that of a curved line lies too far inside.
     """
 
     x: Array
     y: Array
     direction: NDArray[np.int64]
+    lean: Array
     sd_px: float
+    blur_px: float = 0.0
 
     @property
     def directions(self) -> int:
@@ -61,13 +72,24 @@ class Edges:
 
 @dataclass(frozen=True)
 class RimCircle:
-    """A circle on the skin, the standard deviation of its radius, mm, and in how many directions an edge is on it."""
+    """A circle of edges.
+
+    Attributes
+    ----------
+    x, y, radius, radius_sd : float
+        mm.
+    directions : int
+        In how many of them an edge is on it.
+    deeper : float
+        By how much it lies deeper than was taken, mm; 0 where that does not show.
+    """
 
     x: float
     y: float
     radius: float
     radius_sd: float
     directions: int
+    deeper: float = 0.0
 
 
 def picture_edges(
@@ -99,21 +121,47 @@ def picture_edges(
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     x, y = cosine * radii, sine * radii
     places = patch.frame.rig(np.stack([x, y, skin.height(x, y) - deeper], axis=-1))
-    found: list[tuple[int, float]] = []
+    found: list[tuple[int, float, float, Array]] = []
     outer = radii > outside
     for device, texture in views:
         profiles = sample_image(texture, device.project(places))
+        eye = patch.frame.local(device.centre)
         for k in np.flatnonzero(np.isfinite(profiles).all(axis=1)):
             at = _edge(np.abs(profiles[k] / np.median(profiles[k, outer]) - 1))
             if at is not None:
-                found.append((int(k), float(np.interp(at, np.arange(len(radii)), radii))))
-    which = np.array([k for k, _ in found], int)
-    r = np.array([radius for _, radius in found])
-    return Edges(r * np.cos(turn[which]), r * np.sin(turn[which]), which, EDGE_SD_PX)
+                found.append((int(k), float(np.interp(at[0], np.arange(len(radii)), radii)), at[1], eye))
+    if not found:
+        return Edges(*np.empty((2, 0)), np.empty(0, int), np.empty(0), EDGE_SD_PX)
+    which, r, blur, eyes = (np.array(column) for column in zip(*found, strict=True))
+    lean = leans(r, turn[which], eyes)
+    return Edges(
+        r * np.cos(turn[which]),
+        r * np.sin(turn[which]),
+        which,
+        lean,
+        EDGE_SD_PX,
+        min(float(np.median(blur)), _MOST_BLUR_PX),
+    )
 
 
-def _edge(departure: Array) -> float | None:
-    """Where a profile's departure from the skin first reaches half of what it then stays at (index); None without."""
+def leans(radius: Array, turn: Array, eye: Array) -> Array:
+    """(n,) how far outwards places seem to move on the skin for each mm that they lie below it.
+
+    Parameters
+    ----------
+    radius, turn : (n,) ndarray
+        Of places on the skin, mm and radians.
+    eye : (n, 3) or (3,) ndarray
+        Where the camera is, in the patch's frame, mm.
+    """
+    return np.asarray((eye[..., 0] * np.cos(turn) + eye[..., 1] * np.sin(turn) - radius) / eye[..., 2])
+
+
+def _edge(departure: Array) -> tuple[float, float] | None:
+    """Where a profile's departure from the skin first reaches half of what it then stays at (index); None without.
+
+    With the blur (px) that the way from a quarter to the half tells.
+    """
     beyond = np.flatnonzero(departure > _CONTRAST)
     if len(beyond) == 0:
         return None
@@ -126,10 +174,16 @@ def _edge(departure: Array) -> float | None:
     j = first + int(np.argmax(behind >= half)) if departure[first] < half else first
     while j > 0 and departure[j - 1] >= half:
         j -= 1
-    if j == 0:
+    i = j
+    while i > 0 and departure[i - 1] >= 0.5 * half:
+        i -= 1
+    if i == 0:
         return None
-    low, high = departure[j - 1], departure[j]
-    return j - 1 + float((half - low) / (high - low))
+    at, before = (
+        k - 1 + float((level - departure[k - 1]) / (departure[k] - departure[k - 1]))
+        for k, level in ((j, half), (i, 0.5 * half))
+    )
+    return at, (at - before) * _SPACING_PX / _QUARTER
 
 
 def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float) -> Edges:
@@ -149,23 +203,59 @@ def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float) -> 
         x.append(edge * np.cos(angle))
         y.append(edge * np.sin(angle))
         directions.append(k)
-    return Edges(np.array(x), np.array(y), np.array(directions, int), CLOUD_SD_PX)
+    return Edges(np.array(x), np.array(y), np.array(directions, int), np.zeros(len(x)), CLOUD_SD_PX)
 
 
 def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
-    """The circle through edges, those that lie off it left out; None where they follow none."""
+    """The circle through edges, those that lie off it left out; None where they follow none.
+
+    Edges that lie deeper than was taken move outwards in one camera where they move inwards in the other. By how much
+    they do tells how deep they lie, and how far the circle may be off where walls and shadows do the same. A blurred
+    circle of radius r lies σ²/2r too far inside: that is taken off.
+    """
     if len(edges.x) < 8:
         return None
     found = fit_circle(edges.x, edges.y, _NEAREST_PX * pixel_mm)
     if found is None:
         return None
+    away = np.stack([edges.x - found.x, edges.y - found.y], axis=1)
+    distance = np.linalg.norm(away, axis=1)
     kept = found.weights > 0
-    spread = float(np.sqrt(np.mean(found.off(edges.x, edges.y)[kept] ** 2)))
-    away = np.stack([edges.x - found.x, edges.y - found.y], axis=1)[kept]
-    rows = np.column_stack([away / np.linalg.norm(away, axis=1)[:, None], np.ones(len(away))])
-    # Neighbouring edges share their pixels: a quarter of them is independent.
-    by_noise = spread * np.sqrt(_SHARED * np.linalg.inv(rows.T @ rows + 1e-9 * np.eye(3))[2, 2])
-    if by_noise > _SCATTER_PX * pixel_mm:
+    off = distance - found.radius
+    rows = np.column_stack([away / distance[:, None], np.ones(len(away))])
+    spread, deviation = _uncertainty(off, rows, kept)
+    # Neighbouring edges share their pixels, and what scatters far is drawn by shadows, all to one side.
+    if deviation > _SCATTER_PX * pixel_mm:
         return None
-    sd = float(np.hypot(by_noise, edges.sd_px * pixel_mm))
-    return RimCircle(found.x, found.y, found.radius, sd, len(np.unique(edges.direction[kept])))
+    deeper, by_depth = _depth(edges, off, rows, pixel_mm)
+    sd = float(np.linalg.norm([deviation, edges.sd_px * pixel_mm, _DRAWN * spread, by_depth]))
+    radius = found.radius + 0.5 * (edges.blur_px * pixel_mm) ** 2 / found.radius
+    return RimCircle(found.x, found.y, radius, sd, len(np.unique(edges.direction[kept])), deeper)
+
+
+def _uncertainty(off: Array, rows: Array, kept: NDArray[np.bool_]) -> tuple[float, float]:
+    """Scatter of what is kept, and the standard deviation of the radius (third unknown) that comes of it, mm."""
+    spread = float(np.sqrt(np.mean(off[kept] ** 2)))
+    normal = rows[kept].T @ rows[kept] + 1e-9 * np.eye(rows.shape[1])
+    return spread, spread * float(np.sqrt(_SHARED * np.linalg.inv(normal)[2, 2]))
+
+
+def _depth(edges: Edges, off: Array, rows: Array, pixel_mm: float) -> tuple[float, float]:
+    """By how much edges lie deeper than was taken, where that is beyond doubt, and how far it moves them, mm.
+
+    One camera does not tell: there a circle that lies deeper is one that lies elsewhere.
+    """
+    lean = float(np.sqrt(np.mean(edges.lean**2)))
+    if lean == 0:
+        return 0.0, 0.0
+    design = np.column_stack([rows, edges.lean])
+    leaning = reweighted(design, off, np.zeros(4), 20)
+    if leaning is None:
+        return 0.0, 0.0
+    kept = leaning.weights > 0
+    spread = float(np.sqrt(np.mean((off - design @ leaning.values)[kept] ** 2)))
+    normal = design[kept].T @ design[kept] + 1e-9 * np.eye(4)
+    depth, sd = float(leaning.values[3]), spread * float(np.sqrt(_SHARED * np.linalg.inv(normal)[3, 3]))
+    if sd * lean > CLOUD_SD_PX * pixel_mm:
+        return 0.0, 0.0
+    return (depth if abs(depth) > max(_SURE * sd, _DEEPER_MM) else 0.0), abs(depth) * lean

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from metrology.cloud import Reconstruction
 from metrology.kinds import Kind, load
 from metrology.overlay.layout import Layout
-from metrology.overlay.marks import BAR_END_MM, Stroke, circle_points, rivet_marks, seam_marks
+from metrology.overlay.marks import BAR_END_MM, Stroke, arrow_marks, circle_points, rivet_marks, seam_marks
 from metrology.overlay.skin_map import screen
 from metrology.results import MISSING, Feature, Severity
 from metrology.skin_normal import skin_normal
@@ -21,6 +21,8 @@ from metrology.verdicts import DECISIONS
 
 Array = NDArray[np.float64]
 
+_OUTLINE_POINTS = 64
+_LONG = 1.15  # times as long as wide in the left image
 _RING_PX = 20.0  # a ring round what has no size of its own, in the left image
 
 
@@ -75,6 +77,8 @@ def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
             if not inside.any():
                 continue
         marks = rivet_marks(outline, row.severity, canvas.line_width)
+        if _is_long(kind, row):
+            marks += arrow_marks(outline, row.severity, canvas.line_width)
         canvas.strokes.extend(replace(mark, feature=name) for mark in marks)
         extent = np.concatenate([mark.points for mark in marks])
         for mark in marks:
@@ -107,17 +111,38 @@ def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
                     canvas.wishes.append(Wish(name, _text(kind, course[k]), places[k], np.full(2, reach), severity))
 
 
+def _is_long(kind: Kind, row: Any) -> bool:
+    """Whether a feature has a direction: a round one has none."""
+    return bool(kind.along) and row.major_px is not None and row.major_px > _LONG * row.minor_px
+
+
 def _ring(kind: Kind, row: Feature, reconstruction: Reconstruction) -> Array | None:
-    """Outline of a feature in projector pixels; None where it has no position."""
+    """Outline of a feature in projector pixels; None where it has no position.
+
+    Of what is longer than wide it begins at an end of its length.
+    """
     if row.x_mm is None or row.y_mm is None or row.z_mm is None:
         return None
     size: float = getattr(row, "major_px", None) or _RING_PX
+    normal = skin_normal(reconstruction.points, row.u_px, row.v_px, size)
+    normal = np.array([0.0, 0.0, -1.0]) if normal is None else normal
+    centre, project = np.array([row.x_mm, row.y_mm, row.z_mm]), screen(reconstruction.rig).project
+    if kind.along and getattr(row, kind.along) is not None:
+        return project(_ellipse(kind, row, reconstruction, centre, normal))
     own = max((getattr(row, column) or 0.0 for column in kind.size), default=0.0)
     diameter: float = own or size * row.z_mm / reconstruction.rig.left.K[0, 0]
-    normal = skin_normal(reconstruction.points, row.u_px, row.v_px, size)
-    towards_rig = np.array([0.0, 0.0, -1.0])
-    centre, project = np.array([row.x_mm, row.y_mm, row.z_mm]), screen(reconstruction.rig).project
-    return circle_points(centre, towards_rig if normal is None else normal, diameter / 2, project)
+    return circle_points(centre, normal, diameter / 2, project)
+
+
+def _ellipse(kind: Kind, row: Any, reconstruction: Reconstruction, centre: Array, normal: Array) -> Array:
+    """(n, 3) the outline that a feature has in the left image, on the tangent plane of the skin, mm."""
+    left, turn = reconstruction.rig.left, np.radians(getattr(row, kind.along))
+    t = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)[:, None]
+    along = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-along[1], along[0]])
+    pixels = [row.u_px, row.v_px] + 0.5 * (row.major_px * np.cos(t) * along + row.minor_px * np.sin(t) * across)
+    rays = left.rays(pixels)
+    return np.asarray(rays * (normal @ centre / (rays @ normal))[:, None])
 
 
 def _text(kind: Kind, row: Feature) -> str:

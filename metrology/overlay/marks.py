@@ -26,6 +26,8 @@ COLOURS: dict[Severity | None, Colour] = {name: look.projector for name, look in
 WORDS: dict[Severity | None, str] = {name: look.short for name, look in SEVERITIES.items()}
 GRAVEST_FIRST: tuple[Severity | None, ...] = tuple(SEVERITIES)
 
+_ARROW, _BARB = 0.7, 0.25  # length of an arrow over that of its outline; of its barbs over its half
+
 # How far from a seam's middle its marks begin, and end by severity: the graver, the longer.
 BAR_START_MM = 2.5
 _CROSSBAR_MM = 2.4
@@ -92,6 +94,19 @@ def rivet_marks(outline: Array, severity: Severity | None, width: int) -> list[S
         marks.append(Stroke(beyond(4.0 * width), colour, 2 * width, closed=True))
     inner, outer = beyond(2.0 * width), beyond(7.0 * width)
     return marks + [Stroke(np.stack([inner[k], outer[k]]), colour, 2 * width) for k in ticks]
+
+
+def arrow_marks(outline: Array, severity: Severity | None, width: int) -> list[Stroke]:
+    """A double arrow within an outline, from its first point to the one opposite: the direction of its length."""
+    colour = COLOURS[severity]
+    first, last = outline[0], outline[len(outline) // 2]
+    middle, half = 0.5 * (first + last), _ARROW * 0.5 * (last - first)
+    across = np.array([-half[1], half[0]])
+    marks = [Stroke(np.stack([middle - half, middle + half]), colour, width)]
+    for end in (-half, half):
+        barbs = np.stack([s * _BARB * across + (1 - _BARB) * end for s in (-1, 1)])
+        marks.append(Stroke(middle + np.stack([barbs[0], end, barbs[1]]), colour, width))
+    return marks
 
 
 def seam_marks(course: Array, severity: Severity | None, px_per_mm: float, width: int) -> list[Stroke]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from metrology.jit import kernel
 from metrology.ridges import Derivatives, gaussian_derivatives
+from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -70,7 +71,7 @@ def curvature_noise(guu: Float32, gvv: Float32, blocks: int = 14) -> Float32:
         cells = values[: rows * down, : columns * across].reshape(rows, down, columns, across)[:, ::3, :, ::3]
         return np.median(np.abs(cells).transpose(0, 2, 1, 3).reshape(rows, columns, -1), axis=2)
 
-    grid = (1.4826 * np.sqrt(0.5 * (medians(guu) ** 2 + medians(gvv) ** 2))).astype(np.float32)
+    grid = (MAD * np.sqrt(0.5 * (medians(guu) ** 2 + medians(gvv) ** 2))).astype(np.float32)
     floor = 0.2 * float(np.median(grid[grid > 0])) if (grid > 0).any() else 1.0
     return cv2.resize(np.maximum(grid, floor), (width, height), interpolation=cv2.INTER_LINEAR)
 

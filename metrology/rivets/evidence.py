@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from metrology.jit import kernel
+from metrology.robust import MAD
 
 _FLANK = 4  # px from the ridge at which skin and head are taken
 _SLACK = 2  # px by which a sector's ridge may lie beside the candidate
@@ -115,7 +116,7 @@ def ring_evidence(image, ellipses, polarity, sectors, result):  # type: ignore[n
         noise = np.median(outside[:n])
         if lowest == -_REACH:
             noise = min(noise, np.median(within[:n]))
-        noise = 1.4826 * noise + 1e-9
+        noise = MAD * noise + 1e-9
         hits = 0
         for k in range(sectors):
             if not np.isnan(profile[k, 0]) and _contrast(profile[k], 0, polarity[index]) > 1.5 * noise:
@@ -251,7 +252,7 @@ def distinction(image, ellipse, sigma):  # type: ignore[no-untyped-def]
     middle = np.median(values[:n])
     departures = np.sort(np.abs(values[:n] - middle))
     # The 90 % quantile too: grain has heavy tails, while neighbours and seams fill fewer places than that.
-    spread = max(1.4826 * departures[n // 2], departures[int(0.9 * n)] / 1.645) + 1e-12
+    spread = max(MAD * departures[n // 2], departures[int(0.9 * n)] / 1.645) + 1e-12
     return abs(own - middle) / spread
 
 

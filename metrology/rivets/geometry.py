@@ -9,6 +9,7 @@ from metrology.cloud import Reconstruction
 from metrology.rig import Device
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.shapes import CircleShapes, log_shape
+from metrology.robust import MAD
 from metrology.surfaces import Frame, monomials
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def _robust_plane(points: NDArray[np.floating]) -> tuple[Array, Array]:
         weighted = design * weight[:, None]
         solution = np.linalg.solve(weighted.T @ design + 1e-9 * np.eye(3), weighted.T @ depth)
         residual = np.abs(depth - design @ solution)
-        weight = (residual < 3 * 1.4826 * np.median(residual) + 1e-9).astype(float)
+        weight = (residual < 3 * MAD * np.median(residual) + 1e-9).astype(float)
     return np.array([centre[0], centre[1], centre[2] + solution[0]]), np.array([solution[1], solution[2], -1.0])
 
 

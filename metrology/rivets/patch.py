@@ -14,6 +14,7 @@ from metrology.results import RivetDetection, SeamLine
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.settings import RivetSettings
+from metrology.robust import MAD
 from metrology.surfaces import Frame, Polynomial, fit_surface
 
 Array = NDArray[np.float64]
@@ -223,5 +224,5 @@ def _skin_frame(points: Array) -> Frame:
         normal = np.linalg.eigh(np.cov((points[keep] - centre).T))[1][:, 0]
         frame = Frame.on_plane(centre, normal)
         h = np.abs(frame.local(points)[:, 2])
-        keep = h < 3 * 1.4826 * np.median(h) + 1e-9
+        keep = h < 3 * MAD * np.median(h) + 1e-9
     return frame

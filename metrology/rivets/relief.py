@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.shapes import CircleShapes, log_shape
+from metrology.robust import MAD
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ _TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does n
 _GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
 _LEAST_HEIGHT_MM = 0.04  # of a head that is only seen in the height map
 _LEAST_SIGMAS = 8.0  # of a cell's noise
+_SKIN_SIGMAS = 3.0  # within which of its own scatter about the smoothed skin a cell is skin
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,17 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
         residual = np.where(known, (inverse - smooth) * depth**2, np.nan).astype(np.float32)
         # The median of neighbours' differences: heads and edges are few.
         steps = np.abs(np.diff(residual, axis=1))
-        noise = float(1.4826 * np.nanmedian(steps) / np.sqrt(2)) if np.isfinite(steps).any() else np.inf
-        trusted = known & (np.abs(residual) < max(4 * noise, 0.01))
+        noise = float(MAD * np.nanmedian(steps) / np.sqrt(2)) if np.isfinite(steps).any() else np.inf
+        trusted = known & _near_skin(residual, max(4 * noise, 0.01))
     return ReliefMap(residual, smooth.astype(np.float32), noise)
+
+
+def _near_skin(residual: Float32, least: float) -> NDArray[np.bool_]:
+    """Which cells lie on the skin: smoothing cuts off its bends, so that all of it may lie beside zero."""
+    if not np.isfinite(residual).any():
+        return np.zeros(residual.shape, bool)
+    away = np.abs(residual - np.nanmedian(residual))
+    return np.asarray(away < max(least, _SKIN_SIGMAS * 1.4826 * float(np.nanmedian(away))))
 
 
 def _cells(reconstruction: Reconstruction) -> tuple[Float32, Float32]:
@@ -265,7 +275,7 @@ def head_relief(reconstruction: Reconstruction, ellipse: Ellipse) -> HeadRelief:
     _, _, axes = np.linalg.svd(skin - centre, full_matrices=False)
     frame = Frame.on_plane(centre, axes[2])
     step = float(np.median(frame.local(head)[:, 2]) - np.median(frame.local(skin)[:, 2]))
-    spread = 1.4826 * float(np.median(np.abs(frame.local(skin)[:, 2])))
+    spread = MAD * float(np.median(np.abs(frame.local(skin)[:, 2])))
     # Matching correlates neighbours: a median of n points is worth about a quarter of them. Curved skin adds its sag.
     deviation = float(np.hypot(2 * spread * np.sqrt(1 / len(head) + 1 / len(skin)) * 1.25, 0.005))
     return HeadRelief(step, abs(step) / deviation, *shares)

@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 from metrology.jit import kernel
+from metrology.linear import solve
+from metrology.robust import MAD
 
 # Unknowns: shift of the centre and of the radius, gap, edge break (mm), brightness of the gap's floor and of what no
 # light reaches (shares of the skin's), half-width of the blur (mm). Head and skin have each direction's own brightness.
@@ -67,24 +69,6 @@ def rim_steps(height, towards_camera, towards_light, gap, edge, floor, black, at
         level[2] = floor
         level[3] = black
         level[4] = black + _WALL * max(-towards_light, 0.0)
-
-
-@kernel
-def _solve(matrix, right, size):  # type: ignore[no-untyped-def]
-    """Gaussian elimination without pivoting of a positive definite system, in place; False where it is singular."""
-    for k in range(size):
-        if matrix[k, k] <= 1e-14:
-            return False
-        for i in range(k + 1, size):
-            f = matrix[i, k] / matrix[k, k]
-            for j in range(k, size):
-                matrix[i, j] -= f * matrix[k, j]
-            right[i] -= f * right[k]
-    for k in range(size - 1, -1, -1):
-        for j in range(k + 1, size):
-            right[k] -= matrix[k, j] * right[j]
-        right[k] /= matrix[k, k]
-    return True
 
 
 @kernel
@@ -244,15 +228,13 @@ def fit_rim_kernel(profiles, ends, first, spacing, directions, height, slopes, l
                     normal, black_levels, noise, system, right, size[c * count + k],
                 )  # fmt: skip
                 _eliminate(system, right, ends[c, k], matrix, step)
-        noise = 1.4826 * np.median(size) + 1e-4
+        noise = MAD * np.median(size) + 1e-4
         for i in range(UNKNOWNS):
             # Neighbouring samples share pixels, and grain is broad: a sample is worth a quarter of an independent one.
             prior = 4.0 * (noise / spread[i]) ** 2
             matrix[i, i] += prior
             step[i] += prior * (start[i] - unknowns[i])
-            for j in range(i):
-                matrix[j, i] = matrix[i, j]
-        if not _solve(matrix, step, UNKNOWNS):
+        if not solve(matrix, step, UNKNOWNS):
             return False
         move = _advance(unknowns, step)
         if move < _CONVERGED_MM:

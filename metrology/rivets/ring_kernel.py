@@ -26,6 +26,7 @@ from metrology.rivets.ring_model import (
     hide_clusters,
     tukey,
 )
+from metrology.robust import MAD
 
 SECTORS = 24  # in which the ring must show itself
 _LEAST_ON_IMAGE = 0.5  # of the ring
@@ -42,7 +43,6 @@ _FARTHEST, _FARTHEST_PX = 0.5, 2.0  # from the start: a share of the radius, and
 _MISFIT, _MISFIT_IN_PLACE = 0.15, 0.05
 _GLINT_REACH_PX, _OUTLIER_REACH_PX = 3, 2
 _DAMPING, _UNDAMPED = 1e-6, 1e-9  # of the scaled normal matrix
-_MAD = 1.4826
 # For normal noise of variance 1 and Tukey's weights w with that limit: 1 / (Σ w r² / Σ w), and the estimate's variance
 # times Σ w against plain least squares' (E ψ² / (E ψ')² · E w).
 _WEIGHTED_VARIANCE = 1.180
@@ -122,7 +122,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
             if iteration > 0 and not _steady(params, _STEADY[iteration]):
                 return False
             misfit = _MISFIT_IN_PLACE if in_place else _MISFIT
-            noise = _MAD * np.median(magnitude[:pixels]) + misfit * np.median(np.abs(params[DENSE:])) + 1e-6
+            noise = MAD * np.median(magnitude[:pixels]) + misfit * np.median(np.abs(params[DENSE:])) + 1e-6
             if iteration == settled:
                 hidden[:] = False
                 hide_clusters(band.x, band.y, magnitude, TUKEY * noise, _OUTLIER_REACH_PX, hidden)
@@ -250,7 +250,7 @@ def _add_priors(system, params, sigma, shape, shape_sd, noise):  # type: ignore[
 def _steady(params, least):  # type: ignore[no-untyped-def]
     """Whether the amplitude's median over the directions exceeds its standard deviation so many times."""
     middle = np.median(params[DENSE:])
-    scatter = _MAD * np.median(np.abs(params[DENSE:] - middle)) / math.sqrt(KNOTS)
+    scatter = MAD * np.median(np.abs(params[DENSE:] - middle)) / math.sqrt(KNOTS)
     return abs(middle) >= least * scatter
 
 

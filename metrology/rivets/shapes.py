@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
+from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
@@ -81,7 +82,7 @@ def shapes_of(ellipses: list[Ellipse], size: tuple[int, ...]) -> CircleShapes | 
             return None
         model, *_ = np.linalg.lstsq(at[keep], values[keep], rcond=None)
         error = np.linalg.norm(values - at @ model, axis=1)
-        keep = error <= max(0.03, 3 * 1.4826 * float(np.median(error)))
+        keep = error <= max(0.03, 3 * MAD * float(np.median(error)))
     cell = 64.0
     v, u = np.mgrid[0 : np.ceil(size[0] / cell), 0 : np.ceil(size[1] / cell)]
     place = np.stack([np.ones_like(u), (u + 0.5) * cell / size[1], (v + 0.5) * cell / size[0]], axis=-1)[..., :columns]

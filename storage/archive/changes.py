@@ -1,9 +1,9 @@
 """What changed at each place since the scan before: findings that are new, worse, better or cured, and what drifts.
 
-A finding is a feature that does not simply pass, or a stretch of a course: neighbouring positions that do not. A scan
-is compared with the one before it of the same aircraft, panel and station; features are the same by their names,
-positions of a course by where they lie along it. A scan whose panel was not recognised has names of its own,
-and so has a rivet that is in no pattern (X01): nothing there is compared.
+A finding is a feature that does not simply pass; neighbouring positions of a course that do not are one, by the name of
+their worst stretch. A scan is compared with the one before it of the same aircraft, panel and station; features are the
+same by their names, positions of a course by where they lie along it. A scan whose panel was not recognised has names
+of its own, and so has a rivet that is in no pattern (X01): nothing there is compared.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _DRIFTING = (RIVET, SEAM_STATION)
 
 _KEPT_NAME = """registration IS DISTINCT FROM 'not recognised'
     AND NOT (coalesce(n_unlisted, 0) > 0 AND name LIKE 'X%')"""
-_VALUES = ("feature_id", "value_mm", "u95_mm", "decision", "severity", "reason")
+_VALUES = ("value_mm", "u95_mm", "decision", "severity", "reason")
 
 
 def _rows(kind: Kind) -> str:
@@ -34,16 +34,17 @@ def _rows(kind: Kind) -> str:
         f"SELECT now_id, now, '{kind.name}' AS feature_kind, {name} AS name, "
         f"{position[0] if position else '0.0'} AS position, {kind.id_sql} AS feature_id, {first.column} AS value_mm, "
         f"{first.u95_column} AS u95_mm, decision, severity, reason, {RANK_SQL} AS rank, {ATTENTION} AS bad, "
-        f"{_KEPT_NAME} AS kept_name FROM {kind.table} JOIN scans USING (scene_id)"
+        f"{_KEPT_NAME} AS kept_name, {'stretch' if position else 'NULL::VARCHAR AS stretch'} "
+        f"FROM {kind.table} JOIN scans USING (scene_id)"
     )
 
 
 def changes_sql(since: str) -> str:
     """A query of what the newest scans show, compared with the scans before them.
 
-    Columns: aircraft_serial, panel, station, captured_at, scene_id, feature_kind, feature_id (of a stretch its worst
-    position), name, from_mm, to_mm (0 for what is no course), positions, value_mm, u95_mm, decision, severity, reason,
-    before_id, before_mm, before_u95_mm, and change (one of `CHANGES`).
+    Columns: aircraft_serial, panel, station, captured_at, scene_id, feature_kind, feature_id (of a stretch its own),
+    name, from_mm, to_mm (0 for what is no course), positions, value_mm, u95_mm, decision, severity, reason, before_id,
+    before_mm, before_u95_mm, and change (one of `CHANGES`).
 
     Parameters
     ----------
@@ -51,6 +52,7 @@ def changes_sql(since: str) -> str:
         A condition on a row of `latest_scenes` with `taken_at`: which of the newest scans are meant.
     """
     worst = ", ".join(f"arg_min({name}, worse_first) AS {name}" for name in _VALUES)
+    worst = f"arg_min(coalesce(stretch, feature_id), worse_first) AS feature_id, {worst}"
     return f"""WITH fresh AS (
     SELECT * FROM (SELECT *, {TAKEN_AT} AS taken_at FROM latest_scenes) WHERE {since}
 ), before AS (
@@ -64,12 +66,12 @@ def changes_sql(since: str) -> str:
 ), numbered AS (
     SELECT *, (rank, -coalesce(abs(value_mm), 0)) AS worse_first,
         row_number() OVER (PARTITION BY now_id, now, feature_kind, name ORDER BY position)
-        - row_number() OVER (PARTITION BY now_id, now, feature_kind, name, bad ORDER BY position) AS stretch
+        - row_number() OVER (PARTITION BY now_id, now, feature_kind, name, bad ORDER BY position) AS run
     FROM rows
 ), found AS (
     SELECT now_id, now, feature_kind, name, min(position) AS from_mm, max(position) AS to_mm, count(*) AS positions,
         min(rank) AS rank, bool_and(kept_name) AS kept_name, {worst}
-    FROM numbered WHERE bad GROUP BY now_id, now, feature_kind, name, stretch
+    FROM numbered WHERE bad GROUP BY now_id, now, feature_kind, name, run
 ), other AS (
     SELECT f.now_id, f.now, f.feature_kind, f.name, f.from_mm, count(o.name) AS seen, bool_or(o.bad) AS bad,
         min(o.rank) AS rank, arg_min(o.value_mm, (o.rank, -coalesce(abs(o.value_mm), 0))) AS value_mm,

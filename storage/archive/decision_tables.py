@@ -25,7 +25,7 @@ DECISIONS_COLUMNS = {
     "scene_id": "the scene",
     "run_id": "the run of the scene that was shown",
     "feature_kind": f"{_KINDS}; NULL for a sign-off",
-    "feature_id": _IDS,
+    "feature_id": f"{_IDS}; of a stretch COURSE@FROM-TO",
     "disposition": "use as is, rework, repair, scrap, re-scan",
     "comment": "what they said",
     "document": "the whole entry as JSON, with what was shown",

@@ -17,15 +17,16 @@ from typing import Any
 import duckdb
 
 from metrology.errors import OutdatedError, UsageError
-from metrology.kinds import BY_NAME
+from metrology.kinds import BY_NAME, Kind
 from storage.archive import snapshot
 from storage.archive.anchors import SIGNED_MANIFEST, manifest_checksum
 from storage.archive.bundles import Bundles
 from storage.archive.files import locked
 from storage.archive.layout import Layout
-from storage.archive.work import OPEN_WORK, UNRESOLVED, features_sql, standings
+from storage.archive.work import OPEN_WORK, UNRESOLVED, features_sql, standings, stretches_sql
 from storage.documents import utc_text
 from storage.review import Disposition, Entry, Feature, Review, ReviewLog, ShownFinding, ShownScene
+from storage.review_entries import POSITIONS, SHOWN_OF_POSITION
 
 _MOST_NAMED = 5
 
@@ -38,20 +39,29 @@ def shown_finding(
     `values` also names the newest scan of the finding's station, so that a decision about a scan which another one
     replaced meanwhile is named.
     """
-    of_kind = features_sql(BY_NAME[feature.kind], "scene_id = ?")
+    newest = """(SELECT max_by(n.scene_id, n.captured_at) FROM scenes n WHERE n.aircraft_serial = s.aircraft_serial
+        AND n.panel = s.panel AND n.station = s.station) AS newest_scan"""
     sql = f"""SELECT s.run_id, s.panel_spec, s.software_version, s.rig_id, s.config_hash, f.* EXCLUDE (feature_kind),
-        (SELECT max_by(n.scene_id, n.captured_at) FROM scenes n WHERE n.aircraft_serial = s.aircraft_serial
-            AND n.panel = s.panel AND n.station = s.station) AS newest_scan
-    FROM ({of_kind}) f JOIN scenes s USING (scene_id) WHERE f.feature_id = ?"""
+        {newest} FROM ({_one_sql(BY_NAME[feature.kind], feature)}) f JOIN scenes s USING (scene_id)"""
     found = connection.execute(sql, [scene_id, feature.id])
     names = [column[0] for column in found.description or ()]
     rows = found.fetchall()
     if not rows:
         return None
     values = {name: _plain(value) for name, value in zip(names, rows[0], strict=True)}
-    last = review.last_about(scene_id, feature)
     run_id = str(values.pop("run_id"))
-    return ShownFinding(values.pop("scene_id"), run_id, feature, values, last.number if last else 0)
+    shown = ShownFinding(values.pop("scene_id"), run_id, feature, values)
+    last = review.last_about(scene_id, *shown.features)
+    return replace(shown, last_entry=last.number if last else 0)
+
+
+def _one_sql(kind: Kind, feature: Feature) -> str:
+    """The finding that a feature names; a stretch with each of its positions."""
+    of_scene = features_sql(kind, "scene_id = ?")
+    if not feature.is_stretch:
+        return f"SELECT * EXCLUDE (at_mm, beyond_mm, stretch) FROM ({of_scene}) WHERE feature_id = ?"
+    parts = f"list({{{', '.join(f'{name!r}: {name}' for name in SHOWN_OF_POSITION)}}} ORDER BY at_mm) AS {POSITIONS}"
+    return stretches_sql(f"(FROM ({of_scene}) WHERE stretch = ?)", parts)
 
 
 def dispose(
@@ -164,4 +174,8 @@ def _plain(value: object) -> Any:
     """A value as JSON has it."""
     if isinstance(value, datetime):
         return utc_text(value)
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,6 +5,9 @@ whose disposition left work open. Work that a disposition asked for (rework, rep
 feature passes on a later scan of its station, until it is disposed of anew on a later scan, or until a person closes
 it. A disposition holds for the values it was made about: where another run of the scan measured something else, the
 finding waits again.
+
+A stretch of a course is one finding (`metrology.stretches`). What was decided about it was decided about each of its
+positions, so that it stands as they do: it waits as long as one of them does.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ import duckdb
 import pyarrow as pa
 
 from metrology.kinds import KINDS, Kind
+from metrology.verdicts import SEVERITIES
+from storage.archive.views import RANK_SQL
 from storage.review_entries import SHOWN_NUMBERS, Entry, Feature, Review
 
 State = Literal["waiting", "open work", "decided"]
@@ -52,6 +57,11 @@ _REVIEWED = pa.schema(
 _SIGNED = pa.schema([("scene_id", pa.string()), ("signed_by", pa.string()), ("signed_at", pa.timestamp("us", "UTC"))])
 
 
+_NOT_ALONG = "NULL::DOUBLE AS at_mm, NULL::DOUBLE AS beyond_mm, NULL::VARCHAR AS stretch"
+_SEVERITY_RANK = f"list_position({[name or '' for name in SEVERITIES]}, coalesce(severity, ''))"
+_DECIDED = ", ".join(name for name in _REVIEWED.names if name not in ("scene_id", "feature_kind", "feature_id"))
+
+
 def _differs(name: str) -> str:
     then, now = f"d.decided_{name}", f"f.{name}"
     return f"coalesce(abs({then} - {now}) > {_VISIBLE}, ({then} IS NULL) <> ({now} IS NULL))"
@@ -80,16 +90,45 @@ class Standing:
 
 
 def features_sql(kind: Kind, condition: str = "true", source: str | None = None) -> str:
-    """Rows of one kind of feature as findings list them: key, kind and id, values, verdict."""
+    """Rows of one kind of feature as findings list them: key, kind, id, values, verdict, and where along a course."""
     first, *others = kind.quantities
     columns = {"value_mm": first.column, "u95_mm": first.u95_column}
     columns |= {name: "NULL::DOUBLE" for name in SHOWN_NUMBERS if name not in columns}
     columns |= {quantity.column: quantity.column for quantity in others if quantity.column in columns}
     values = ", ".join(f"{sql} AS {name}" for name, sql in columns.items())
+    along = f"{kind.id_columns[1]} AS at_mm, beyond_mm, stretch" if kind.is_course else _NOT_ALONG
     return (
         f"SELECT {_KEY}, '{kind.name}' AS feature_kind, {kind.id_sql} AS feature_id, {values}, "
-        f"severity, decision, reason FROM {source or kind.table} WHERE {condition}"
+        f"severity, decision, reason, {along} FROM {source or kind.table} WHERE {condition}"
     )
+
+
+def stretches_sql(source: str, more: str) -> str:
+    """The positions of each stretch as one finding.
+
+    Parameters
+    ----------
+    source : str
+        What has the columns of `features_sql`, of positions that name their stretch alone.
+    more : str
+        Further columns, as SQL.
+    """
+    worst = ", ".join(("value_mm", "u95_mm", *(name for name in SHOWN_NUMBERS if name != "value_mm")))
+    length = "(max(at_mm) - min(at_mm)) * count(*) / greatest(count(*) - 1, 1)"
+    at = "arg_max({'at_mm': at_mm, 'reason': reason}, coalesce(beyond_mm, '-inf'::DOUBLE))"
+    said = f"printf('from %.0f to %.0f mm (%.0f mm), worst at %.0f mm', min(at_mm), max(at_mm), {length}, {at}.at_mm)"
+    return f"""SELECT * EXCLUDE (worst), unnest(worst) FROM (SELECT
+    any_value(aircraft_serial) AS aircraft_serial, any_value(panel) AS panel, any_value(station) AS station,
+    any_value(captured_at) AS captured_at, scene_id, feature_kind, stretch AS feature_id,
+    arg_max({_struct(worst)}, coalesce(beyond_mm, '-inf'::DOUBLE)) AS worst,
+    first(severity ORDER BY {_SEVERITY_RANK}) AS severity, first(decision ORDER BY {RANK_SQL}) AS decision,
+    concat_ws(': ', {said}, {at}.reason) AS reason, min(at_mm) AS from_mm, max(at_mm) AS to_mm,
+    count(*)::INTEGER AS n_positions, {more}
+FROM {source} GROUP BY scene_id, feature_kind, stretch)"""
+
+
+def _struct(columns: str) -> str:
+    return "{" + ", ".join(f"'{name}': {name}" for name in columns.split(", ")) + "}"
 
 
 def _of_scenes(kind: Kind, scenes: str) -> str:
@@ -107,7 +146,8 @@ def findings_sql(
     """A query of findings with how they stand; the connection must know `reviewed` and `signed` (see `register`).
 
     Columns: the key, feature_kind, feature_id, value_mm, u95_mm, tilt_deg, width_mm, severity, decision, reason,
-    run_id, panel_spec, software_version, the columns of `reviewed`, signed_by, signed_at, and state.
+    run_id, panel_spec, software_version, the columns of `reviewed`, signed_by, signed_at, state, and of stretches
+    from_mm, to_mm; n_positions is 1 for all else. Values of a stretch are those of its worst position.
 
     Parameters
     ----------
@@ -131,13 +171,23 @@ def findings_sql(
             f"WHERE {worked} AND NOT ({attention} AND {newest})",
         )
     ] or [features_sql(KINDS[0], "false")]
+    decided = f"""any_value(run_id) AS run_id, any_value(panel_spec) AS panel_spec,
+    any_value(software_version) AS software_version, arg_max({_struct(_DECIDED)}, decided_at) AS last,
+    any_value(signed_by) AS signed_by, any_value(signed_at) AS signed_at, CASE WHEN bool_or(state = '{WAITING}')
+    THEN '{WAITING}' WHEN bool_or(state = '{OPEN_WORK}') THEN '{OPEN_WORK}' ELSE '{DECIDED}' END AS state"""
+    along = "(FROM found WHERE stretch IS NOT NULL)"
     return f"""WITH worked AS (SELECT scene_id, feature_kind, feature_id FROM reviewed WHERE open_work),
 open_scenes AS (SELECT DISTINCT scene_id FROM worked),
-s AS (SELECT scene_id, run_id, panel_spec, software_version FROM scenes WHERE {scenes})
-SELECT f.*, s.* EXCLUDE (scene_id), d.* EXCLUDE (scene_id, feature_kind, feature_id), g.signed_by, g.signed_at,
-    {_STATE} AS state
-FROM ({" UNION ALL ".join(parts)}) f JOIN s USING (scene_id)
-LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id)"""
+s AS (SELECT scene_id, run_id, panel_spec, software_version FROM scenes WHERE {scenes}),
+found AS MATERIALIZED (
+    SELECT f.*, s.* EXCLUDE (scene_id), d.* EXCLUDE (scene_id, feature_kind, feature_id), g.signed_by, g.signed_at,
+        {_STATE} AS state
+    FROM ({" UNION ALL ".join(parts)}) f JOIN s USING (scene_id)
+    LEFT JOIN reviewed d USING (scene_id, feature_kind, feature_id) LEFT JOIN signed g USING (scene_id)
+)
+SELECT * EXCLUDE (at_mm, beyond_mm, stretch), NULL::DOUBLE AS from_mm, NULL::DOUBLE AS to_mm, 1 AS n_positions
+FROM found WHERE stretch IS NULL
+UNION ALL BY NAME SELECT * EXCLUDE (last), unnest(last) FROM ({stretches_sql(along, decided)})"""
 
 
 def register(connection: duckdb.DuckDBPyConnection, review: Review) -> None:

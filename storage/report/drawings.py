@@ -61,18 +61,18 @@ def _named_mark(kind: Kind, row: Row, unit: float) -> Markup:
     u, v, title = row["u_px"], row["v_px"], _title(kind, row)
     reach = (row.get("major_px") or 0.0) / 2
     return (
-        (_rim(row, unit, title) if reach else Markup())
+        (_rim(kind, row, unit, title) if reach else Markup())
         + _placed(u, v, unit, row["severity"], title)
         + _drawn("name", u + reach + 7 * unit, v, unit, kind.id_of(row))
     )
 
 
-def _rim(row: Row, unit: float, title: str) -> Markup:
-    """The ellipse of a head in the picture."""
+def _rim(kind: Kind, row: Row, unit: float, title: str) -> Markup:
+    """The ellipse of a head, or of a defect, in the picture."""
     look = SEVERITIES[row["severity"]]
     width = (5.0 if look.symbol == "cross" else 3.0) * unit
     broken = [dash * unit for dash in _BROKEN] if look.symbol == "ring" else []
-    return _drawn("rim", row, unit, look.paper, width, broken, title)
+    return _drawn("rim", row, row[kind.along or "angle_deg"], unit, look.paper, width, broken, title)
 
 
 def _placed(x: float, y: float, scale: float, severity: Severity | None, title: str) -> Markup:
@@ -209,14 +209,21 @@ def _stretches(s: Sequence[float]) -> list[tuple[float, float]]:
     return list(pairwise(middles))
 
 
-def panel_map(of_kind: Mapping[str, Sequence[Row]]) -> Markup:
-    """The panel from outside: features in panel coordinates; "" where none has any."""
+def panel_map(of_kind: Mapping[str, Sequence[Row]], not_seen: Sequence[Row] = ()) -> Markup:
+    """The panel from outside: features in panel coordinates; "" where none has any.
+
+    Parameters
+    ----------
+    not_seen : sequence of mapping
+        Rows of `panel_coverage`; where they should be there is a question mark.
+    """
     rows = [
         (kind, row) for kind in reversed(KINDS) for row in of_kind.get(kind.name, ()) if row["x_panel_mm"] is not None
     ]
     if not rows:
         return Markup()
     places = [(row["x_panel_mm"], row["y_panel_mm"]) for _, row in rows]
+    places += [(row["x_mm"], row["y_mm"]) for row in not_seen]
     (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
     unit = max(x1 - x0, y1 - y0) / 1000
     marks = [
@@ -229,4 +236,5 @@ def panel_map(of_kind: Mapping[str, Sequence[Row]]) -> Markup:
         )
         for kind, row in rows
     ]
+    marks += [_drawn("name", row["x_mm"], -row["y_mm"], unit, f"? {row['feature_id']}") for row in not_seen]
     return _drawn("map", x0, -y1, x1 - x0, y1 - y0, marks)

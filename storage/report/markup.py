@@ -5,20 +5,25 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
 from storage.report.verdicts import CLASSES, SIGNS
 from storage.templates import part, rendered
 
+if TYPE_CHECKING:
+    from storage.report.letterhead import Letterhead
+
 _PACKAGE = "storage.report"
 
 
-def page(template: str, title: str, package: str = _PACKAGE, **values: Any) -> str:
+def page(
+    template: str, title: str, package: str = _PACKAGE, letterhead: Letterhead | None = None, **values: Any
+) -> str:
     """A whole HTML document that refers to nothing outside itself."""
     made = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
-    return rendered(package, template, title=title, made=made, **values)
+    return rendered(package, template, title=title, made=made, letterhead=letterhead, **values)
 
 
 def section(name: str, *values: Any) -> Markup:

@@ -10,6 +10,7 @@ from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
+from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, figure, link, moment, page, png_figure, table
 from storage.report.record import PanelRecord, SceneRecord
 from storage.report.sections import (
@@ -17,19 +18,21 @@ from storage.report.sections import (
     entries_table,
     features,
     features_table,
+    findings_of,
     limits_table,
     traceability,
     verdict,
 )
-from storage.report.verdicts import KEY, gravest, needs_attention
+from storage.report.verdicts import KEY, gravest
 
 
-def panel_page(record: PanelRecord) -> str:
+def panel_page(record: PanelRecord, letterhead: Letterhead | None = None) -> str:
     """One HTML page; it needs nothing else."""
     name = f"{record.aircraft_serial} {record.panel}"
     return page(
         "panel.html",
         f"Inspection {name}",
+        letterhead=letterhead,
         name=name,
         verdict=verdict(record.features),
         overview=_overview(record),
@@ -52,7 +55,7 @@ def _overview(record: PanelRecord) -> Markup:
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
             *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in KINDS),
-            str(sum(needs_attention(feature) for feature in s.features)),
+            str(sum(len(findings_of(kind, s.of_kind[kind.name])) for kind in KINDS)),
             said(s.standings),
             "; ".join(s.scene["warnings"] or ()),
         ]
@@ -72,7 +75,7 @@ def _map(record: PanelRecord) -> str:
 def _attention(record: PanelRecord) -> list[Markup]:
     tables = []
     for kind in KINDS:
-        rows = [row for scene in record.scenes for row in scene.of_kind[kind.name] if needs_attention(row)]
+        rows = [row for scene in record.scenes for row in findings_of(kind, scene.of_kind[kind.name])]
         tables += [features_table(kind, rows, where=True)] if rows else []
     return tables
 

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.errors import StoreError
-from metrology.kinds import KINDS
+from metrology.kinds import DEFECT, KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.decisions import same_place
+from storage.archive.known_defects import Accepted, accepted_before
 from storage.archive.work import Standing, open_work, standings
 from storage.evidence.chain import Link, scene_links, sign_off_link, sources
 from storage.review import Entry, ReviewLog
@@ -113,11 +114,19 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         review = ReviewLog(store.root).of_scenes(same_place(connection, scene_id))
         decisions = tuple(entry for entry in review.entries if entry.scene_id == scene_id)
         how_they_stand = standings(connection, review, scene_id)
+        accepted = accepted_before(connection, review, scene_id)
+    found[DEFECT.name] = tuple(_with_reason(row, accepted.get(row["defect_id"])) for row in found[DEFECT.name])
     return SceneRecord(
         rests_on.scene, found, rests_on.manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
         rests_on.limits, decisions, how_they_stand, str(ReviewLog(store.root).head()),
         (*scene_links(rests_on), sign_off_link(rests_on)),
     )  # fmt: skip
+
+
+def _with_reason(row: Row, accepted: Accepted | None) -> Row:
+    """A defect with what is known of it from earlier scans."""
+    said = [row["reason"], None if accepted is None else str(accepted)]
+    return {**row, "reason": "; ".join(part for part in said if part) or None}
 
 
 def panel_record(store: Store, aircraft_serial: str, panel: str) -> PanelRecord:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from metrology.kinds import KINDS
 from storage.report.drawings import marked_picture
+from storage.report.letterhead import Letterhead
 from storage.report.markup import figure, moment, page, png_figure
 from storage.report.record import SceneRecord
 from storage.report.sections import decisions_table, features, limits_table, traceability, verdict
@@ -12,13 +13,14 @@ from storage.report.verdicts import KEY
 _MARKS = f"Rims and symbols: {KEY}."
 
 
-def scene_page(record: SceneRecord) -> str:
+def scene_page(record: SceneRecord, letterhead: Letterhead | None = None) -> str:
     """One HTML page with pictures, tables, verdicts and what they rest on; it needs nothing else."""
     scene = record.scene
     name = f"{scene['aircraft_serial']} {scene['panel']} {scene['station']}"
     return page(
         "scene.html",
         f"Inspection {name}",
+        letterhead=letterhead,
         name=name,
         captured=moment(scene["captured_at"]),
         verdict=verdict(record.features),

@@ -52,6 +52,25 @@ def features_table(kind: Kind, rows: Sequence[Row], where: bool = False) -> Mark
     return table(heads, lines, numeric)
 
 
+def findings_of(kind: Kind, rows: Sequence[Row]) -> list[Row]:
+    """Rows that need attention; the positions of each stretch of a course as one, with the values of the worst."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if needs_attention(row):
+            name = (row.get("stretch") if kind.is_course else None) or kind.id_of(row)
+            found.setdefault((row["scene_id"], name), []).append(row)
+    return [_as_one(kind, members) if len(members) > 1 else members[0] for members in found.values()]
+
+
+def _as_one(kind: Kind, members: Sequence[Row]) -> Row:
+    at = kind.id_columns[1]
+    worst = max(members, key=lambda row: row["beyond_mm"] if row["beyond_mm"] is not None else float("-inf"))
+    length = (members[-1][at] - members[0][at]) * len(members) / (len(members) - 1)
+    where = f"from {members[0][at]:.0f} to {members[-1][at]:.0f} mm ({length:.0f} mm), worst at {worst[at]:.0f} mm"
+    reason = ": ".join(part for part in (where, worst["reason"]) if part)
+    return {**worst, "decision": gravest(members), "reason": reason}
+
+
 def _cell(cell: Cell, row: Row) -> str:
     first, *more = (row[column] for column in cell.columns)
     if isinstance(first, str):
@@ -73,7 +92,7 @@ def features(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None, charted:
 
 
 def _courses(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None) -> list[Markup]:
-    """Each course with its profile, a summary, and the positions that need attention."""
+    """Each course with its profile, a summary, and the stretches that need attention."""
     parts = []
     for name, group in groupby(rows, key=lambda row: row[kind.id_columns[0]]):
         course = list(group)
@@ -82,7 +101,7 @@ def _courses(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None) -> list[
             if chart := course_chart(kind, quantity, course, feature_limits(course, quantity, limits)):
                 said = f"{quantity.name} along {kind.subject} {name}; grey: U95; dashed: the limits judged by"
                 charts.append(figure(chart, said + (" (zone and wind)" if quantity.into_wind else "")))
-        attention = [row for row in course if needs_attention(row)]
+        attention = findings_of(kind, course)
         tables = features_table(kind, attention), len(attention), features_table(kind, course)
         title = f"{kind.subject.capitalize()} {name}"
         parts.append(section("course", title, verdict(course), _summary(kind, course), charts, *tables))

@@ -15,13 +15,14 @@ from streamlit.components.v2 import manifest_scanner
 from streamlit.testing.v1 import AppTest
 
 from tests.support.browser import browser, served
+from tests.support.once import made_once
 from tests.support.week import fill
 
 
 @pytest.fixture(scope="session")
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The week's store; do not write to it."""
-    return fill(tmp_path_factory.mktemp("filled") / "store")
+    return made_once(tmp_path_factory, "week", fill)
 
 
 @pytest.fixture(scope="session")

@@ -31,7 +31,7 @@ def open_review(chromium: Any, address: str, aircraft: str, **more: str) -> Any:
 def shown_name(page: Any) -> str:
     """The finding that the record button names."""
     label = page.get_by_role("button", name="Record").inner_text()
-    return str(label.split(" for ")[-1])
+    return str(label.split(" for ")[-1].split("\n")[0])  # its key stands below
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_a_scan_stored_between_showing_and_recording(server: tuple[str, Path], c
         click_row(page, row, tick=True)
     choose(page, "repair", who="M. Weber")
     (button,) = page.get_by_role("button", name="Record repair for 2 findings:").all()
-    names = button.inner_text().split(": ")[-1]
+    names = button.inner_text().split(": ")[-1].split("\n")[0]
     store.publish(synthetic_result(replace(recipe(2, "S3"), heights_mm=(0.8,) * 12)))
     record(page, f"Record repair for 2 findings: {names}", "Not recorded")
     assert len(entries_of(root, "MSN-0422")) == 1
@@ -171,3 +171,34 @@ def test_open_work_stays_until_a_later_scan_passes(server: tuple[str, Path], chr
     last = ReviewLog(root).read().last_about(scene, rivet)
     assert last
     assert last.disposition == "rework"
+
+
+def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: Any) -> None:
+    address, root = server
+    page = open_review(chromium, address, "MSN-0423", kind="rivet")
+    page.get_by_role("textbox", name="Your name").fill("M. Weber")
+    page.get_by_role("textbox", name="Your name").press("Tab")
+    settle(page)
+    page.evaluate("document.activeElement.blur()")
+    first = shown_name(page)
+    page.keyboard.press("j")
+    page.wait_for_url("**feature=*", wait_until="commit")
+    settle(page)
+    second = shown_name(page)
+    assert second != first
+    click_row(page, 0)
+    page.get_by_role("button", name=f"Record for {first}").wait_for()
+    page.keyboard.press("j")
+    page.get_by_role("button", name=f"Record for {second}").wait_for()
+    settle(page)
+    click_row(page, 0)  # the same cell again
+    page.get_by_role("button", name=f"Record for {first}").wait_for()
+    settle(page)
+    # Two keys for a finding; the next one is looked at.
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("w")
+    page.get_by_role("button", name=f"Record rework for {first}").wait_for()
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name=f"Record for {second}").wait_for()
+    (entry,) = entries_of(root, "MSN-0423")
+    assert (entry.disposition, entry.feature_id) == ("rework", first.split(" ")[0])

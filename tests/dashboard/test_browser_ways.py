@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -33,8 +34,10 @@ def chosen(page: Any, field: str) -> str:
 
 
 @pytest.fixture
-def page(server: tuple[str, Path], chromium: Any) -> Any:
-    return new_page(chromium)
+def page(server: tuple[str, Path], chromium: Any) -> Iterator[Any]:
+    page = new_page(chromium)
+    yield page
+    page.close()
 
 
 def test_from_what_is_new_to_its_picture_its_trend_and_its_panel(server: tuple[str, Path], page: Any) -> None:

@@ -45,7 +45,7 @@ def logged_in(hall: tuple[str, Provider, Any], said: str, **claims: Any) -> Any:
     """The review page as it shows after logging in and being told `said`."""
     address, state, chromium = hall
     state.person = {"sub": "person-1", **claims}
-    page = new_page(chromium)
+    page = new_page(chromium, apart=True)
     page.goto(address)
     settle(page)
     assert page.locator("text=Aircraft").count() == 0
@@ -91,7 +91,7 @@ def test_a_cookie_ends_at_log_out(hall: tuple[str, Provider, Any]) -> None:
     page.get_by_role("button", name="Log out").click()
     page.wait_for_selector("text=Please log in")
     # Whoever kept a copy of the cookie comes back with it.
-    other = new_page(chromium)
+    other = new_page(chromium, apart=True)
     other.context.add_cookies(kept)
     other.goto(address)
     settle(other)

@@ -14,6 +14,9 @@ import pytest
 from streamlit.testing.v1 import AppTest
 
 from dashboard.app import PAGES
+from dashboard.data import Archive
+from dashboard.questions import MORE, QUESTIONS
+from dashboard.sql_runner import run_query
 from metrology.kinds import RIVET
 from metrology.tolerance import judge
 from storage.archive.schema import TABLES
@@ -26,6 +29,7 @@ from tests.support.week import WORST_HEIGHT, recipe, texts
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 Open = Callable[..., AppTest]
+WORK = "Where work waits"
 LAST = "MSN-0425~LH-F12~S2~20261119T212500Z"
 
 
@@ -196,7 +200,9 @@ def test_a_damaged_bundle_is_said_in_one_line(
 
 
 def test_the_review_lists_all_that_the_overview_counts(filled: Path, open_page: Open) -> None:
-    waiting = next(m.value for m in open_page("overview", filled).metric if m.label == "Waiting for a person")
+    waiting = next(
+        m.value for m in open_page("overview", filled, view=WORK).metric if m.label == "Waiting for a person"
+    )
     listed = next(c.value for c in open_page("review", filled).caption if " findings" in c.value)
     assert listed.startswith(f"{waiting} findings")
 
@@ -251,7 +257,7 @@ def test_quarantined_scenes_are_listed(writable: Path, tmp_path: Path, open_page
 
 def test_a_wrong_settings_file_is_one_line(writable: Path, open_page: Open) -> None:
     (writable / "dashboard.toml").write_text("roles = 7\n")
-    page = open_page("overview", writable)
+    page = open_page("overview", writable, view=WORK)
     assert not page.exception
     assert "dashboard.toml" in page.error[0].value.replace("\\", "")
 
@@ -267,9 +273,9 @@ def test_a_damaged_manifest_leaves_the_page_without_limits(writable: Path, open_
 def test_a_scan_with_an_unjudged_rig_is_counted_in_every_list(writable: Path, open_page: Open) -> None:
     sound = recipe(5, "S1", "RH-F99")
     sound = replace(sound, heights_mm=(0.0,) * 12, unmeasured=())
-    assert "could not be judged" not in texts(open_page("overview", writable))
+    assert "could not be judged" not in texts(open_page("overview", writable, view=WORK))
     Store(writable).publish(replace(synthetic_result(sound), rig_verdict="unjudged", warnings=("cannot tell",)))
-    overview = clean(open_page("overview", writable))
+    overview = clean(open_page("overview", writable, view=WORK))
     assert "Scans whose rig could not be judged: 1." in texts(overview)
     panels = overview.dataframe[0].value.set_index("Panel")["Rig unjudged"]
     assert panels["RH-F99"] == 1
@@ -311,7 +317,7 @@ def test_a_wrong_fastener_s_diameter_stands_beside_the_expected_one(writable: Pa
 
 
 def test_new_results_show_without_a_restart(writable: Path, open_page: Open) -> None:
-    page = open_page("overview", writable)
+    page = open_page("overview", writable, view=WORK)
     assert "RH-F99" not in page.multiselect(key="panel").options
     Store(writable).publish(synthetic_result(recipe(0, "S3", "RH-F99")))
     page.run()
@@ -333,11 +339,18 @@ def button(page: AppTest, begins: str) -> Any:
 
 def choose(page: AppTest, disposition: str, comment: str = "") -> AppTest:
     """Choose a disposition, give a name, and say why."""
-    next(group for group in page.button_group if str(group.key).startswith("disposition-")).set_value(disposition)
+    page = next(b for b in page.button if b.label == disposition).click().run()
     page.text_input(key="who").set_value("M. Weber")
     page = page.run()
     next(field for field in page.text_input if field.label == "Comment").set_value(comment)
     return page
+
+
+def chosen_dispositions(page: AppTest) -> list[str]:
+    """Buttons of dispositions that are chosen."""
+    dispositions = [b for b in page.button if str(b.key).startswith("disposition-")]
+    assert len(dispositions) == 5
+    return [b.label for b in dispositions if b.proto.type == "primary"]
 
 
 def test_disposing_is_recorded_with_what_was_shown(writable: Path, open_page: Open) -> None:
@@ -361,13 +374,58 @@ def test_disposing_needs_a_name_and_a_disposition(writable: Path, open_page: Ope
     assert ReviewLog(writable).read().entries == ()
 
 
+def test_accepting_asks_for_a_concession_where_the_settings_say_so(writable: Path, open_page: Open) -> None:
+    (writable / "dashboard.toml").write_text("concessions = true\n")
+    page = choose(open_page("review", writable, period="last night"), "use as is", "thin shim")
+    assert "needs its concession" in texts(button(page, "Record").click().run())
+    assert ReviewLog(writable).read().entries == ()
+    next(field for field in page.text_input if field.label.startswith("Concession")).set_value("NCR-4711")
+    clean(button(page, "Record").click().run())
+    assert [entry.comment for entry in ReviewLog(writable).read().entries] == ["NCR-4711: thin shim"]
+
+
+def test_the_list_says_how_far_beyond_the_limit_and_sorts_by_it(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("review", filled, aircraft="MSN-0425", sort="farthest beyond"))
+    rows = page.dataframe[0].value
+    assert rows["To limit"].iloc[0] == pytest.approx(0.1 - WORST_HEIGHT, abs=0.005)
+    assert rows["To limit"].dropna().is_monotonic_increasing
+    assert rows["To limit"].isna().iloc[-1]  # what was not measured comes last
+
+
+def test_what_an_address_asks_for_in_vain_is_said(filled: Path, open_page: Open) -> None:
+    page = open_page("review", filled, aircraft=["MSN-0425", "MSN-9999"], state="lost")
+    said = texts(page).replace("\\", "")
+    assert "shown without it: aircraft MSN-9999; state lost" in said
+    assert "MSN-9999" not in texts(open_page("review", filled, aircraft="MSN-0425"))
+
+
+def test_a_panel_is_signed_off_with_all_its_scans_or_not_at_all(writable: Path, open_page: Open) -> None:
+    address = {"aircraft": "MSN-0420", "panel": "LH-F12"}
+    page = clean(open_page("panel", writable, **address))
+    assert "were not put together yet" in texts(page)
+    archive = Archive(writable)
+    for station in ("S1", "S2"):
+        scene = next(str(s) for s in archive.rows("SELECT scene_id FROM scenes WHERE aircraft_serial = 'MSN-0420' "
+                                                  f"AND station = '{station}'")["scene_id"])  # fmt: skip
+        for standing in archive.standings(scene):
+            shown = archive.shown(scene, standing.feature)
+            assert shown is not None
+            ReviewLog(writable).dispose("K. Ito", [shown], "use as is")
+    page = open_page("panel", writable, **address)
+    page.text_input(key="who").set_value("M. Weber")
+    clean(button(page.run(), "Sign off panel").click().run())
+    signed = ReviewLog(writable).read().sign_offs()
+    assert {entry.who for entry in signed.values()} == {"M. Weber"}
+    assert len(signed) == 2
+    assert all("panel MSN-0420 LH-F12 released with 2 scans" in entry.comment for entry in signed.values())
+
+
 def test_nothing_is_chosen_for_the_next_finding(writable: Path, open_page: Open) -> None:
     page = open_page("review", writable)
     page = choose(page, "scrap", "cracked")
     page = clean(button(page, "Record *scrap*").click().run())
     assert "Recorded" in texts(page)
-    group = next(group for group in page.button_group if str(group.key).startswith("disposition-"))
-    assert not group.value
+    assert not chosen_dispositions(page)
     assert next(field for field in page.text_input if field.label == "Comment").value == ""
 
 
@@ -389,13 +447,13 @@ def test_a_decision_of_another_person_is_said_instead_of_overruled(writable: Pat
     # Shown anew: R04 with the other person's decision, nothing chosen.
     assert "Rivet R04" in texts(page)
     assert "checked by hand" in texts(page)
-    assert not next(group for group in page.button_group if str(group.key).startswith("disposition-")).value
+    assert not chosen_dispositions(page)
 
 
 def test_open_work_is_counted_alike_and_can_be_closed(writable: Path, open_page: Open) -> None:
-    waiting = {m.label: m.value for m in open_page("overview", writable).metric}
+    waiting = {m.label: m.value for m in open_page("overview", writable, view=WORK).metric}
     ReviewLog(writable).dispose("K. Ito", [SHOWN], "rework")
-    now = {m.label: m.value for m in open_page("overview", writable).metric}
+    now = {m.label: m.value for m in open_page("overview", writable, view=WORK).metric}
     assert now["Waiting for a person"] == waiting["Waiting for a person"]
     assert (waiting["Open work"], now["Open work"]) == ("0", "1")
     assert "19 waiting, 1 open work" in texts(open_page("scene", writable, scene=LAST))
@@ -433,7 +491,7 @@ def test_a_tampered_log_is_said_and_not_written(writable: Path, open_page: Open)
     assert not page.exception
     assert "expected" in texts(page)
     assert not [button for button in page.button if "Record" in button.label]
-    assert "review log needs attention" in texts(open_page("overview", writable))
+    assert "review log needs attention" in texts(open_page("overview", writable, view=WORK))
 
 
 def test_the_query_page_answers_and_says_what_is_wrong(filled: Path, open_page: Open) -> None:
@@ -446,3 +504,24 @@ def test_the_query_page_answers_and_says_what_is_wrong(filled: Path, open_page: 
     page = next(button for button in page.button if button.label == "Run").click().run()
     assert not page.exception
     assert "read\\-only" in page.error[0].value
+
+
+@pytest.mark.parametrize("question", [*QUESTIONS, *MORE])
+def test_each_question_is_answered(question: str, filled: Path) -> None:
+    answer = run_query(filled, {**QUESTIONS, **MORE}[question])
+    assert len(answer.rows.columns) > 1
+
+
+def test_a_question_is_answered_by_one_click_and_kept(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("sql", filled))
+    page = clean(next(b for b in page.button if b.label == "Recurring at the same place").click().run())
+    rows = page.dataframe[0].value
+    assert list(rows["rivet_id"]) == ["R09", "R09"]  # it drifts on both stations
+    assert list(rows["aircraft"]) == [4, 4]
+    page.toggle(key="sql_chart").set_value(True)
+    clean(page.run())
+
+
+def test_an_address_holds_a_query(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("sql", filled, sql="SELECT 7 AS seven, 1 AS one"))
+    assert page.text_area(key="sql").value == "SELECT 7 AS seven, 1 AS one"

@@ -33,7 +33,7 @@ from dashboard.trends import QUANTITIES, Subject, capability_of, events, series,
 from metrology.errors import StoreError, UsageError
 from metrology.tolerance import Limit
 from storage.archive import Store, generations
-from storage.review import Feature, ReviewLog, ShownFinding
+from storage.review import Feature, ReviewLog
 from storage.saved_queries import SavedQueries
 from tests.support.results import small_key, small_result
 from tests.support.synthetic_scene import synthetic_result
@@ -289,7 +289,9 @@ def test_findings_are_the_gravest_first_and_shrink_as_they_are_decided(writable:
         (LAST, Feature("rivet", "R04"), "scrap"),
         (station.scene_id, Feature("seam station", station.feature_id), "repair"),
     ):
-        ReviewLog(writable).dispose("x", [ShownFinding(scene, "run", feature)], disposition)
+        shown = archive.shown(scene, feature)
+        assert shown
+        ReviewLog(writable).dispose("x", [shown], disposition)
     archive = Archive(writable)
     left = findings(archive, Wanted())
     assert len(left) == len(rows) - 1  # repair is open work

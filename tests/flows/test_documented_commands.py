@@ -58,3 +58,13 @@ def test_documented_queries_are_answered(
 def test_the_archives_page_names_every_view() -> None:
     page = next(page for page in PAGES if page.stem == "archive").read_text(encoding="utf-8")
     assert {view.name for view in VIEWS} <= set(re.findall(r"`(\w+)`", page))
+
+
+def test_the_reference_is_made_from_the_docstrings(tmp_path: Path) -> None:
+    import pdoc
+
+    pdoc.render.configure(docformat="numpy")
+    pdoc.pdoc("metrology.flatness", output_directory=tmp_path)
+    page = (tmp_path / "metrology" / "flatness.html").read_text(encoding="utf-8")
+    assert 'id="flatness"' in page
+    assert "<h6 " in page  # "Parameters" is a head, not an underlined word

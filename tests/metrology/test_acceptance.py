@@ -181,7 +181,7 @@ def test_a_stretch_of_a_seam_is_one_finding() -> None:
     assert long.feature_id == "J01@20.0-26.0"
     assert long.worst.s_mm == 24  # type: ignore[attr-defined]
     assert long.decision == "fail"
-    assert "worst +0.180 ± 0.004 mm at 24 mm" in long.said
+    assert "worst step +0.180 ± 0.004 mm at 24 mm" in long.said
     assert (short.from_mm, short.to_mm) == (80, 80)
 
 

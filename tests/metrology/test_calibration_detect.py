@@ -55,9 +55,21 @@ def in_discs(plane: NDArray[np.float64], spacing: float, radii: NDArray[np.float
     return inside
 
 
+@cache
+def board_plane() -> NDArray[np.float64]:
+    return plane_points(FROM_BOARD)
+
+
+@cache
+def projected_discs() -> NDArray[np.float64]:
+    """1 at the samples that a dot of the pattern lights."""
+    radii = PATTERN.radii.reshape(PATTERN.rows, PATTERN.cols)
+    return in_discs(plane_points(FROM_PROJECTOR) - PATTERN.origin_px, PATTERN.spacing_px, radii).astype(float)
+
+
 def reflectance(board: Board, old_layout: bool = False) -> NDArray[np.float64]:
     """The print on paper with a margin, at every sample; nothing beyond."""
-    plane = plane_points(FROM_BOARD)
+    plane = board_plane()
     x, y = plane[..., 0], plane[..., 1]
     s = board.spacing_mm
     low, high = board.points[:, :2].min(0) - 1.6 * s, board.points[:, :2].max(0) + 1.6 * s
@@ -83,15 +95,13 @@ def reflectance(board: Board, old_layout: bool = False) -> NDArray[np.float64]:
 def frames(board: Board, seed: int = 1, blur_px: float = 0.7, old_layout: bool = False) -> BoardFrames:
     rng = np.random.default_rng(seed)
     print_ = reflectance(board, old_layout)
-    radii = PATTERN.radii.reshape(PATTERN.rows, PATTERN.cols)
-    discs = in_discs(plane_points(FROM_PROJECTOR) - PATTERN.origin_px, PATTERN.spacing_px, radii).astype(float)
 
     def taken(light: NDArray[np.float64] | float) -> NDArray[np.uint8]:
         seen = (print_ * (20.0 + 180.0 * light)).reshape(SHAPE[0], FINE, SHAPE[1], FINE).mean((1, 3))
         blurred = cv2.GaussianBlur(seen, (0, 0), blur_px)
         return np.clip(np.rint(blurred + rng.normal(0, 1.0, SHAPE)), 0, 255).astype(np.uint8)
 
-    return BoardFrames(taken(1.0), taken(0.0), taken(discs))
+    return BoardFrames(taken(1.0), taken(0.0), taken(projected_discs()))
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,12 @@ import pytest
 
 from metrology.cloud import Reconstruction
 from metrology.defects.measure import measure_defects
-from metrology.defects.row import Defect
+from metrology.defects.row import Defect, DefectKind
 from metrology.kinds import DEFECT
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.registration import Registration, with_others
+from metrology.registration.known import with_known_names
 from metrology.results import Rivet, RivetDetection, SeamLine, SeamStation
 from metrology.sighted import Sighted
 from metrology.tolerance import as_measured, judge
@@ -91,6 +92,61 @@ def test_depth_and_extents_are_true(
     assert found.hidden_by is None
     assert found.reason is None
     assert (found.straight_edge_depth_mm is None) == (depth < 0)
+
+
+def pointed(x: float, y: float, depth: float, length: float, width: float, fold: bool) -> Heights:
+    """(1 − ρ/r)², at half depth at ρ = 1: a cone's point, or a fold along the length with cos² ends."""
+    r = 1 / (1 - np.sqrt(0.5))
+
+    def height(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        p, q = np.abs(px - x) / (0.5 * length), np.abs(py - y) / (0.5 * width)
+        rho = q if fold else np.hypot(p, q)
+        along = np.cos(0.25 * np.pi * np.minimum(p, 2.0)) ** 2 if fold else 1.0
+        return np.asarray(-depth * along * np.maximum(1 - rho / r, 0.0) ** 2)
+
+    return height
+
+
+@pytest.mark.parametrize("fold", [False, True], ids=["point", "fold"])
+def test_a_pointed_bottom_is_as_deep_as_it_is(rng: np.random.Generator, fold: bool) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, pointed(3.0, -4.0, 0.25, 22.0, 13.0, fold))
+    (found,) = measure_defects(sighted(cloud, FLAT))
+    assert found.depth_mm == pytest.approx(0.25, abs=0.0075)
+    assert abs((found.depth_mm or 0.0) - 0.25) < (found.depth_u95_mm or 0.0) < 0.02
+    assert (found.bottom_radius_mm or 0.0) < 30.0
+
+
+@pytest.mark.parametrize("depth", [0.15, 0.3])
+def test_a_scratch_has_a_depth_where_it_is_wide_enough_and_is_a_line_else(
+    rng: np.random.Generator, depth: float
+) -> None:
+    def groove(width: float) -> Heights:
+        def height(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+            off = np.hypot(np.maximum(np.abs(px - 3.0) - 15.0, 0.0), py + 4.0) / (0.5 * width)
+            return np.asarray(-depth * np.cos(0.25 * np.pi * np.minimum(off, 2.0)) ** 2)
+
+        return height
+
+    bare = scan(FLAT, (), rng)
+    (wide,) = measure_defects(sighted(bent(bare, FLAT, groove(2.0)), FLAT))
+    assert wide.kind == "scratch"
+    assert abs((wide.depth_mm or 0.0) - depth) < max(wide.depth_u95_mm or 0.0, 0.1 * depth)
+    assert wide.length_mm == pytest.approx(30.0, rel=0.15)
+    (narrow,) = measure_defects(sighted(bent(bare, FLAT, groove(0.5)), FLAT))
+    assert narrow.kind == "scratch"
+    assert narrow.depth_mm is None
+    assert narrow.decision == "not measured"
+    assert "line without measurable depth" in (narrow.reason or "")
+
+
+def test_a_raised_edge_is_a_bump_at_a_seam(rng: np.random.Generator) -> None:
+    def edge(px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        away = np.where(px > -10.0, (px + 10.0) / 9.0, 2.0)
+        return np.asarray(0.3 * np.exp(-0.5 * (away**2 + ((py - 5.0) / 12.0) ** 2)) * (away < 2.5))
+
+    (found,) = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, edge), FLAT, seam_x=-10.0))
+    assert found.kind == "raised edge"
+    assert found.seam_distance_mm == pytest.approx(0.0, abs=1.5)
 
 
 @pytest.mark.parametrize("skin", [FLAT, CURVED], ids=["flat", "0.4 m"])
@@ -177,3 +233,18 @@ def test_a_defect_is_judged_by_the_zone_of_what_is_nearest() -> None:
     ]
     found = with_others(Registration("recognised", place, (), ()), {DEFECT.name: rows}, layout)
     assert [row.zone for row in found.others[DEFECT.name]] == ["row", "edge", "corner"]
+
+
+def test_defects_keep_their_names_from_scan_to_scan() -> None:
+    def defect(name: str, x: float, kind: DefectKind = "dent", length: float = 20.0) -> Defect:
+        return Defect(
+            name, x_mm=None, y_mm=None, z_mm=None, u_px=0.0, v_px=0.0, kind=kind, length_mm=length,
+            x_panel_mm=x, y_panel_mm=0.0, z_panel_mm=0.0,
+        )  # fmt: skip
+
+    earlier = [defect("D01", 0.0), defect("D02", 100.0), defect("D04", 200.0), defect("D01", 500.0)]
+    rows = [defect("D01", 104.0), defect("D02", 2.0, "bump"), defect("D03", -4.0), defect("D04", 212.0)]
+    named = with_known_names(rows, earlier)
+    # A bump where a dent was is another; 12 mm away at 20 mm of length is another, too.
+    assert {row.defect_id: row.x_panel_mm for row in named} == {"D01": -4.0, "D02": 104.0, "D05": 2.0, "D06": 212.0}
+    assert [row.defect_id for row in with_known_names(rows, [])] == ["D01", "D02", "D03", "D04"]

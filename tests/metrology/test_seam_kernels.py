@@ -11,7 +11,6 @@ from metrology.ridges import RidgeMap, gaussian_kernels, ridge_points
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.finding.band_kernel import (
     borders_at_nodes,
-    cholesky_solve,
     gather,
     model,
     normal_equations,
@@ -178,10 +177,6 @@ def test_normal_equations_and_their_solution(rng):
     assert cost == pytest.approx(huber.sum())
     assert normal == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert gradient == pytest.approx(jacobian.T @ (weight * (grey - value)), rel=1e-6, abs=1e-9)
-    solution = np.zeros(7)
-    assert cholesky_solve(normal.copy(), gradient, solution)
-    assert solution == pytest.approx(np.linalg.solve(normal, gradient), rel=1e-6, abs=1e-9)
-    assert not cholesky_solve(np.diag([1.0, -1.0, 1, 1, 1, 1, 1]), gradient, solution)
 
 
 def test_levels_start_at_the_bands_means():

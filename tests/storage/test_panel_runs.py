@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from metrology.results import PanelKey
 from metrology.tolerance import judge
 from storage.archive import Store, maintenance
 from storage.archive.bundle import check_bundle
+from storage.archive.panel_scans import newest_scans
 from storage.archive.schema import PANEL_TABLES
 from storage.panel_spec import load_panel_spec
+from storage.report import assembled_page, assembled_record
 from storage.rig import rig_document
 from tests.support.panel_scans import RIG, SimulatedPanel, facing
 from tests.support.results import copied, small_result
@@ -152,3 +155,33 @@ def test_what_is_not_there_is_said(filled: Store, capsys: pytest.CaptureFixture[
     judging = ["panel", "judge", "--store", store, "--aircraft", "MSN-1", "--panel", "P"]
     assert main(judging) == EXIT_BAD_INPUT
     assert "found no specification of P" in capsys.readouterr().err
+
+
+def test_the_report_of_a_panel_begins_with_verdict_coverage_map_and_signatures(filled: Store, tmp_path: Path) -> None:
+    store = copied(filled, tmp_path)
+    spec = tmp_path / "spec.toml"
+    spec.write_text(RULES.format(revision="A", limit=0.05))
+    command = ["panel", "judge", "--store", str(store.root), "--aircraft", "MSN-1", "--panel", "P"]
+    assert main([*command, "--panel-spec", str(spec)]) == EXIT_DONE
+    out = tmp_path / "panel.html"
+    report = ["report", "--store", str(store.root), "--aircraft", "MSN-1", "--panel", "P", "--out", str(out)]
+    assert main([*report, "--csv"]) == EXIT_DONE
+    page = out.read_text()
+    first, rest = page.split("<h2>Acceptance rules</h2>")
+    order = ["Panel MSN-1 P", "rejected", "A1: at most 10% of the rivets", "Coverage", "<svg", "approved: name, date"]
+    assert sorted(order, key=first.index) == order
+    assert rest.count("@") == 0  # no position of a seam is beyond its limits
+    assert out.with_name("panel-panel_rivets.csv").read_text("utf-8-sig").count("\n") == 1 + one(
+        store, "SELECT n_rivets FROM panels"
+    )
+    assert main([*report, "--stations"]) == EXIT_DONE
+    assert "Station S2" in out.read_text()
+
+
+def test_the_report_says_that_a_newer_scan_is_not_in_the_panel(filled: Store, tmp_path: Path) -> None:
+    store = copied(filled, tmp_path)
+    record = assembled_record(store, KEY)
+    assert record.newer == ()
+    [scan] = [each.scan for each in newest_scans(store, KEY) if each.scan.key.station == "S2"]
+    store.publish(result_of(replace(scan, key=replace(scan.key, captured_at=scan.key.captured_at + timedelta(days=1)))))
+    assert "not in it: a newer scan of S2; assemble the panel again" in assembled_page(assembled_record(store, KEY))

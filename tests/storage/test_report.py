@@ -13,6 +13,8 @@ import pytest
 
 from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
+from metrology.kinds import SEAM_STATION
+from metrology.tolerance import Limit, PanelSpec, judge
 from storage.archive import Store
 from storage.archive.enrolment import pattern_of
 from storage.archive.schema import OF_KIND
@@ -186,3 +188,15 @@ def test_an_inspected_scene_becomes_a_pattern_of_what_was_found(store: Store) ->
     assert key == small_key("S3")
     assert [rivet.rivet_id for rivet in layout.rivets] == ["R1", "R2"]
     assert list(layout.stations) == ["S3"]
+
+
+def test_a_stretch_of_a_seam_is_one_line(tmp_path: Path) -> None:
+    base = small_result()
+    first = base.features["seam station"][0]
+    rows = [replace(first, s_mm=2.0 * k, step_mm=0.1 * k, reason=None) for k in range(6)]
+    judged = judge(SEAM_STATION, rows, PanelSpec("P", "A", {"default": {"step_mm": Limit(-0.25, 0.25)}}))
+    store = Store(tmp_path / "store")
+    store.publish(replace(base, features={**base.features, "seam station": tuple(judged)}))
+    text = read(scene_page(scene_record(store, base.key.scene_id)))
+    assert "findings: 1 " in text
+    assert "from 6 to 10 mm (6 mm), worst at 10 mm: step +0.500" in text

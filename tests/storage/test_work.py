@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -12,7 +12,9 @@ import pytest
 
 from metrology.errors import OutdatedError, UsageError
 from metrology.inspection import InspectionResult
+from metrology.kinds import SEAM_STATION
 from metrology.results import Decision
+from metrology.tolerance import Limit, PanelSpec, judge
 from storage.archive import Store
 from storage.archive.decisions import close_work, dispose, shown_finding, sign_off
 from storage.archive.work import open_work, said, standings
@@ -199,3 +201,87 @@ def test_a_disposition_does_not_hold_for_other_values(store: Store) -> None:
     assert stand(store) == "1 waiting"
     decide(store, "scrap")
     assert stand(store) == "1 decided"
+
+
+SEAM = Feature("seam station", "M1@2.0-8.0")
+AT = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
+
+
+def seam_scan(steps: Sequence[float], days: float = 0) -> InspectionResult:
+    """One scan with a seam of these steps at every 2 mm, judged by a limit of 0.2 mm."""
+    base = scan(days, "pass", 0.05)
+    first = base.features["seam station"][0]
+    rows = [replace(first, s_mm=s, step_mm=step, reason=None) for s, step in zip(AT, steps, strict=True)]
+    judged = judge(SEAM_STATION, rows, PanelSpec("P", "A", {"default": {"step_mm": Limit(-0.2, 0.2)}}))
+    return replace(base, features={**base.features, "seam station": tuple(judged)})
+
+
+BAD = (0.1, 0.3, 0.4, 0.35, 0.3, 0.1)
+
+
+@pytest.fixture
+def seam_store(tmp_path: Path) -> Store:
+    """One scan with a seam of which four positions together are too high."""
+    store = Store(tmp_path / "store")
+    store.publish(seam_scan(BAD))
+    return store
+
+
+def test_a_stretch_of_a_seam_is_one_finding_decided_at_once(seam_store: Store) -> None:
+    assert stand(seam_store) == "1 waiting"
+    shown = seen(seam_store, feature=SEAM)
+    assert (shown.values["value_mm"], shown.values["from_mm"], shown.values["to_mm"]) == (0.4, 2.0, 8.0)
+    assert shown.values["reason"].startswith("from 2 to 8 mm (8 mm), worst at 4 mm: step +0.400")
+    dispose(seam_store.root, "m.weber", [shown], "use as is")
+    assert stand(seam_store) == "1 decided"
+    [entry] = ReviewLog(seam_store.root).read().entries
+    assert (entry.feature_id, entry.format) == ("M1@2.0-8.0", "flushline-review/3")
+    assert [each["value_mm"] for each in entry.shown["positions"]] == [0.3, 0.4, 0.35, 0.3]
+    with pytest.raises(OutdatedError, match=r"M1@2\.0-8\.0: found it decided since it was shown"):
+        dispose(seam_store.root, "k.ito", [shown], "scrap")
+
+
+def test_decisions_about_positions_hold_for_their_stretch(seam_store: Store) -> None:
+    positions = [Feature("seam station", f"M1@{s:.1f}") for s in (2, 4, 6, 8)]
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=each) for each in positions[:3]], "use as is")
+    assert stand(seam_store) == "1 waiting"  # of one position nobody decided
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=positions[3])], "use as is")
+    assert stand(seam_store) == "1 decided"
+
+
+@pytest.mark.parametrize(
+    ("steps", "state"),
+    [
+        (BAD, "1 decided"),
+        ((0.1, 0.3, 0.4, 0.35, 0.1, 0.1), "1 decided"),  # what is left was decided
+        ((0.1, 0.3, 0.4, 0.35, 0.3, 0.3), "1 waiting"),  # it reaches farther
+        ((0.1, 0.3, 0.5, 0.35, 0.3, 0.1), "1 waiting"),
+    ],
+)
+def test_a_decision_about_a_stretch_holds_for_its_positions_as_shown(
+    seam_store: Store, steps: Sequence[float], state: str
+) -> None:
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "use as is")
+    seam_store.publish(seam_scan(steps))
+    assert stand(seam_store) == state
+
+
+def test_work_on_a_stretch_is_open_until_all_of_it_passes(seam_store: Store) -> None:
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "rework")
+    assert stand(seam_store) == "1 open work"
+    seam_store.publish(seam_scan((0.1, 0.1, 0.1, 0.1, 0.3, 0.1), days=1))
+    assert stand(seam_store) == "1 open work"
+    seam_store.publish(seam_scan((0.1,) * 6, days=2))
+    assert stand(seam_store) == "1 decided"
+
+
+def test_work_on_a_stretch_is_closed_by_a_person_at_once(seam_store: Store) -> None:
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "repair")
+    close_work(seam_store.root, "k.ito", [seen(seam_store, feature=SEAM)], "filled, work order 4711")
+    assert stand(seam_store) == "1 decided"
+    assert sign_off(seam_store.root, "k.ito", replace(seen_scene(seam_store), run_id=seen(seam_store).run_id))
+
+
+def test_a_stretch_without_its_positions_is_refused(seam_store: Store) -> None:
+    with pytest.raises(UsageError, match="found no positions, expected those of the stretch"):
+        ReviewLog(seam_store.root).dispose("m.weber", [ShownFinding(SCENE, "run", SEAM)], "scrap")

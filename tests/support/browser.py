@@ -10,7 +10,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ def served(root: Path, port: int | None = None) -> Iterator[str]:
         preexec_fn=partial(die_with, os.getpid()),
     )  # fmt: skip
     try:
-        wait(lambda: process.poll() is not None or _answers(port))
+        wait(lambda: process.poll() is not None or _answers(port), 180)
         yield f"http://localhost:{port}"
     finally:
         process.terminate()
@@ -90,15 +90,21 @@ def browser() -> Iterator[Any]:
         started.close()
 
 
-def new_page(browser: Any, scheme: str = "light", locale: str = "en-US") -> Any:
-    """A page of the size of a small laptop."""
-    context = browser.new_context(
-        viewport={"width": 1366, "height": 768}, color_scheme=scheme, locale=locale, timezone_id="Europe/Berlin",
-        accept_downloads=True,
-    )  # fmt: skip
-    page = context.new_page()
+def new_page(browser: Any, scheme: str = "light", locale: str = "en-US", apart: bool = False) -> Any:
+    """A page of the size of a small laptop; it has what pages like it have loaded, unless it is `apart`: no cookies."""
+    page = (_new_context if apart else _context)(browser, scheme, locale).new_page()
     page.set_default_timeout(60_000)
     return page
+
+
+def _new_context(browser: Any, scheme: str, locale: str) -> Any:
+    return browser.new_context(
+        viewport={"width": 1366, "height": 768}, color_scheme=scheme, locale=locale, timezone_id="Europe/Berlin",
+        accept_downloads=True, reduced_motion="reduce",
+    )  # fmt: skip
+
+
+_context = cache(_new_context)
 
 
 def settle(page: Any) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from metrology.jit import kernel
+from metrology.linear import solve
+from metrology.robust import MAD
 
 _ITERATIONS = 40
 # Residuals beyond this many standard deviations lose weight (Huber): specks, not borders that the model misses a
@@ -113,12 +115,12 @@ def borders(x, grey, count, edges, tie, grid, table, free, found):  # type: igno
     if x.size < 2 * free.size:
         return False
     parameters, normal, cost, good = fit(x, grey, count, edges, tie, grid, table, free)
-    direction, solved = np.zeros(free.size), np.zeros(free.size)
+    solved = np.zeros(free.size)
     unknowns = 0
     for i in range(free.size):
-        direction[i] = 1.0 if i >= m + 3 else 0.0
+        solved[i] = 1.0 if i >= m + 3 else 0.0
         unknowns += 1 if free[i] else 0
-    if not good or not cholesky_solve(normal, direction, solved):
+    if not good or not solve(normal, solved, free.size):
         return False
     found[m] = 0.0
     for k in range(m):
@@ -135,7 +137,7 @@ def fit(x, grey, count, edges, tie, grid, table, free):  # type: ignore[no-untyp
     size = free.size
     trial = np.zeros(size)
     start_levels(x, grey, edges, trial)
-    parameters, step = trial.copy(), np.zeros(size)
+    parameters = trial.copy()
     normal, gradient = np.eye(size), np.zeros(size)
     residuals = np.empty(x.size)
     cost, limit, damping = np.inf, np.inf, 1e-3
@@ -159,13 +161,14 @@ def fit(x, grey, count, edges, tie, grid, table, free):  # type: ignore[no-untyp
         if settled:
             # Once more, by another measure of cost.
             trusting = False
-            limit = _OUTLIER_SIGMAS * 1.4826 * np.median(residuals) + 1e-9
+            limit = _OUTLIER_SIGMAS * MAD * np.median(residuals) + 1e-9
             trial, cost, damping = parameters, np.inf, 1e-3
             continue
         damped = normal.copy()
         for i in range(size):
             damped[i, i] *= 1.0 + damping
-        if not cholesky_solve(damped, gradient, step):
+        step = gradient.copy()
+        if not solve(damped, step, size):
             break
         trial = parameters + step
     return parameters, normal, cost, good
@@ -266,31 +269,3 @@ def normal_equations(  # type: ignore[no-untyped-def]
         for b in range(a):
             normal[b, a] = normal[a, b]
     return cost, normal, gradient
-
-
-@kernel
-def cholesky_solve(matrix, right, solution):  # type: ignore[no-untyped-def]
-    """Solve by Cholesky, in place; False where the matrix is not positive definite."""
-    size = right.size
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 1e-12 * (1e-12 + matrix[i, i]):
-                    return False
-                matrix[i, i] = np.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(size):
-        total = right[i]
-        for k in range(i):
-            total -= matrix[i, k] * solution[k]
-        solution[i] = total / matrix[i, i]
-    for i in range(size - 1, -1, -1):
-        total = solution[i]
-        for k in range(i + 1, size):
-            total -= matrix[k, i] * solution[k]
-        solution[i] = total / matrix[i, i]
-    return True

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from metrology.ridges import RidgeMap, bar_curvature, curvature_noise, ridge_points
+from metrology.robust import MAD
 from metrology.seams.finding.linking import link
 from metrology.seams.finding.segments import join_pieces, straight_pieces
 from metrology.seams.polyline import polyline_length
@@ -137,4 +138,4 @@ def _grain(image: Float32) -> float:
     """Standard deviation of the pixel-to-pixel noise, robust, from mixed differences of each 2 × 2 pixels."""
     even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
     mixed = even[::2, ::2] - even[1::2, ::2] - even[::2, 1::2] + even[1::2, 1::2]
-    return 1.4826 * float(np.median(np.abs(mixed))) / 2.0
+    return MAD * float(np.median(np.abs(mixed))) / 2.0

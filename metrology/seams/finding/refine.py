@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyfit, polyval
 from numpy.typing import NDArray
 
+from metrology.robust import MAD
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.finding.band_kernel import borders_at_nodes
 from metrology.seams.finding.medians import row_medians
@@ -148,7 +149,7 @@ def _smooth_line(points: Array, weights: Array) -> Array:
     line, good = smoothed(points, _SMOOTH_PX, weights), weights > 0
     away = np.linalg.norm(points - line, axis=1)
     sigmas = away * np.sqrt(weights)
-    limit = _DISTURBED_SIGMAS * 1.4826 * float(np.median(sigmas[good]))
+    limit = _DISTURBED_SIGMAS * MAD * float(np.median(sigmas[good]))
     # What disturbs a node reaches into the next one's window.
     disturbed = np.convolve((sigmas > limit) & (away > _DISTURBED_PX), [1, 1, 1], "same") > 0
     return smoothest(points, np.where(disturbed, 0.0, weights))

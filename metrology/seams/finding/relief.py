@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
+from metrology.robust import MAD
 from metrology.seams.finding.medians import row_medians
 from metrology.seams.finding.shade import black_level, projected_share
 from metrology.seams.finding.strip import Strip
@@ -252,7 +253,7 @@ def _fit_sides(pieces: _Pieces, inverse: Array, skin: Mask) -> _Sides:
         solution = np.linalg.solve(normal, ((keep * at_places) @ design)[..., None])[..., 0]
         at_places = _moved(pieces, inverse, solution[:, 2] * unit[2], solution[:, 3] * unit[3])
         residual = np.abs(at_places - solution @ design.T)
-        spread = 1.4826 * row_medians(residual, keep > 0) + 1e-12
+        spread = MAD * row_medians(residual, keep > 0) + 1e-12
         clipped = skin & (residual < _CLIP_SIGMAS * spread[:, None])
         # A side that the clipping would empty is kept: its step is too large for one common fit to begin with.
         enough = np.minimum(clipped[:, x < 0].sum(axis=1), clipped[:, x > 0].sum(axis=1)) >= _MIN_SIDE_PLACES // 2

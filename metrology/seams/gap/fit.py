@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.robust import MAD
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.lap_shadow import wall_and_shadow
 from metrology.seams.gap.levels import COURSE_SCATTER, courses
@@ -32,7 +33,6 @@ _MIN_WIDTHS, _MANY_WIDTHS = 8, 32
 _STREAKY = 1.5
 # The levels' courses follow from the fit, and the fit from them.
 _LEVEL_ROUNDS = 2
-_MAD = 1.4826
 # What a step's wall and shadow send back differs from the gap's own walls: that share of their width is not known.
 _WALL_SHARE = 0.1
 
@@ -132,5 +132,5 @@ def _scatter(state: State) -> float:
     if len(widths) < _MIN_WIDTHS:
         return 1.0
     expected = np.sqrt(sigma[2:-2] ** 2 + 0.25 * (sigma[:-4] ** 2 + sigma[4:] ** 2))
-    ratio = _MAD * float(np.median(np.abs(widths[2:-2] - 0.5 * (widths[:-4] + widths[4:])) / expected))
+    ratio = MAD * float(np.median(np.abs(widths[2:-2] - 0.5 * (widths[:-4] + widths[4:])) / expected))
     return ratio if len(widths) >= _MANY_WIDTHS else max(1.0, ratio)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.robust import MAD
 from metrology.seams.gap.model import DARK_FLOOR, DARK_WALL, LEVELS, SKIN_A, SKIN_B, SKY, SLOPE_A, SLOPE_B
 
 Array = NDArray[np.float64]
@@ -20,7 +21,6 @@ Array = NDArray[np.float64]
 _DEGREE, _LEAST_STATIONS = 5, 16
 # Stations that depart so many robust standard deviations (a scratch, dirt) say nothing about the course.
 _ASTRAY, _ROUNDS = 3.0, 3
-_MAD = 1.4826
 # The skin's own levels are what the profiles are relative to.
 _FOLLOWED = np.setdiff1d(np.arange(LEVELS), (SKIN_A, SKIN_B, SLOPE_A, SLOPE_B))
 
@@ -55,7 +55,7 @@ def _course(powers: Array, values: Array) -> Array:
     for _ in range(_ROUNDS):
         kept = np.abs(values - course) <= straying
         course = powers @ np.linalg.lstsq(powers[kept], values[kept], rcond=None)[0]
-        straying = _ASTRAY * _MAD * float(np.median(np.abs(values - course))) + 1e-9
+        straying = _ASTRAY * MAD * float(np.median(np.abs(values - course))) + 1e-9
     return course
 
 

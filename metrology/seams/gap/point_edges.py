@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.robust import MAD
 from metrology.seams.gap.piecewise import SideFit, project_onto, side_of_section
 from metrology.seams.gap.width import Gap, GapEdge
 from metrology.seams.skins.sections import Section, strip
@@ -23,7 +24,6 @@ _MIXED_PX = 1.5
 # Standard deviation of an evenly spread error, relative to its largest.
 _EVEN = 3.0**-0.5
 _FLOOR = 0.95  # share of a gap's points that are no deeper than its floor
-_MAD = 1.4826
 
 
 def point_edges(
@@ -91,7 +91,7 @@ def _with_scatter(gaps: list[Gap | str]) -> list[Gap | str]:
     if len(found) < 2:
         return gaps
     jumps = np.diff([gap.b.ideal_mm - gap.a.ideal_mm for gap in found])
-    scatter = _MAD * float(np.median(np.abs(jumps))) / np.sqrt(2.0)
+    scatter = MAD * float(np.median(np.abs(jumps))) / np.sqrt(2.0)
     return [
         replace(gap, sigma_width_mm=float(np.hypot(gap.sigma_width_mm, scatter))) if isinstance(gap, Gap) else gap
         for gap in gaps

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.jit import kernel
+from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,7 @@ def _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretch
                 if kept[i]:
                     sizes[count] = abs(residual[i])
                     count += 1
-        spread = 1.4826 * np.median(sizes[:count]) + 1e-9
+        spread = MAD * np.median(sizes[:count]) + 1e-9
         n_a, n_b, changed = 0, 0, False
         for i in range(n):
             a = x[i] < inner_a

@@ -1,0 +1,77 @@
+"""Reports as files: PDF and HTML with a letterhead and a proof that finds every change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metrology.errors import StoreError, UsageError
+from metrology.results import PanelKey
+from storage.archive import Store
+from storage.report import Report, panel_report, scene_report, verify
+from storage.report.proof import proof_of
+from storage.review import Feature, ReviewLog, ShownFinding
+from tests.support.results import small_key, small_result
+
+KEY = small_key("S1")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    made = Store(tmp_path / "store")
+    made.publish(small_result(KEY))
+    return made
+
+
+def written(report: Report, path: Path) -> Path:
+    path.write_bytes(report.file(path.suffix))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".html", ".pdf"])
+def test_a_report_is_as_it_was_written_until_a_byte_of_it_changes(suffix: str, store: Store, tmp_path: Path) -> None:
+    path = written(scene_report(store, KEY.scene_id), tmp_path / f"report{suffix}")
+    assert path.read_bytes().startswith(b"%PDF" if suffix == ".pdf" else b"<!doctype html>")
+    assert "the store says the same" in verify(path, store)
+    whole = path.read_bytes()
+    for damaged in (whole[:-40], whole[:2000] + b"!" + whole[2001:], whole + b"more", b""):
+        path.write_bytes(damaged)
+        with pytest.raises(StoreError, match="expected"):
+            verify(path)
+
+
+def test_a_report_of_other_decisions_is_not_what_the_store_says(store: Store, tmp_path: Path) -> None:
+    path = written(scene_report(store, KEY.scene_id), tmp_path / "report.html")
+    run = store.query("SELECT run_id FROM scenes").column(0)[0].as_py()
+    shown = ShownFinding(KEY.scene_id, run, Feature("rivet", "R01"))
+    ReviewLog(store.root).dispose("K. Ito", [shown], "scrap")
+    assert "as it was written" in verify(path)
+    with pytest.raises(StoreError, match="decided about since"):
+        verify(path, store)
+    again = written(scene_report(store, KEY.scene_id), tmp_path / "again.html")
+    assert "the store says the same" in verify(again, store)
+
+
+def test_a_panel_that_was_not_put_together_has_a_report_of_its_stations(store: Store) -> None:
+    report = panel_report(store, PanelKey(KEY.aircraft_serial, KEY.panel))
+    assert report.proof.subject == ("stations", KEY.aircraft_serial, KEY.panel)
+    assert proof_of("report", report.file(".html")) == report.proof
+
+
+def test_company_and_logo_stand_above_and_no_path_of_the_server(store: Store) -> None:
+    logo = b"\x89PNG\r\n\x1a\n" + bytes(40)
+    (store.root / "logo.png").write_bytes(logo)
+    (store.root / "report.toml").write_text('company = "Muster <Aero> GmbH"\nlogo = "logo.png"\n')
+    html = scene_report(store, KEY.scene_id).html
+    assert "Muster &lt;Aero&gt; GmbH" in html
+    assert 'class="letterhead"><img src="data:image/png;base64,' in html
+    assert str(store.root) not in html
+    (store.root / "logo.png").write_bytes(b"<svg>")
+    with pytest.raises(StoreError, match="expected a PNG or JPEG"):
+        scene_report(store, KEY.scene_id)
+
+
+def test_a_file_that_is_no_report_is_said_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="expected a report"):
+        verify(tmp_path / "nowhere.pdf")
