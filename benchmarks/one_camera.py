@@ -2,7 +2,7 @@
 
     python benchmarks/one_camera.py ../shared/scenes/skin ../shared/scenes/skin-worn --rig ../shared/scenes/rig.json
 
-Inspects each scan with the rig, and with the rig without its right camera, and compares both with truth.json: mean errors
+Inspects each scan with the rig, and with it without its right camera, and compares both with truth.json: mean errors
 of heights and steps, and what share of the errors U95 covers.
 """
 

@@ -18,9 +18,10 @@ from metrology.fringe import FringeCode
 from metrology.reconstruct import usual_size
 from metrology.saturation import saturation_level
 
-_LIT = 0.02  # of the range: amplitude from which a pixel counts as lit
+_LIT = 0.02  # of the range: amplitude from which a pixel counts as lit …
+_STRAY = 0.25  # … if it has this share of the strongest ones' amplitude
 _STRIDE = 3
-_LEAST_LIT = 0.05
+_LEAST_LIT = 0.01
 _MOST_CLIPPED = 0.02
 _LEAST_AMPLITUDE = 0.06
 _TOP = 0.85  # of the range: where the brightest lit samples are well placed
@@ -78,6 +79,8 @@ def check_capture(frames: NDArray, code: FringeCode) -> CaptureState:
     range_end = saturation_level(frames[None], fringes[None])
     view = decode_phase(frames[None], code, usual_size(code))
     lit = view.modulation > _LIT * range_end
+    if lit.any():  # what stray light reaches is not what is to be measured
+        lit &= view.modulation > _STRAY * float(np.quantile(view.modulation[lit], 0.95))
     share = float(lit.mean())
     if not lit.any():
         return CaptureState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, None, (_NO_LIGHT.format(0.0),))

@@ -63,7 +63,9 @@ def run(options: argparse.Namespace) -> int:
     order = Order(key, rig, code, tuple(options.exposures), operator=options.operator)
     cameras = open_cameras(options.cameras, serials, options.trigger == "hardware")
     try:
-        screen = TkScreen((projector.width, projector.height), *options.screen_at, options.settle)
+        screen = TkScreen(
+            (projector.width, projector.height), options.screen_at[0], options.screen_at[1], options.settle
+        )
         try:
             capture(options.out, order, cameras, screen)
         finally:

@@ -127,14 +127,14 @@ def test_stripes_finer_than_the_camera_are_left_aside(tmp_path: Path, capsys: py
     rng = np.random.default_rng(4)
     views = {}
     for camera, frames in scan(code).items():
-        blurred = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 0.8) for frame in frames])
-        clipped = 1.6 * blurred  # bright stripes at the end of the range: a frame and its inverse still cross
+        blurred = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.2) for frame in frames])
+        clipped = 1.4 * blurred  # bright stripes at the end of the range: a frame and its inverse still cross
         views[camera] = np.clip(np.rint(clipped + rng.normal(0, 1, blurred.shape)), 0, 255).astype(np.uint8)
     folder = save(tmp_path, views, SINGLE[: code.frames])
     arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "--gray", "1024", "--inverse")
     assert run("scene", "new", folder, *arguments, "--rig", "small") == 0
     off = measured(folder)
-    assert len(off) > 0.25 * 320 * 240
+    assert len(off) > 0.2 * 320 * 240
     assert np.quantile(np.abs(off), 0.95) < 3
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from metrology.calibration.board import Board
-from metrology.calibration.calibrate import calibrate
+from metrology.calibration.calibrate import _of_one_layout, calibrate
 from metrology.calibration.detect import Detection, detect
 from metrology.calibration.detect_board import BoardView, detect_board
 from metrology.calibration.detect_projection import detect_projected_dots
@@ -184,6 +184,26 @@ def test_another_layout_in_one_picture_is_another_board() -> None:
     ]
     with pytest.raises(CalibrationError, match=r"in 2 of 3 poses.*pose 1: left: found the old layout.*another board"):
         calibrate(seen, CHARUCO)
+
+
+def test_a_picture_that_fits_both_layouts_is_read_as_the_others_are() -> None:
+    board = Board("charuco", 7, 6, 20.0, marker_mm=14.0, dictionary="DICT_5X5_100")
+    whole = frames(board, old_layout=True)
+    sure = detect_board(whole, board)
+    assert (sure.layout, sure.otherwise) == ("old", None)
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    x = apply_homography(np.linalg.inv(FROM_BOARD), np.stack([u, v], -1).reshape(-1, 2))[:, 0].reshape(SHAPE)
+    cut = (x < 21) | (x > 119)  # without the outer columns nothing tells which squares the markers are counted from
+    hidden = BoardFrames(
+        np.where(cut, 90, whole.white).astype(np.uint8), np.where(cut, 10, whole.dark).astype(np.uint8)
+    )
+    part = detect_board(hidden, board)
+    assert part.otherwise is not None
+    assert {part.layout, part.otherwise.layout} == {"new", "old"}
+    seen = [Detection(pose, "left", (760, 620), of, None, None, ()) for pose, of in enumerate((sure, part))]
+    layout, kept = _of_one_layout(seen, {0: [], 1: []})
+    assert layout == "old"
+    assert [detection.board.layout for detection in kept if detection.board] == ["old", "old"]
 
 
 def test_every_feature_gets_the_projector_coordinate_of_the_fringes(circles: BoardFrames) -> None:
