@@ -14,7 +14,8 @@ from metrology.holes.bore import bore_circle
 from metrology.holes.countersink import Countersink, countersink
 from metrology.holes.find import Opening, brightness
 from metrology.holes.rim import CLOUD_SD_PX, DIRECTIONS, Edges, RimCircle, View, cloud_edges, picture_edges, rim_circle
-from metrology.results import COVERAGE_95, Hole, HoleKind, RivetDetection
+from metrology.results import COVERAGE_95, Hole, HoleKind, RivetDetection, SeamLine
+from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, point_sets
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -32,6 +33,7 @@ _BORDER_PX = 1.0  # by which a cone's border in pictures may lie off the cloud's
 _SMEAR_PX = 2.5  # to either side of a wall that matching bends
 _SHOWN = 0.75  # of all directions in which pictures show the skin's edge
 _SHARP_PX = 0.35  # standard deviation of the radius of an edge that is one
+_IN_GAP = 1.5  # times a gap's width may a piece of it be wide
 _SIZE = 1.35  # times the radius at which it was found may the rim lie
 
 
@@ -58,8 +60,19 @@ def measure_holes(
 
 
 def measure_sighted(sighted: Sighted, settings: RivetSettings | None) -> list[Hole]:
-    """The holes of a scan in which fasteners were looked for."""
-    return measure_holes(sighted.openings, sighted.reconstruction, settings)
+    """The holes of a scan in which fasteners and seams were looked for."""
+    openings = [opening for opening in sighted.openings if not _of_a_gap(opening.ellipse, sighted.lines)]
+    return measure_holes(openings, sighted.reconstruction, settings)
+
+
+def _of_a_gap(ellipse: Ellipse, seams: Sequence[SeamLine]) -> bool:
+    """Whether a circle is a piece of a seam's gap: it lies in its band and hardly reaches beyond."""
+    for seam in seams:
+        off = np.hypot(seam.centre_px[:, 0] - ellipse.u, seam.centre_px[:, 1] - ellipse.v)
+        width = seam.width_px[np.argmin(off)]
+        if seam.relief and off.min() < 0.5 * width and 2 * ellipse.b < _IN_GAP * width:
+            return True
+    return False
 
 
 def _kind(opening: Opening) -> HoleKind:

@@ -11,14 +11,16 @@ import pytest
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.fastening import detect_fasteners
 from metrology.holes import measure_holes
+from metrology.holes.measure import measure_sighted
 from metrology.holes.rim import Edges, leans, rim_circle
 from metrology.kinds import HOLE
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet
 from metrology.registration.openings import explained, missing_fasteners
-from metrology.results import Hole, Rivet
+from metrology.results import Hole, Rivet, SeamLine
 from metrology.rivets.ground import ground_of
 from metrology.rivets.settings import RivetSettings
+from metrology.sighted import Sighted
 from metrology.tolerance import judge
 from tests.support.rivet_scan import Head, Skin, scan
 
@@ -151,6 +153,21 @@ def test_one_camera_does_not_tell_how_deep_a_circle_lies(rng: np.random.Generato
     circle = rim_circle(Edges(r * np.cos(turn), r * np.sin(turn), np.arange(72), lean, 0.08), 0.2)
     assert circle.deeper == 0.0
     assert circle.radius_sd < 0.03
+
+
+@pytest.mark.parametrize(("times", "holes"), [(1.2, 0), (0.4, 1)])
+def test_a_piece_of_a_gap_is_no_hole_and_a_hole_across_a_seam_is_one(
+    rng: np.random.Generator, times: float, holes: int
+) -> None:
+    reconstruction = scan(SKIN, (Head(-30, 10), Head(30, 10)), rng)
+    x, y = on_skin(reconstruction)
+    reconstruction = darkened(moved(reconstruction, np.hypot(x - 2, y + 5) < 4.0, -DEEP), 2.0, -5.0, 4.0)
+    found = detect_fasteners(reconstruction)
+    (opening,) = found.openings
+    course = np.stack([np.full(401, opening.ellipse.u), opening.ellipse.v + np.linspace(-200, 200, 401)], axis=1)
+    seam = SeamLine("S01", course, np.full(401, times * 2 * opening.ellipse.b), 0.9, relief=True)
+    rows = measure_sighted(Sighted(reconstruction, found.rivets, [seam], {}, found.openings), None)
+    assert len(rows) == holes
 
 
 def test_paint_and_sunk_heads_are_no_holes(rng: np.random.Generator) -> None:
