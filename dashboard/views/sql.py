@@ -137,7 +137,8 @@ def _show(context: PageContext) -> None:
         return
     note = f", the first {context.locale.whole(len(answer.rows))} shown" if answer.truncated else ""
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.caption(f"{'more than ' if answer.truncated else ''}{context.locale.whole(len(answer.rows))} rows{note}")
+        many = f"{context.locale.whole(len(answer.rows))} row{'' if len(answer.rows) == 1 else 's'}"
+        st.caption(f"{'more than ' if answer.truncated else ''}{many}{note}")
         numbers = [name for name in answer.rows.columns if pd.api.types.is_numeric_dtype(answer.rows[name])]
         chart = bool(numbers) and st.toggle("Chart", key="sql_chart")
         st.download_button(

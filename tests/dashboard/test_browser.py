@@ -114,7 +114,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
     page.get_by_role("textbox", name="Query").press("Control+Enter")
     settle(page)
     page.get_by_role("button", name="Run").click()
-    page.get_by_text("1 rows").wait_for()
+    page.get_by_text("1 row", exact=True).wait_for()
     settle(page)
     shoot(page, pictures, "sql")
 
