@@ -20,7 +20,7 @@ from storage.point_cloud import load_open3d
 Array = NDArray[np.float64]
 
 MM_PER_METRE = 1000.0
-_COLOURS = (("red", "green", "blue"), ("r", "g", "b"), ("colorRed", "colorGreen", "colorBlue"))
+_COLOURS = tuple(tuple(name.split()) for name in ("red green blue", "r g b", "colorRed colorGreen colorBlue"))
 _GREYS = ("intensity", "texture", "grey", "gray", "quality", "reflectance", "scalar_intensity")
 _SIGMAS = ("sigma_z_mm", "sigma_mm", "sigma_z", "sigma")
 # As exporters write the grid's size in comments: "num_cols 1920", "width: 1920", "columns=1920".

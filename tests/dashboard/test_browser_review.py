@@ -112,7 +112,8 @@ def test_a_scan_stored_between_showing_and_recording(server: tuple[str, Path], c
     for row in (0, 2):
         click_row(page, row, tick=True)
     choose(page, "repair", who="M. Weber")
-    names = page.get_by_role("button", name="Record repair for 2 findings:").inner_text().split(": ")[-1]
+    button = page.get_by_role("button", name="Record repair for 2 findings:")
+    names = button.inner_text().split(": ")[-1].split("\n")[0]
     record(page, f"Record repair for 2 findings: {names}")
     recorded = [entry.feature_id for entry in entries_of(root, "MSN-0422")[1:]]
     assert ", ".join(map(str, recorded)) in names
@@ -182,7 +183,7 @@ def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: 
     page.evaluate("document.activeElement.blur()")
     first = shown_name(page)
     page.keyboard.press("j")
-    page.wait_for_url("**feature=*", wait_until="commit")
+    page.get_by_role("button", name="Record for").filter(has_not_text=first).wait_for()
     settle(page)
     second = shown_name(page)
     assert second != first
