@@ -470,7 +470,7 @@ def test_open_work_is_counted_alike_and_can_be_closed(writable: Path, open_page:
     assert "Closed *rework* of R04" in texts(page)
     last = ReviewLog(writable).read().entries[-1]
     assert (last.action, last.who, last.comment, last.feature_id) == ("close", "M. Weber", "work order 4711", "R04")
-    assert "19 waiting, 1 decided" in texts(open_page("scene", writable, scene=LAST))
+    assert "3 waiting, 1 decided" in texts(open_page("scene", writable, scene=LAST))
 
 
 def test_a_signed_off_scene_offers_no_form(writable: Path, open_page: Open) -> None:
