@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView
 from metrology.fringe import FringeCode
+from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,6 @@ _ORDERS = (1, 2)
 _ROWS = 400  # are looked at
 _FEWEST = 5000
 _OUTLIER = 5.0
-_MAD = 1.4826
 _ROUNDS = 3
 
 
@@ -57,7 +57,7 @@ def without_ripple(view: DecodedView, code: FringeCode, size: int) -> DecodedVie
     ripple = np.zeros(view.coordinate.shape)
     for weight, wave in zip(weights, _waves(view.coordinate.astype(float), frequencies), strict=True):
         ripple += weight * wave
-    inflation = max(1.0, _MAD * float(np.median(np.abs(left) / expected[use])))
+    inflation = max(1.0, MAD * float(np.median(np.abs(left) / expected[use])))
     return replace(
         view,
         coordinate=(view.coordinate - ripple).astype(np.float32),
@@ -101,7 +101,7 @@ def _fitted(terms: Array, bend: Array, expected: Array) -> tuple[Array, Array]:
     weights, left = np.zeros(terms.shape[1]), bend
     for _ in range(_ROUNDS if terms.shape[1] else 0):
         middle = np.median(left)
-        near = np.abs(left - middle) < _OUTLIER * _MAD * np.median(np.abs(left - middle))
+        near = np.abs(left - middle) < _OUTLIER * MAD * np.median(np.abs(left - middle))
         scale = 1.0 / expected[near]
         design = np.column_stack([terms[near], np.ones(near.sum())]) * scale[:, None]
         weights = np.linalg.lstsq(design.T @ design, design.T @ (bend[near] * scale), rcond=None)[0][:-1]

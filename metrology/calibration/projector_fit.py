@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from metrology.calibration.bundle import lens_vector
 from metrology.calibration.distortion_model import PINHOLE, Evidence, choose_terms
 from metrology.calibration.lens import INTRINSICS, project
 from metrology.calibration.linear_projector import linear_projector
@@ -271,13 +272,11 @@ def _block_medians(scan: SeenPoints, device: Device) -> Array:
 
 def _coordinate(device: Device, axis: Axis, points: Array) -> Array:
     turned = points @ device.R.T + device.t
-    lens = np.r_[device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2], device.distortion8[:5]]
-    return project(turned, lens).pixels[:, 0 if axis == "x" else 1]
+    return project(turned, lens_vector(device)).pixels[:, 0 if axis == "x" else 1]
 
 
 def _packed(device: Device, names: Sequence[str]) -> Array:
-    lens = np.r_[device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2], device.distortion8[:5]]
-    values = dict(zip(INTRINSICS, lens, strict=True))
+    values = dict(zip(INTRINSICS, lens_vector(device), strict=True))
     values |= dict(zip(_POSE, np.r_[cv2.Rodrigues(device.R)[0][:, 0], device.t], strict=True))
     return np.array([values[name] for name in names])
 

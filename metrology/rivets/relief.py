@@ -83,7 +83,7 @@ def _near_skin(residual: Float32, least: float) -> NDArray[np.bool_]:
     if not np.isfinite(residual).any():
         return np.zeros(residual.shape, bool)
     away = np.abs(residual - np.nanmedian(residual))
-    return np.asarray(away < max(least, _SKIN_SIGMAS * 1.4826 * float(np.nanmedian(away))))
+    return np.asarray(away < max(least, _SKIN_SIGMAS * MAD * float(np.nanmedian(away))))
 
 
 def _cells(reconstruction: Reconstruction) -> tuple[Float32, Float32]:
