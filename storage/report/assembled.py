@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metrology.errors import StoreError
 from metrology.kinds import KINDS
@@ -26,6 +26,9 @@ from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
 from storage.panel_spec import judged_by
 from storage.review import Entry, ReviewLog
+
+if TYPE_CHECKING:
+    import duckdb
 
 Row = Mapping[str, Any]
 
@@ -79,50 +82,48 @@ def is_assembled(store: Store, key: PanelKey) -> bool:
 
 def assembled_record(store: Store, key: PanelKey) -> AssembledRecord:
     """The newest assembly of a panel."""
-    found = _rows(store, PANELS.name, key)
+    with contextlib.closing(store.connect()) as connection:
+        return _record(connection, store, key)
+
+
+def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) -> AssembledRecord:
+    def rows(table: str, *order: str) -> tuple[Row, ...]:
+        by = f" ORDER BY {', '.join(order)}" if order else ""
+        return _rows(connection, f"FROM {table} WHERE scene_id = ?{by}", key.panel_id)
+
+    found = rows(PANELS.name)
     if not found:
         raise StoreError(
             f"{store.root}: found no assembled panel {key}, expected one: 'flushline panel assemble' first"
         )
     [panel] = found
-    newest: list[Row] = store.query(
-        "SELECT * FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? ORDER BY station",
-        [key.aircraft_serial, key.panel],
-    ).to_pylist()
-    stations = _rows(store, PANEL_STATIONS.name, key, "station")
+    of_panel, names = "aircraft_serial = ? AND panel = ?", (key.aircraft_serial, key.panel)
+    newest = _rows(connection, f"FROM latest_scenes WHERE {of_panel} ORDER BY station", *names)
+    scans = _rows(connection, f"SELECT scene_id FROM scenes WHERE {of_panel}", *names)
+    stations = rows(PANEL_STATIONS.name, "station")
     used = {row["station_scene_id"] for row in stations}
     bundle = store.root / panel["bundle_path"]
     store.bundles.bring(bundle, tables_only=True)
     manifest = bundle / MANIFEST
-    review = ReviewLog(store.root).of_scenes(_scans(store, key))
-    with contextlib.closing(store.connect()) as connection:
-        how_they_stand = {scene: standings(connection, review, scene) for scene in sorted(used)}
-        work = open_work(connection, review)
+    review = ReviewLog(store.root).of_scenes([str(row["scene_id"]) for row in scans])
+    work = open_work(connection, review)
     return AssembledRecord(
         panel,
-        {kind.name: _rows(store, PANEL_OF_KIND[kind.name].name, key, *kind.id_columns) for kind in KINDS},
-        _rows(store, PANEL_RULES.name, key, "rule_id"),
-        _rows(store, PANEL_FINDINGS.name, key),
-        _rows(store, PANEL_COVERAGE.name, key, "feature_id"),
+        {kind.name: rows(PANEL_OF_KIND[kind.name].name, *kind.id_columns) for kind in KINDS},
+        rows(PANEL_RULES.name, "rule_id"),
+        rows(PANEL_FINDINGS.name),
+        rows(PANEL_COVERAGE.name, "feature_id"),
         stations,
-        _rows(store, PANEL_VERDICTS.name, key, "judged_at"),
+        rows(PANEL_VERDICTS.name, "judged_at"),
         {row["scene_id"]: row for row in newest if row["scene_id"] in used},
         tuple(row["station"] for row in newest if row["scene_id"] not in used),
         judged_by(read_json(manifest, StoreError), manifest),
-        how_they_stand,
+        {scene: standings(connection, review, scene) for scene in sorted(used)},
         tuple({entry.number: entry for entry in work.values()}.values()),
         {scene: entry for scene, entry in review.sign_offs().items() if scene in used},
         str(ReviewLog(store.root).head()),
     )  # fmt: skip
 
 
-def _scans(store: Store, key: PanelKey) -> list[str]:
-    rows = store.query(
-        "SELECT scene_id FROM scenes WHERE aircraft_serial = ? AND panel = ?", [key.aircraft_serial, key.panel]
-    )
-    return [str(value) for value in rows.column(0).to_pylist()]
-
-
-def _rows(store: Store, table: str, key: PanelKey, *order: str) -> tuple[Row, ...]:
-    by = f" ORDER BY {', '.join(order)}" if order else ""
-    return tuple(store.query(f"FROM {table} WHERE scene_id = ?{by}", [key.panel_id]).to_pylist())
+def _rows(connection: duckdb.DuckDBPyConnection, sql: str, *parameters: str) -> tuple[Row, ...]:
+    return tuple(connection.sql(sql, params=list(parameters)).to_arrow_table().to_pylist())
