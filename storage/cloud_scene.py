@@ -16,11 +16,11 @@ from metrology.errors import SceneError
 from metrology.results import SceneKey
 from metrology.rig import Rig
 from storage import scan_identity
-from storage.documents import check_regular_file, utc_text
+from storage.documents import check_regular_file
 from storage.frames import Frame, FrameHeader, file_checksum, read_frame, read_header, write_frame
 from storage.models import InnerPath, Line, StrictModel, validate
 from storage.rig import load_rig, save_rig
-from storage.scene import MANIFEST, ScanModel
+from storage.scene import MANIFEST, ScanModel, scan_document
 
 FORMAT = "flushline-cloud-scene/1"
 PICTURE, POINTS, SIGMA, RIG = "picture.png", "points.npy", "sigma.npy", "rig.json"
@@ -177,14 +177,8 @@ def write_cloud_scene(
         See SourceModel.
     """
     document = {
-        "format": FORMAT,
-        "aircraft_serial": key.aircraft_serial,
-        "panel": key.panel,
-        "station": key.station,
-        "captured_at": utc_text(key.captured_at),
-        "rig": rig.id,
+        **scan_document(FORMAT, key, rig.id, operator),
         "rig_file": RIG,
-        **({"operator": operator} if operator else {}),
         "picture": PICTURE,
         "points": POINTS,
         **({} if sigma is None else {"sigma": SIGMA}),

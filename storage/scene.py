@@ -340,7 +340,11 @@ def look_at(folder: Path, model: SceneModel) -> Scene:
 
 def load_manifest(manifest: Path) -> SceneModel:
     """scene.json of fringe frames, validated; the frames are not looked at."""
-    document = read_manifest(manifest)
+    return model_of(read_manifest(manifest), manifest)
+
+
+def model_of(document: dict[str, Any], manifest: Path) -> SceneModel:
+    """What scene.json of fringe frames says, validated."""
     check_format(document, FORMAT, manifest, SceneError)
     return validate(SceneModel, document, manifest, SceneError)
 
@@ -385,13 +389,7 @@ def write_scene(
     }
     fringe = fringe_document(code)
     document = {
-        "format": FORMAT,
-        "aircraft_serial": key.aircraft_serial,
-        "panel": key.panel,
-        "station": key.station,
-        "captured_at": utc_text(key.captured_at),
-        "rig": rig_id,
-        **({"operator": operator} if operator else {}),
+        **scan_document(FORMAT, key, rig_id, operator),
         "fringe": fringe,
         "exposures": list(exposures),
         "frames": names,
@@ -407,6 +405,19 @@ def write_scene(
     if truth is not None:
         (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
     manifest.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def scan_document(format_name: str, key: SceneKey, rig_id: str, operator: str | None) -> dict[str, Any]:
+    """What scene.json says of every kind of scan, see `ScanModel`."""
+    return {
+        "format": format_name,
+        "aircraft_serial": key.aircraft_serial,
+        "panel": key.panel,
+        "station": key.station,
+        "captured_at": utc_text(key.captured_at),
+        "rig": rig_id,
+        **({"operator": operator} if operator else {}),
+    }
 
 
 def fringe_document(code: FringeCode) -> dict[str, Any]:

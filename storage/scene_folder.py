@@ -7,7 +7,6 @@ from pathlib import Path
 from metrology.errors import SceneError
 from storage import cloud_scene, scene
 from storage.cloud_scene import CloudScene, CloudSceneModel
-from storage.documents import check_format
 from storage.models import validate
 from storage.scene import MANIFEST, Scene, SceneModel, read_manifest
 
@@ -19,8 +18,7 @@ def load_any_manifest(manifest: Path) -> SceneDocument:
     document = read_manifest(manifest)
     if document.get("format") == cloud_scene.FORMAT:
         return validate(CloudSceneModel, document, manifest, SceneError)
-    check_format(document, scene.FORMAT, manifest, SceneError)
-    return validate(SceneModel, document, manifest, SceneError)
+    return scene.model_of(document, manifest)
 
 
 def load_any_scene(folder: Path) -> Scene | CloudScene:
