@@ -62,18 +62,23 @@ def capture(
     folder: Path, order: Order, cameras: Cameras, screen: Screen, say: Callable[[str], None] = print
 ) -> tuple[float, ...]:
     """Take a scan and write its folder; returns the exposure times, ms."""
+    if folder.exists():
+        raise SceneError(f"{folder}: found it there already, expected a new folder")
     projector = order.rig.with_projector()
     patterns = np.rint(255 * order.code.patterns(projector.width, projector.height)).astype(np.uint8)
     shot = _Shots(cameras, screen, say)
     exposures = order.exposures_ms or find_exposures(shot, (projector.height, projector.width), order.start_ms)
     say(f"exposures: {', '.join(f'{time:.3g}' for time in exposures)} ms")
-    stacks: dict[str, list[list[Frame]]] = {}
+    taken: dict[str, list[Frame]] = {}
     for exposure in exposures:
-        cameras.set_exposure(exposure)
-        for number, pattern in enumerate(patterns):
-            for name, taken in shot.take(pattern, f"pattern {number + 1} of {len(patterns)}").items():
-                stacks.setdefault(name, [[] for _ in exposures])[exposures.index(exposure)].append(taken.frame)
-    frames = {name: np.stack([np.stack(stack) for stack in of_camera]) for name, of_camera in stacks.items()}
+        shot.expose(exposure)
+        for number, pattern in enumerate(patterns, start=1):
+            for name, picture in shot.take(pattern, f"pattern {number} of {len(patterns)}").items():
+                taken.setdefault(name, []).append(picture.frame)
+    frames = {
+        name: np.stack(of_camera).reshape(len(exposures), len(patterns), *of_camera[0].shape)
+        for name, of_camera in taken.items()
+    }
     _check_sizes(frames, order.rig)
     _write(folder, order, exposures, frames)
     return exposures
@@ -158,8 +163,6 @@ def _check_sizes(frames: dict[str, NDArray], rig: Rig) -> None:
 
 def _write(folder: Path, order: Order, exposures: Sequence[float], frames: dict[str, NDArray]) -> None:
     """The scene's folder, whole or not at all."""
-    if folder.exists():
-        raise SceneError(f"{folder}: found it there already, expected a new folder")
     hidden = folder.with_name(f".{folder.name}.capturing")
     shutil.rmtree(hidden, ignore_errors=True)
     try:
