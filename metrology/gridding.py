@@ -53,22 +53,20 @@ class Gridded:
     spacing_mm: float
 
 
-def grid_points(points: Array, grey: NDArray, towards: Array | None = None) -> Gridded:
-    """Lay points on the pixels of a camera that faces them.
+def grid_points(points: Array, grey: NDArray) -> Gridded:
+    """Lay points on the pixels of a camera that faces them, from where their frame's origin lies or else along its z.
 
     Parameters
     ----------
     points : (n, 3) ndarray
         mm.
     grey : (n,) ndarray
-    towards : (3,) ndarray, optional
-        From the skin to where the scanner stood; by default to the origin of the points' frame, or along its z.
     """
     known = np.isfinite(points).all(axis=1)
     points, grey = points[known], grey[known]
     if len(points) < _FEWEST:
         raise SceneError(f"found {len(points)} points, expected {_FEWEST} at least")
-    axes, middle, size = _facing(points, towards)
+    axes, middle, size = _facing(points)
     spacing = _spacing(points)
     distance = float(np.clip(_AWAY * size.max(), _LEAST_AWAY_MM, _MOST_AWAY_MM))
     R, t = axes, np.array([0.0, 0.0, distance]) - axes @ middle
@@ -84,15 +82,13 @@ def grid_points(points: Array, grey: NDArray, towards: Array | None = None) -> G
     return Gridded(device, R, t, laid, brightness, spacing)
 
 
-def _facing(points: Array, towards: Array | None) -> tuple[Array, Array, Array]:
+def _facing(points: Array) -> tuple[Array, Array, Array]:
     """Axes of a camera that faces the points (rows), the middle of their field, and its size, mm."""
     every = points[:: max(1, len(points) // _SAMPLE)]
     middle = np.median(every, axis=0)
     axes = np.linalg.svd(every - middle, full_matrices=False)[2]
     normal = axes[2]
-    if towards is None:
-        away = -middle if np.linalg.norm(middle) > np.ptp(every @ axes[0]) else np.array([0.0, 0.0, 1.0])
-        towards = away
+    towards = -middle if np.linalg.norm(middle) > np.ptp(every @ axes[0]) else np.array([0.0, 0.0, 1.0])
     forward = -normal if normal @ towards > 0 else normal
     # x of the picture along x of the file, so that up stays up.
     across = np.array([1.0, 0.0, 0.0]) if abs(forward[0]) < 0.9 else np.array([0.0, 1.0, 0.0])

@@ -150,9 +150,12 @@ def with_stretches(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row
         for row in stretch.rows
     }
     return [
-        replace(row, stretch=named.get(id(row)), beyond_mm=max(beyond, default=None))
+        replace(
+            row,
+            stretch=named.get(id(row)),
+            beyond_mm=max((excess.beyond for excess in _excesses(kind, row, spec)), default=None),
+        )
         for row in rows
-        for beyond in [[excess.beyond for excess in _excesses(kind, row, spec)]]
     ]
 
 

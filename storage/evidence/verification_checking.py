@@ -19,25 +19,24 @@ def verification_problems(layout: Layout, marks: Iterable[tuple[str, Mark]] = ()
         What others say of verifications, each with the file that says it.
     """
     verifications = Verifications(layout)
-    named = dict.fromkeys((mark, said_in) for said_in, mark in marks)
+    named: dict[Mark, str] = {}
+    for said_in, mark in marks:
+        named.setdefault(mark, said_in)
     for path in verifications.files():
         try:
             model = verifications.read(path).model
         except StoreError as problem:
             yield str(problem)
             continue
-        named |= dict.fromkeys((mark, str(path)) for mark in model.earlier)
+        for mark in model.earlier:
+            named.setdefault(mark, str(path))
         report = path.with_suffix(".html")
         if not report.is_file():
             yield f"{report}: found no such file, expected the verification's report"
         elif model.report_sha256 not in (None, sha256(report)):
             yield f"{report}: found another content than was kept, expected the verification's report"
-    said = set()
-    for mark, said_in in named:
+    for mark, said_in in named.items():
         path = verifications.path(mark.name)
-        if mark in said:
-            continue
-        said.add(mark)
         if not path.is_file():
             yield f"{path}: found no such file, expected the verification that {said_in} names"
         elif sha256(path) != mark.sha256:

@@ -106,7 +106,7 @@ def test_points_without_an_order_lie_on_the_surface_where_they_are_gridded() -> 
     xy = xy[np.hypot(*xy.T) > 4]  # a hole, which stays one
     height = xy @ [0.1, -0.05] + (xy**2).sum(1) / 3000
     grey = rng.integers(0, 255, len(xy)).astype(np.uint8)
-    made = grid_points(np.column_stack([xy, height + 500.0]), grey, towards=np.array([0.0, 0.0, -1.0]))
+    made = grid_points(np.column_stack([xy, height + 500.0]), grey)
     laid = (made.points.reshape(-1, 3).astype(float) - made.t) @ made.R
     laid = laid[np.isfinite(laid[:, 2])]
     assert len(laid) > 0.7 * len(xy)
