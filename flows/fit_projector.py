@@ -13,7 +13,7 @@ from metrology.cloud import Reconstruction
 from metrology.errors import CalibrationError, RigError, SceneError
 from metrology.reconstruct import coordinate_size, decode, triangulate
 from metrology.rig import PROJECTOR_FIT, PROJECTOR_OF, Device, Rig
-from storage.scene import load_scene
+from storage.scene import Scene, load_scene
 
 
 def fit_to_scenes(
@@ -34,13 +34,14 @@ def fit_to_scenes(
     if size is None and rig.projector is None:
         raise RigError(f"rig {rig.id!r}: found no projector, expected its width and height to be given (--size WxH)")
     size = size or (rig.projector.width, rig.projector.height)  # type: ignore[union-attr]
+    scenes = [load_scene(folder) for folder in folders]
     try:
-        fitted = fit_projector(_seen_in(rig, folders, size), size)
+        fitted = fit_projector(_seen_in(rig, scenes, size), size)
     except CalibrationError as problem:
         raise CalibrationError(f"{', '.join(map(str, folders))}: {problem}") from None
     extra = {key: value for key, value in rig.extra.items() if key not in (PROJECTOR_OF, "calibration")}
     extra |= {"calibration": _of_cameras(rig)} if "calibration" in rig.extra else {}
-    extra[PROJECTOR_FIT] = fitted.summary | {"scenes": [load_scene(folder).key.scene_id for folder in folders]}
+    extra[PROJECTOR_FIT] = fitted.summary | {"scenes": [scene.key.scene_id for scene in scenes]}
     return replace(rig, id=rig_id or rig.id, projector=fitted.device, extra=extra), fitted
 
 
@@ -51,7 +52,7 @@ def _of_cameras(rig: Rig) -> dict[str, object]:
     return kept | {"health_sigma_px": health}
 
 
-def _seen_in(rig: Rig, folders: Sequence[Path], size: tuple[int, int]) -> list[SeenPoints]:
+def _seen_in(rig: Rig, scenes: Sequence[Scene], size: tuple[int, int]) -> list[SeenPoints]:
     """Points and the projector's coordinate there, in its own pixels, of every scan.
 
     Fringes along the axis in which the cameras stand apart give points. Others are read at the points of the scan of
@@ -62,8 +63,7 @@ def _seen_in(rig: Rig, folders: Sequence[Path], size: tuple[int, int]) -> list[S
     cameras, alone = replace(rig, projector=_placeholder(rig.left, size)), replace(rig, projector=None)
     measured: dict[tuple[str, str, str], Reconstruction] = {}
     seen = []
-    for folder in folders:
-        scene = load_scene(folder)
+    for scene in scenes:
         scene.check_fits(cameras)
         station = (scene.key.aircraft_serial, scene.key.panel, scene.key.station)
         across, code, times = coordinate_size(cameras, scene.code), scene.code, scene.exposures
@@ -72,8 +72,8 @@ def _seen_in(rig: Rig, folders: Sequence[Path], size: tuple[int, int]) -> list[S
             measured[station] = triangulate(left, decode(scene.frames("right"), code, across, times), alone)
         elif station not in measured:
             raise SceneError(
-                f"{folder}: found fringes along {code.axis}, by which the cameras do not measure, expected a scan with "
-                f"fringes along {measuring} of the same station before it, with nothing moved in between"
+                f"{scene.folder}: found fringes along {code.axis}, by which the cameras do not measure, expected a "
+                f"scan with fringes along {measuring} of the same station before it, with nothing moved in between"
             )
         found = measured[station]
         seen.append(seen_points(replace(found, left=left, flags=found.flags | left.flags), code.axis))
