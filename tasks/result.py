@@ -69,7 +69,7 @@ def assemble(
     key = loaded.scene.key
     warnings = [
         *loaded.warnings,
-        *_overexposure(reconstruction, settings.checks),
+        *overexposure_warnings(reconstruction, settings.checks),
         *contradiction_warnings(reconstruction, settings.checks),
         *registered.warnings,
     ]
@@ -165,7 +165,7 @@ def _versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
-def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
+def overexposure_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
     """A warning where much of the skin is saturated: neither points nor a picture, so nothing is found there."""
     # One pixel in sixteen gives the share to a thousandth.
     sampled = (slice(None, None, 4), slice(None, None, 4))

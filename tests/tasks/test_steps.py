@@ -17,7 +17,7 @@ from storage.panel_spec import load_panel_spec
 from storage.scene import Scene
 from tasks import rig_check, steps
 from tasks.loaded import LoadedScene
-from tasks.result import config_hash, preview, versions
+from tasks.result import config_hash, overexposure_warnings, preview, versions
 from tasks.settings import InspectionSettings, SceneChecks, load_settings, settings_from
 from tests.support.results import small_key, small_result
 
@@ -46,7 +46,7 @@ def test_an_overexposed_scan_says_so(lost_share: float, said: bool) -> None:
     flags, points = reconstruction.flags.copy(), reconstruction.points.copy()
     flags[lost] |= np.uint16(PixelFlag.SATURATED)
     points[lost] = np.nan
-    warnings = steps._overexposure(replace(reconstruction, flags=flags, points=points), SceneChecks())
+    warnings = overexposure_warnings(replace(reconstruction, flags=flags, points=points), SceneChecks())
     assert len(warnings) == said
     # A share of some hundred pixels looked at, to four standard deviations.
     assert not said or 0.4 < int(warnings[0].split("%")[0].removeprefix("overexposed: ")) / 100 < 0.6
