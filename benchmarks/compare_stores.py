@@ -25,6 +25,7 @@ from storage.report import panel_page, panel_record, scene_page, scene_record
 
 _OF_A_RUN = re.compile(r"run_id|processed_at|first_stored_at|software_version|seconds_.*|.*_path|file")
 _MASKS = (
+    (re.compile(r"manifest SHA-256 [0-9a-f]{64}"), "MANIFEST"),
     (re.compile(r"\d{8}T\d{12}Z-\w+|run-[\w-]+|\d{8}T\d{6}\.?\d*Z-\w+"), "RUN"),
     (re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?( ?UTC|Z)?"), "TIME"),
 )
