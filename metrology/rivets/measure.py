@@ -14,6 +14,7 @@ from metrology.fits import FittedRivet, HeadFit
 from metrology.plausibility import plausible_rivet
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
+from metrology.rivets.creases import creased_skin
 from metrology.rivets.fits import Fits
 from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
@@ -142,9 +143,10 @@ def _row(
         return replace(empty, reason="; ".join(part for part in (detection.doubt, outcome) if part))
     p, rig = outcome.patch, reconstruction.rig
     head = outcome.head
+    skin = creased_skin(outcome, inflation) if settings.reference == "quadric" else outcome.skin
     circle = _circle(detection, outcome, head, reconstruction)
     x, y = circle.x, circle.y
-    f: Flushness = flushness(head, outcome.skin, x, y, circle.radius, inflation.height, inflation.slope)
+    f: Flushness = flushness(head, skin, x, y, circle.radius, inflation.height, inflation.slope)
     centre = p.frame.rig([x, y, float(head.height(x, y))])
     left = rig.left.project(centre)
     u_right, v_right = (None, None) if rig.right is None else map(float, rig.right.project(centre))
@@ -167,13 +169,11 @@ def _row(
         tilt_u95_deg=float(np.degrees(COVERAGE_95 * f.tilt_sd)),
         crown_mm=f.crown if head.order == 2 else None,
         n_inner=int((head.weights > 0).sum()),
-        n_outer=int((outcome.skin.weights > 0).sum()),
+        n_outer=int((skin.weights > 0).sum()),
         rms_inner_mm=head.rms_mm,
-        rms_outer_mm=outcome.skin.rms_mm,
+        rms_outer_mm=skin.rms_mm,
         decision="unconfirmed" if detection.doubt else "no limit",
-        fit=HeadFit(
-            p.frame, outcome.skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)
-        ),
+        fit=HeadFit(p.frame, skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)),
     )
 
 
