@@ -20,6 +20,7 @@ from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.head import head_surface
 from metrology.rivets.inflation import Inflation, noise_inflation
+from metrology.rivets.one_sided import head_from_one_side
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels, set_radii
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
@@ -142,7 +143,7 @@ def _row(
     if isinstance(outcome, str):
         return replace(empty, reason="; ".join(part for part in (detection.doubt, outcome) if part))
     p, rig = outcome.patch, reconstruction.rig
-    head = outcome.head
+    head = head_from_one_side(outcome, inflation)
     skin = creased_skin(outcome, inflation) if settings.reference == "quadric" else outcome.skin
     circle = _circle(detection, outcome, head, reconstruction)
     x, y = circle.x, circle.y

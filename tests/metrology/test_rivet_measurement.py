@@ -161,6 +161,21 @@ def test_a_slot_and_its_mixed_edges_are_cut_out_of_the_head(rng: np.random.Gener
     assert rivet.crown_mm is None
 
 
+def test_points_to_one_side_leave_the_middle_uncertain(rng: np.random.Generator) -> None:
+    """What blur adds beside a recess leans the points that are left: U95 covers what that does to the middle."""
+    skin, head = Skin(), Head(0, 0, 8.0, 0.1)
+    whole = scan(skin, [head], rng)
+    local = skin.frame.local(whole.points.astype(float))
+    on_head = np.hypot(local[..., 0], local[..., 1]) < 4.0
+    local[..., 2] += on_head * 0.02 * (local[..., 0] - 1.8)
+    points = skin.frame.rig(local).astype(np.float32)
+    points[on_head & (local[..., 0] < 1.0)] = np.nan
+    detection = truth_detection(whole, skin, head)
+    (rivet,) = measure_rivets([detection], replace(whole, points=points))
+    assert 0.03 < abs(rivet.height_mean_mm - 0.1) < rivet.height_u95_mm
+    assert 0.8 < rivet.tilt_deg < rivet.tilt_u95_deg
+
+
 def test_the_floor_of_a_wide_slot_is_not_taken_for_the_head(rng: np.random.Generator) -> None:
     skin, head = Skin(), Head(0, 0, 8.0, 0.1)
     reconstruction = scan(skin, [head], rng)
