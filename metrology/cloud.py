@@ -21,7 +21,7 @@ class PixelFlag(IntFlag):
     GOOD = 0
     SATURATED = 1  # fewer unsaturated samples than unknowns in every exposure
     LOW_MODULATION = 2  # fringes too faint to carry a phase
-    ORDER_RESIDUAL = 4  # the wrapped phases contradict each other: mixed phase or a fringe-order slip
+    ORDER_RESIDUAL = 4  # mixed phase, at the picture's border too, or a fringe-order slip: phases contradict each other
     EDGE = 8  # within two blur radii of a reflectance or depth edge; has a value, keep it out of fits
     UNMATCHED = 16  # no counterpart of equal phase on the right camera's epipolar line
     SATURATED_SAMPLES = 32  # some samples or a neighbour saturated; has a value from the others

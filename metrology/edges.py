@@ -46,6 +46,17 @@ def flag_neighbourhoods(view: DecodedView, frames: int, settings: Reconstruction
     return replace(view, flags=flags)
 
 
+def without_border(view: DecodedView) -> DecodedView:
+    """The view without the phase of its outermost pixels: what filters pictures invents what lies beyond them."""
+    coordinate = view.coordinate.copy()
+    border = np.ones(coordinate.shape, bool)
+    border[1:-1, 1:-1] = False
+    flags = view.flags.copy()
+    flags[border & np.isfinite(coordinate)] |= np.uint16(PixelFlag.ORDER_RESIDUAL)
+    coordinate[border] = np.nan
+    return replace(view, coordinate=coordinate, flags=flags)
+
+
 def _spread(mask: NDArray[np.uint8], disc: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The mask's largest value within the disc about every pixel."""
     return np.asarray(cv2.dilate(mask, disc), np.uint8)

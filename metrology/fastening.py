@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from metrology.cloud import Reconstruction
@@ -27,4 +28,11 @@ def detect_fasteners(reconstruction: Reconstruction, settings: RivetSettings | N
     if ground is None:
         return Fasteners(detect_rivets(reconstruction, settings), [])
     openings = find_openings(reconstruction, ground.relief, ground.shapes, ground.pixels_per_mm, settings.max_sunk_mm)
-    return Fasteners(detect_rivets(reconstruction, settings, ground, [o.ellipse for o in openings]), openings)
+    rivets = detect_rivets(reconstruction, settings, ground, [o.ellipse for o in openings])
+    # A hole in the middle of a head is its recess.
+    return Fasteners(rivets, [o for o in openings if not any(_lies_in(o, head) for head in rivets)])
+
+
+def _lies_in(opening: Opening, head: RivetDetection) -> bool:
+    away = math.hypot(opening.ellipse.u - head.u_px, opening.ellipse.v - head.v_px)
+    return away < 0.5 * head.minor_px

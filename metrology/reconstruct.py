@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.decode import decode_phase
-from metrology.edges import flag_neighbourhoods
+from metrology.edges import flag_neighbourhoods, without_border
 from metrology.epipolar import check_axis
 from metrology.errors import RigError
 from metrology.fringe import FringeCode
@@ -87,7 +87,7 @@ def decode(
     """
     settings = settings or ReconstructionSettings()
     view = decode_phase(frames, code, projector_size, exposures, settings)
-    return flag_neighbourhoods(view, code.fringe_frames or code.frames, settings)
+    return without_border(flag_neighbourhoods(view, code.fringe_frames or code.frames, settings))
 
 
 def triangulate(

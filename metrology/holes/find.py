@@ -24,11 +24,12 @@ _LEAST_RADIUS_PX = 4.0
 _ROUND = 0.3  # elongation against a circle's on this skin: shadows and walls make it longer to one side
 _FILLED = 0.75  # of the ellipse of the same moments that a patch must fill
 _LONG = 0.9  # the same of what stands far out: both cameras and the projector lose what lies behind it
-_SURROUNDED = 0.75  # of the pixels round a hole, saturated ones left out, must lie on the skin
-_KNOWN = 0.5  # of the pixels round a hole must not be saturated
+_SURROUNDED = 0.75  # of the pixels round a hole, those too bright left out, must lie on the skin
+_KNOWN = 0.3  # of the pixels round a hole must not be too bright
 _SUNK_SHARE = 0.35  # of the diameter: a head sunk deeper has left its place
 _DARK_SUNK_MM = 1.2  # what lies deeper and is dark, too, is another sheet behind a hole
 _BRIGHT = 0.5  # of the skin's brightness: no hole into which no light falls, nor black paint
+_AS_SKIN = 0.75  # of the brightness about it: no hole, though nothing was measured there
 _EMPTY = 0.5  # share of pixels without a point that makes a hole empty
 # Diameters of the discs that part a hole from what it touches: a shadow, a chip, a stroke of paint without points.
 _PARTED_BY_MM = (0.0, 1.5, 3.0, 6.0)
@@ -68,12 +69,15 @@ def find_openings(
     scale = float(np.median(pixels_per_mm))
     height = _heights(reconstruction, relief)
     skin = np.abs(height) < _OFF_MM
-    saturated = (reconstruction.flags[::_STRIDE, ::_STRIDE] & np.uint16(PixelFlag.SATURATED)) != 0
-    # A pixel that matches by chance, at a wall or in the dark, does not part a hole. No hole is too bright.
-    away = (~skin & ~(saturated & np.isnan(height))).astype(np.uint8)
-    away = np.asarray(cv2.morphologyEx(away, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
     texture = reconstruction.left.texture[::_STRIDE, ::_STRIDE]
-    view = _View(height, texture, skin, skin | ~saturated, shapes, scale, sunk_mm)
+    saturated = (reconstruction.flags[::_STRIDE, ::_STRIDE] & np.uint16(PixelFlag.SATURATED)) != 0
+    # Where the other camera saturates, what this one sees is as bright as the skin about it.
+    reach = int(_MOST_DIAMETER_MM * scale / _STRIDE) | 1
+    dazzled = (saturated | (texture > _AS_SKIN * cv2.blur(np.nan_to_num(texture), (reach, reach)))) & np.isnan(height)
+    # A pixel that matches by chance, at a wall or in the dark, does not part a hole. No hole is too bright.
+    away = (~skin & ~dazzled).astype(np.uint8)
+    away = np.asarray(cv2.morphologyEx(away, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), np.uint8)
+    view = _View(height, texture, skin, skin | ~(saturated | dazzled), shapes, scale, sunk_mm)
     found: list[Opening] = []
     for diameter in _PARTED_BY_MM:
         size = int(diameter * scale / _STRIDE) | 1
@@ -87,7 +91,7 @@ def find_openings(
 
 @dataclass(frozen=True)
 class _View:
-    """Every second pixel of a scan: heights over the skin (mm), brightness, what lies on it, what is not saturated."""
+    """Every second pixel of a scan: heights over the skin (mm), brightness, what lies on it, what is known of."""
 
     height: NDArray[np.float32]
     texture: NDArray[np.float32]

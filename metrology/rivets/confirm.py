@@ -46,6 +46,7 @@ _OF_PITCH = 0.03  # the same as a share of the row's pitch
 _NEAREST = 4  # neighbours that make a row
 _OTHER_VIEW = 0.2  # of a rim's contrast in the left camera that the right one must show
 _DIRECTIONS = 48
+_FAR_OFF = 10.0  # standard deviations of a height that is no head's, where shadows leave little skin
 _SEEN = 0.7  # of a rim that the right camera must see to be asked
 
 
@@ -147,7 +148,8 @@ def steps_up(height_mm: float, step: RimStep | None) -> bool:
 
 def _is_hole(relief: HeadRelief, settings: RivetSettings) -> bool:
     """A hole has skin round it and nothing inside, or something far off: below, or a temporary fastener's top."""
-    return relief.outer_share > 0.6 and (relief.inner_share < 0.15 or abs(relief.step_mm) > settings.max_sunk_mm)
+    empty = relief.outer_share > 0.6 and relief.inner_share < 0.15
+    return empty or (abs(relief.step_mm) > settings.max_sunk_mm and relief.significance > _FAR_OFF)
 
 
 def _bears_out(relief: HeadRelief, step: RimStep | None, settings: RivetSettings) -> bool:

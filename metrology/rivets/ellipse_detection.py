@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.rivets.alike import rings_alike
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_steps, settle
 from metrology.rivets.ring import RingFit, fit_ring
@@ -21,6 +22,7 @@ Float32 = NDArray[np.float32]
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
 _APART = 0.85  # of the sum of two rings' radii, at least, between their centres
+_FAINT = 40.0  # quality of usual rings, below which arcs of smaller and partial ones are lost in the grain
 _CLEAR = 2.0  # ridges of this many times the least strength are of clear rings
 _TELLING = 12  # confident rings: their mean elongation is told to a third of what one ring's is
 _USUAL_SIGMA_PX = 1.0  # half-width of a ring
@@ -97,7 +99,8 @@ def detect_ellipses(
         return _verified_rings(image, starts, known, bounds, settings, enough=_TELLING if evidence is STRONG else None)
 
     if shapes is not None:
-        return suppress_repeats(rings(shapes, KNOWN_SHAPE, traces))
+        found = rings(shapes, KNOWN_SHAPE, traces)
+        return suppress_repeats(found + _alike(image, suppress_repeats(found), shapes, bounds, settings))
     # The clearest rings tell what circles look like; where they are too few, all that are beyond doubt.
     clear = [t.stronger(_CLEAR * settings.ridge_low) for t in traces]
     for arcs in (clear, traces):
@@ -106,6 +109,23 @@ def detect_ellipses(
         if learnt is not None:
             return suppress_repeats(rings(learnt, ANY_SHAPE, traces, likely=strong))
     return suppress_repeats(rings(None, ANY_SHAPE, traces))
+
+
+def _alike(
+    image: Float32, rings: Sequence[Ring], shapes: CircleShapes, radii: tuple[float, float], settings: RivetSettings
+) -> list[Ring]:
+    """More rings like those that are beyond doubt, beside them, where these are so faint that arcs may be lost."""
+    clear = [r for r in rings if r.confident]
+    if not clear or np.median([r.quality for r in clear]) > _FAINT:
+        return []
+    dark = sum(r.fit.amplitude < 0 for r in clear) >= 0.5 * len(clear)
+    starts = rings_alike(image, [r.ellipse for r in clear], dark, shapes)
+    free = [
+        s
+        for s in starts
+        if not any(math.hypot(s.u - r.ellipse.u, s.v - r.ellipse.v) < _APART * (s.b + r.ellipse.b) for r in rings)
+    ]
+    return _verified_rings(image, free, shapes, radii, settings, enough=None)
 
 
 def _verified_rings(

@@ -26,6 +26,8 @@ _INFLATION = 2.0
 # Scatter of a head's points over that of the skin's, in their σ: at most 1.4 on heads whose surface was found. What
 # blur leaves of a narrow slot on a small head lies on no surface, and passes for one.
 _ROUGH = 1.8
+# Tilt of a head of which a recess leaves a part: a wall of the recess leans more, a head hardly ever a third of it.
+_MOST_LEAN_DEG = 5.0
 
 
 def head_surface(
@@ -51,6 +53,8 @@ def head_surface(
         if clear.sum() < _FEWEST_CLEAR:
             return f"head: {int(clear.sum())} points clear of its recesses, at least {_FEWEST_CLEAR} needed"
         inner, surface = clear, _plane_or_dome(patch, clear, settings, generator)
+        if surface is not None and (leans := _lean_deg(surface, skin)) > _MOST_LEAN_DEG:
+            return f"head: what is clear of its recesses leans by {leans:.1f}°, as a recess's wall does"
     if surface is None:
         return "points lie too unevenly for a surface"
     rough = surface.chi / max(skin.chi, 1.0)
@@ -71,6 +75,12 @@ def _plane_or_dome(
             if abs(by @ quadric.coefficients) > max(settings.min_crown_mm, 4 * deviation):
                 return quadric
     return patch.surface(members, 1, generator)
+
+
+def _lean_deg(surface: Polynomial, skin: Polynomial) -> float:
+    """Angle between a surface and the skin at the head's centre."""
+    (_, a1, b1), (_, a0, b0) = surface.tangent(0.0, 0.0)[0], skin.tangent(0.0, 0.0)[0]
+    return float(np.degrees(np.arctan(np.hypot(a1 - a0, b1 - b0))))
 
 
 def _off(patch: Patch, members: Mask, surface: Polynomial, skin: Polynomial) -> NDArray[np.float64]:

@@ -14,11 +14,13 @@ from metrology.fits import FittedRivet, HeadFit
 from metrology.plausibility import plausible_rivet
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
 from metrology.rivets.controls import control_places
+from metrology.rivets.creases import creased_skin
 from metrology.rivets.fits import Fits
 from metrology.rivets.flushness import Flushness, flushness
 from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.head import head_surface
 from metrology.rivets.inflation import Inflation, noise_inflation
+from metrology.rivets.one_sided import head_from_one_side
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels, set_radii
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
@@ -141,10 +143,11 @@ def _row(
     if isinstance(outcome, str):
         return replace(empty, reason="; ".join(part for part in (detection.doubt, outcome) if part))
     p, rig = outcome.patch, reconstruction.rig
-    head = outcome.head
+    head = head_from_one_side(outcome, inflation)
+    skin = creased_skin(outcome, inflation) if settings.reference == "quadric" else outcome.skin
     circle = _circle(detection, outcome, head, reconstruction)
     x, y = circle.x, circle.y
-    f: Flushness = flushness(head, outcome.skin, x, y, circle.radius, inflation.height, inflation.slope)
+    f: Flushness = flushness(head, skin, x, y, circle.radius, inflation.height, inflation.slope)
     centre = p.frame.rig([x, y, float(head.height(x, y))])
     left = rig.left.project(centre)
     u_right, v_right = (None, None) if rig.right is None else map(float, rig.right.project(centre))
@@ -167,13 +170,11 @@ def _row(
         tilt_u95_deg=float(np.degrees(COVERAGE_95 * f.tilt_sd)),
         crown_mm=f.crown if head.order == 2 else None,
         n_inner=int((head.weights > 0).sum()),
-        n_outer=int((outcome.skin.weights > 0).sum()),
+        n_outer=int((skin.weights > 0).sum()),
         rms_inner_mm=head.rms_mm,
-        rms_outer_mm=outcome.skin.rms_mm,
+        rms_outer_mm=skin.rms_mm,
         decision="unconfirmed" if detection.doubt else "no limit",
-        fit=HeadFit(
-            p.frame, outcome.skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)
-        ),
+        fit=HeadFit(p.frame, skin.coefficients, head.coefficients, x, y, circle.radius, *set_radii(p, settings)),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.holes.recess import is_recess
 from metrology.results import RivetDetection
 from metrology.rivets.confirm import confirm_rings, steps_up
 from metrology.rivets.ellipse import Ellipse
@@ -40,7 +41,7 @@ def detect_rivets(
     ground : Ground
         See `ground_of`; found where it is not given.
     holes : sequence of Ellipse
-        Where there is no head, whatever ring shows.
+        Where there is no head, whatever ring shows, unless it is a head's recess.
 
     Returns
     -------
@@ -54,7 +55,11 @@ def detect_rivets(
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
         return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
     rings = detect_ellipses(texture, settings, ground.shapes, ground.radii)
-    rings = [r for r in rings if not any(_overlap(r.ellipse, hole) for hole in holes)]
+    rings = [
+        r
+        for r in rings
+        if all(not _overlap(r.ellipse, h) or is_recess(h, r.ellipse, reconstruction) for h in holes)
+    ]
     confirmed = confirm_rings(rings, reconstruction, settings)
     found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
     if settings.plain_heads:

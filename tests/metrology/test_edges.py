@@ -26,7 +26,7 @@ def test_dark_ring_is_flagged_and_nothing_unflagged_is_biased(rng: np.random.Gen
     total, squares, number, kept = np.zeros(u.shape), 0.0, np.zeros(u.shape), 0
     for _ in range(12):
         view = decode(seen(np.where(np.abs(radius - 30) < 1.0, 0.3, 1.0), truth, rng), USUAL, SIZE)
-        clear = (view.flags & PixelFlag.EDGE) == 0
+        clear = ((view.flags & PixelFlag.EDGE) == 0) & np.isfinite(view.coordinate)
         kept += int((clear & (radius < 30)).sum())
         error = np.where(clear, view.coordinate - truth, 0.0)
         total += error
@@ -75,3 +75,16 @@ def test_neighbours_of_saturated_pixels_are_flagged(rng: np.random.Generator) ->
     touched = (view.flags & PixelFlag.SATURATED_SAMPLES) != 0
     assert touched[26:34, 37:43].all()
     assert not touched[:, :30].any()
+
+
+def test_a_blurred_picture_s_outermost_pixels_have_no_phase(rng: np.random.Generator) -> None:
+    truth = 300 + 0.72 * np.arange(120.0) * np.ones((400, 1))
+    blur = cv2.GaussianBlur(np.pad(truth, 4, mode="reflect"), (0, 0), 0.6)[4:-4, 4:-4]
+    assert abs(blur - truth)[:, 0].min() > 0.1
+    view = decode(recorded(clean_frames(blur, USUAL, SIZE, 110, 90), rng, 1.5), USUAL, SIZE)
+    missing = ~np.isfinite(view.coordinate)
+    assert missing[:, [0, -1]].all()
+    assert missing[[0, -1]].all()
+    assert not missing[1:-1, 1:-1].any()
+    assert ((view.flags & PixelFlag.ORDER_RESIDUAL) != 0)[missing].all()
+    assert abs((view.coordinate - truth)[1:-1, 1:-1].mean(axis=0)).max() < 0.02
