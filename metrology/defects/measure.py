@@ -96,7 +96,8 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
         bottom = replace(bottom, depth=seen, sd=float(np.hypot(bottom.sd, seen - bottom.depth)))
     skin_variance = by_reference + region.doubt**2
     sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
-    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + skin_variance)
+    # Whether it is one does not hang on waves: its neighbours' are in their own standard deviation.
+    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + by_reference / patch.reference.together + region.doubt**2)
     return _Found(region, patch, bottom, outline, float(sd), seen, float(seen_sd))
 
 

@@ -48,6 +48,10 @@ class Reference:
     ruled : tuple of Ruled
     noise : float
         Residuals over the cells' own standard deviation.
+    density : float
+        Cells that it was fitted to, for each mm² of the plate.
+    together : float
+        By how much the skin's waves raise the variance that independent cells would leave.
     """
 
     frame: Frame
@@ -57,6 +61,8 @@ class Reference:
     covariance: Array
     ruled: tuple[Ruled, ...] = ()
     noise: float = 1.0
+    density: float = 0.0
+    together: float = 1.0
 
     @property
     def extent(self) -> float:
@@ -78,9 +84,9 @@ class Reference:
         return np.asarray(sum((profile.at(x, y) for profile in self.ruled), np.zeros_like(x)))
 
     def variance(self, x: Array, y: Array) -> Array:
-        """Of `height`, mm², for independent noise of cells."""
+        """Of `height`, mm², by noise of the cells and waves of the skin."""
         design = self.design(x, y, self.smooth(x, y))
-        by_surface = ((design @ self.covariance) * design).sum(axis=-1) * self.extent**2
+        by_surface = ((design @ self.covariance) * design).sum(axis=-1) * self.extent**2 * self.together
         return np.asarray(sum((profile.variance_at(x, y) for profile in self.ruled), by_surface))
 
     def depths(self, points: Array, member: NDArray[np.bool_], out: Array) -> None:
@@ -102,6 +108,23 @@ class Reference:
         height = float(self.height(np.array([x]), np.array([y]))[0])
         normal = np.array([-slope_x, -slope_y, 1.0]) @ self.frame.axes
         return Frame.on_plane(self.frame.rig([x, y, height]), normal)
+
+    def with_waves(self, waves: float, cell_sd: float, largest_mm: float) -> Reference:
+        """With the uncertainty that waves of the skin bring, since cells on one of them err together.
+
+        The longest wave that the reference does not follow has a half-wave L of `largest_mm`; under its correlation,
+        about exp(−(π d / L)² / 2), lies an area of 2 L² / π.
+
+        Parameters
+        ----------
+        waves : float
+            Their standard deviation, mm.
+        cell_sd : float
+            Of a cell's own noise, mm.
+        largest_mm : float
+        """
+        cells = self.density * 2 / np.pi * largest_mm**2
+        return replace(self, together=1 + cells * (waves / cell_sd) ** 2)
 
     def spans(self, points: Array) -> list[tuple[float, float]]:
         """From where to where points (n, 3) of the rig frame lie along each profile, bins."""
@@ -170,9 +193,11 @@ def _shape(points: Array, largest_mm: float) -> Reference | None:
     if extents.min() < _THINNEST * extents.max():
         return None
     centred = Frame(frame.rig([*(0.5 * (low + high)), 0.0]), frame.axes)
+    density = len(points) / float(4 * extents.prod())
     most = np.clip(2 * extents // largest_mm, _LEAST_DEGREE, _MOST_DEGREE).astype(int)
     waves = [(i, j) for i in range(most[0] + 1) for j in range(most[1] + 1) if 3 <= i + j <= most.max()]
-    return Reference(centred, extents, np.array(waves, np.int64).reshape(-1, 2), np.zeros(0), np.zeros((0, 0)))
+    terms = np.array(waves, np.int64).reshape(-1, 2)
+    return Reference(centred, extents, terms, np.zeros(0), np.zeros((0, 0)), density=density)
 
 
 def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Reference:

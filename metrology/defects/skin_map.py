@@ -123,7 +123,14 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
     others = {p: _reference(cells, p, wide, seams, settings) for p in {region.plate for region in regions}}
     doubted = tuple(replace(region, doubt=_doubt(region, depth, cells, others[region.plate])) for region in regions)
-    return SkinMap(cells, references, depth, smoothed, sd, waves, doubted)
+    told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
+    return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
+
+
+def _with_waves(reference: Reference, cells: CellMap, plate: int, waves: float, settings: DefectSettings) -> Reference:
+    """A plate's reference with the uncertainty that its waves add."""
+    typical = reference.noise * float(np.nanmedian(cells.sigma[cells.plate == plate]))
+    return reference.with_waves(waves, typical, settings.largest_mm)
 
 
 def _parts(region: Region, smoothed: Array, sd: Array) -> list[Region]:
