@@ -39,6 +39,10 @@ _TERMS = (
     (0, 4, 0.06, 0.1),
 )
 _SMOOTH = len(_TERMS)
+_POWERS = np.array([term[:2] for term in _TERMS]).T
+_LOWER = np.maximum(_POWERS[:, None, :] - _POWERS[:, :, None], 0)
+_BINOMIALS = np.array([[comb(i, k) * comb(j, m) for i, j, *_ in _TERMS] for k, m, *_ in _TERMS], float)
+"""Of a term moved from a place: (row, column) powers of the place, and factors; 0 of terms that it has not."""
 # With a cusp: (1 − ρ/3.4)², which is at half depth at ρ = 1, has −0.59 ρ and +0.09 ρ².
 _CUSPS: dict[Form, tuple[tuple[float, float], ...]] = {
     "smooth": (),
@@ -107,8 +111,7 @@ def fitted(points: Points, form: Form) -> Vertex:
             if number < _ROUNDS - 1:
                 place = np.clip(place + _way_to_top(solved.values[0], scale), -_FARTHEST, _FARTHEST)
         return _vertex(points, form, place, np.ones(1), solved, float(solved.evidence[0]))
-    found = _cusp(points, sums, form, scale)
-    return _cusp(points, sums, form, max(found.depth, 0.2 * scale))
+    return _cusp(points, sums, form, scale)
 
 
 @dataclass(frozen=True)
@@ -146,14 +149,17 @@ def _cusp(points: Points, sums: _Sums, form: Form, scale: float) -> Vertex:
     """
     axes = 2 if form == "point" else 1
     step, middle, offsets = _FARTHEST / _GRID_STEPS, np.zeros(2), _grid(axes, _GRID_STEPS)
-    for _ in range(_REFINED):
+    for number in range(_REFINED):
         places = np.clip(middle + step * offsets, -_FARTHEST, _FARTHEST)
         solved = _solved(points, sums, form, places, scale)
         best = int(solved.evidence.argmax())
         weights = np.exp(solved.evidence - solved.evidence[best])
-        if weights.sum() > _SPREAD:
+        fine = weights.sum() > _SPREAD
+        if fine and number:
             break
-        middle, step, offsets = places[best], step / 2, _grid(axes, 2)
+        scale = max(float(solved.values[best, 0]), 0.2 * scale)
+        if not fine:
+            middle, step, offsets = places[best], step / 2, _grid(axes, 2)
     evidence = float(solved.evidence[best] + np.log(weights.sum() * (0.5 * step / _FARTHEST) ** axes))
     return _vertex(points, form, places, weights / weights.sum(), solved, evidence)
 
@@ -167,16 +173,16 @@ def _grid(axes: int, steps: int) -> Array:
 def _solved(points: Points, sums: _Sums, form: Form, places: Array, scale: float) -> _Solved:
     """The terms about each of m places (m, 2)."""
     mean, sd = _prior(form, scale)
-    moved = np.stack([_moved(place) for place in places])
-    cusps = np.stack([_cusps(points, form, place) for place in places]) / points.sd[:, None]
-    across = np.swapaxes(moved, 1, 2) @ (sums.design.T @ cusps)
+    moved = _moved(places)
+    cusps = _cusps(points, form, places) / points.sd
+    across = np.swapaxes(moved, 1, 2) @ np.moveaxis(cusps @ sums.design, 0, 2)
     normal = np.block(
         [
             [np.swapaxes(moved, 1, 2) @ sums.normal @ moved, across],
-            [np.swapaxes(across, 1, 2), np.swapaxes(cusps, 1, 2) @ cusps],
+            [np.swapaxes(across, 1, 2), np.einsum("imn,jmn->mij", cusps, cusps)],
         ]
     )
-    right = np.hstack([sums.right @ moved, (points.depth / points.sd) @ cusps])
+    right = np.hstack([sums.right @ moved, (cusps @ (points.depth / points.sd)).T])
     squares = sums.squares - 2 * right @ mean + np.einsum("i,mij,j->m", mean, normal, mean)
     right = right - normal @ mean
     normal = normal + np.diag(sd**-2.0)
@@ -186,14 +192,10 @@ def _solved(points: Points, sums: _Sums, form: Form, places: Array, scale: float
     return _Solved(mean + change, covariance, evidence)
 
 
-def _moved(place: Array) -> Array:
-    """(k, k) coefficients of the smooth terms about the centre, of each of those about a place."""
-    matrix = np.zeros((_SMOOTH, _SMOOTH))
-    for column, (i, j, *_) in enumerate(_TERMS):
-        for row, (k, m, *_) in enumerate(_TERMS):
-            if k <= i and m <= j:
-                matrix[row, column] = comb(i, k) * comb(j, m) * (-place[0]) ** (i - k) * (-place[1]) ** (j - m)
-    return matrix
+def _moved(places: Array) -> Array:
+    """(m, k, k) coefficients of the smooth terms about the centre, of each of those about a place."""
+    by_p, by_q = ((-places[:, axis, None]) ** np.arange(5) for axis in (0, 1))
+    return np.asarray(_BINOMIALS * by_p[:, _LOWER[0]] * by_q[:, _LOWER[1]])
 
 
 def _prior(form: Form, scale: float) -> tuple[Array, Array]:
@@ -208,16 +210,16 @@ def _prior(form: Form, scale: float) -> tuple[Array, Array]:
     return mean * scale, sd * scale
 
 
-def _cusps(points: Points, form: Form, place: Array) -> Array:
-    """(n, 0 … 2) the terms of a cusp."""
-    p, q = points.p - place[0], points.q - place[1]
+def _cusps(points: Points, form: Form, places: Array) -> Array:
+    """(0 … 2, m, n) the terms of a cusp at each of m places, as means over the area of a point."""
+    p, q = points.p - places[:, :1], points.q - places[:, 1:]
     s, t = points.blur_mm / points.radii[0], points.blur_mm / points.radii[1]
     if form == "point":
-        return np.sqrt(p * p + q * q + 0.25 * np.pi * (s * s + t * t))[:, None]
+        return np.sqrt(p * p + q * q + 0.25 * np.pi * (s * s + t * t))[None]
     if form == "smooth":
-        return np.empty((len(p), 0))
+        return np.empty((0, *p.shape))
     edge = np.sqrt(q * q + 2 / np.pi * t * t)
-    return np.stack([edge, edge * (p * p + s * s)], axis=1)
+    return np.stack([edge, edge * (p * p + s * s)])
 
 
 def _blurred_powers(x: Array, sd: float) -> tuple[Array, ...]:

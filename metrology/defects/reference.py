@@ -27,6 +27,7 @@ _BEND_SD = 0.3  # of half the plate's extent over the diameter
 _WAVE_SD_MM = 0.02  # of the polynomial's terms before the plate itself tells
 _WAVE_RANGE_MM = (2e-4, 0.2)
 _FIT_CELLS = 3000  # of a plate are enough for its surface
+_PROFILE_CELLS = 12000  # for its profiles, of which every bin needs some
 _LEAST_CELLS = 100
 _THINNEST = 0.02  # of its extent: narrower strips tell no surface
 
@@ -48,6 +49,8 @@ class Reference:
     ruled : tuple of Ruled
     noise : float
         Residuals over the cells' own standard deviation.
+    wave_sd : float
+        Standard deviation of the polynomial's terms, mm; 0 until the plate has told it.
     density : float
         Cells that it was fitted to, for each mm² of the plate.
     together : float
@@ -61,6 +64,7 @@ class Reference:
     covariance: Array
     ruled: tuple[Ruled, ...] = ()
     noise: float = 1.0
+    wave_sd: float = 0.0
     density: float = 0.0
     together: float = 1.0
 
@@ -144,7 +148,11 @@ class Reference:
 
 
 def fit_reference(
-    points: Array, sigma: Array, seams: Sequence[tuple[Array, Array]], largest_mm: float
+    points: Array,
+    sigma: Array,
+    seams: Sequence[tuple[Array, Array]],
+    largest_mm: float,
+    like: Reference | None = None,
 ) -> Reference | None:
     """The reference of a plate; None where its cells lie too unevenly.
 
@@ -158,9 +166,13 @@ def fit_reference(
         Two points on the course of each seam beside it, rig frame.
     largest_mm : float
         Length of the largest defect of interest.
+    like : Reference
+        Of more of the plate's cells: its frame, its terms and how large they are, and its profiles are this one's, too.
     """
+    if len(points) < _LEAST_CELLS:
+        return None
     part = slice(None, None, max(1, len(points) // _FIT_CELLS))
-    shape = _shape(points[part], largest_mm) if len(points) >= _LEAST_CELLS else None
+    shape = replace(like, ruled=()) if like else _shape(points[part], largest_mm)
     if shape is None:
         return None
     x, y, h = np.ascontiguousarray(shape.frame.local(points[part]).T)
@@ -168,8 +180,11 @@ def fit_reference(
     # The paraboloid and the profiles first: waves would take part of the profiles.
     plain = replace(shape, waves=shape.waves[:0])
     fitted = _fitted(plain, x, y, h, sd)
-    courses = [np.diff(shape.frame.local(np.stack(seam)), axis=0)[0, :2] for seam in seams]
-    directions = bent_along(h - fitted.smooth(x, y), sd, x, y, courses)
+    if like:
+        directions = [profile.direction for profile in like.ruled]
+    else:
+        courses = [np.diff(shape.frame.local(np.stack(seam)), axis=0)[0, :2] for seam in seams]
+        directions = bent_along(h - fitted.smooth(x, y), sd, x, y, courses)
     if not directions:
         return _fitted(shape, x, y, h, sd)
     for form in (plain, plain, shape):
@@ -177,8 +192,9 @@ def fit_reference(
         directions = [profile.direction for profile in ruled]
         form = replace(form, ruled=ruled)
         fitted = _fitted(form, x, y, h - form.ruled_height(x, y), sd)
-    x, y, h = np.ascontiguousarray(shape.frame.local(points).T)
-    sd = shape.frame.height_sigma(points, sigma)
+    part = slice(None, None, max(1, len(points) // _PROFILE_CELLS))
+    x, y, h = np.ascontiguousarray(shape.frame.local(points[part]).T)
+    sd = shape.frame.height_sigma(points[part], sigma[part])
     return replace(fitted, ruled=ruled_profiles(h - fitted.smooth(x, y), sd, x, y, directions))
 
 
@@ -205,7 +221,7 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
     e = shape.extent
     design = shape.design(x, y, h) * (e / sd[:, None])
     target = h / sd
-    wave_sd = _WAVE_SD_MM
+    wave_sd = shape.wave_sd or _WAVE_SD_MM
     weights = np.ones(len(x))
     noise, solution = 1.0, np.zeros(design.shape[1])
     for number in range(_ROUNDS):
@@ -221,7 +237,8 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         weights = tukey(residual / (TUKEY * noise))
         if number > 1 and change < _CONVERGED * noise:
             break
-        if number > 0 and len(waves):
+        if number > 0 and len(waves) and not shape.wave_sd:
             second = solution[PLAIN:] ** 2 + noise**2 * np.diag(inverse)[PLAIN:]
             wave_sd = float(np.clip(e * np.sqrt(second.mean()), *_WAVE_RANGE_MM))
-    return replace(shape, coefficients=solution, covariance=np.asarray(inverse * noise**2, float), noise=noise)
+    covariance = np.asarray(inverse * noise**2, float)
+    return replace(shape, coefficients=solution, covariance=covariance, noise=noise, wave_sd=wave_sd)

@@ -121,7 +121,7 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
             break
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
-    others = {p: _reference(cells, p, wide, seams, settings) for p in {region.plate for region in regions}}
+    others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
     doubted = tuple(replace(region, doubt=_doubt(region, depth, cells, others[region.plate])) for region in regions)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
@@ -142,11 +142,16 @@ def _parts(region: Region, smoothed: Array, sd: Array) -> list[Region]:
 
 
 def _reference(
-    cells: CellMap, plate: int, covered: Mask, seams: list[tuple[Array, Array]], settings: DefectSettings
+    cells: CellMap,
+    plate: int,
+    covered: Mask,
+    seams: list[tuple[Array, Array]],
+    settings: DefectSettings,
+    like: Reference | None = None,
 ) -> Reference | None:
     """The skin of a plate by its bare cells."""
     use = (cells.plate == plate) & cells.free & ~covered
-    return fit_reference(cells.points[use], cells.sigma[use], seams, settings.largest_mm)
+    return fit_reference(cells.points[use], cells.sigma[use], seams, settings.largest_mm, like)
 
 
 def _doubt(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> float:
