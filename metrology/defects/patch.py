@@ -24,6 +24,7 @@ _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_PX = (2.4, 8.0)
 _FWHM = 2.355  # of a Gaussian, standard deviations
+_ENOUGH = 1000  # points that tell how pixels map onto the skin
 SUPPORT_PX = 1.4
 """Standard deviation of the area that a point is a mean of."""
 
@@ -181,9 +182,12 @@ def _tangent(region: Region, skin: SkinMap, reference: Reference) -> Frame:
 
 def _everywhere(values: Array, known: Mask) -> Array:
     """Coordinates of all grid cells, from a quadratic through the known ones: pixels map smoothly onto the skin."""
-    v, u = np.mgrid[: values.shape[0], : values.shape[1]]
-    v, u = v / max(values.shape) - 0.5, u / max(values.shape) - 0.5
-    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
-    part = known & (np.arange(known.size).reshape(known.shape) % max(1, known.size // 4000) == 0)
-    fit, *_ = np.linalg.lstsq(design[part], values[part], rcond=None)
-    return np.asarray(design @ fit)
+    rows, columns = values.shape
+    part = np.flatnonzero(known)
+    part = part[:: max(1, len(part) // _ENOUGH)]
+    u, v = (np.arange(n) / max(rows, columns) - 0.5 for n in (columns, rows))
+    pu, pv = u[part % columns], v[part // columns]
+    design = np.stack([np.ones_like(pu), pu, pv, pu * pu, pu * pv, pv * pv], axis=-1)
+    c, *_ = np.linalg.lstsq(design, values.ravel()[part], rcond=None)
+    across, down = c[0] + c[1] * u + c[3] * u * u, c[2] * v + c[5] * v * v
+    return np.asarray(across + down[:, None] + c[4] * v[:, None] * u)

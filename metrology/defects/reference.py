@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, ruled_profiles
 from metrology.defects.surface_kernel import PLAIN, depths, surface_heights
-from metrology.robust import MAD, TUKEY, tukey
+from metrology.robust import MAD, TUKEY, median, tukey
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -26,8 +26,7 @@ _LEAST_DEGREE, _MOST_DEGREE = 4, 8  # a torus needs the fourth
 _BEND_SD = 0.3  # of half the plate's extent over the diameter
 _WAVE_SD_MM = 0.02  # of the polynomial's terms before the plate itself tells
 _WAVE_RANGE_MM = (2e-4, 0.2)
-_FIT_CELLS = 3000  # of a plate are enough for its surface
-_PROFILE_CELLS = 12000  # for its profiles, of which every bin needs some
+_FIT_CELLS = 2000  # of a plate are enough for its surface
 _LEAST_CELLS = 100
 _THINNEST = 0.02  # of its extent: narrower strips tell no surface
 
@@ -192,9 +191,8 @@ def fit_reference(
         directions = [profile.direction for profile in ruled]
         form = replace(form, ruled=ruled)
         fitted = _fitted(form, x, y, h - form.ruled_height(x, y), sd)
-    part = slice(None, None, max(1, len(points) // _PROFILE_CELLS))
-    x, y, h = np.ascontiguousarray(shape.frame.local(points[part]).T)
-    sd = shape.frame.height_sigma(points[part], sigma[part])
+    x, y, h = np.ascontiguousarray(shape.frame.local(points).T)
+    sd = shape.frame.height_sigma(points, sigma)
     return replace(fitted, ruled=ruled_profiles(h - fitted.smooth(x, y), sd, x, y, directions))
 
 
@@ -233,7 +231,7 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         change = np.abs(design @ (updated - solution)).max()
         solution = updated
         residual = np.abs(target - design @ solution)
-        noise = MAD * float(np.median(residual)) + 1e-9
+        noise = MAD * median(residual) + 1e-9
         weights = tukey(residual / (TUKEY * noise))
         if number > 1 and change < _CONVERGED * noise:
             break
