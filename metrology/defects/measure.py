@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.defects.bottom import Bottom, bottom_of
+from metrology.defects.form import form_of
 from metrology.defects.nature import nature_of
 from metrology.defects.outline import Outline, outline_at
 from metrology.defects.patch import Patch, cut_patch
-from metrology.defects.row import Defect, HiddenBy
+from metrology.defects.row import HiddenBy
 from metrology.defects.settings import DefectSettings
 from metrology.defects.skin_map import Region, SkinMap, skin_map
 from metrology.defects.straight_edge import section
 from metrology.defects.surroundings import distances, is_pull_in, pull_in
+from metrology.fits import FittedDefect
 from metrology.results import COVERAGE_95, Rivet, SeamStation, of_type
 from metrology.sighted import Sighted
 
@@ -56,7 +58,7 @@ class _Found:
     seen_sd: float
 
 
-def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) -> list[Defect]:
+def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) -> list[FittedDefect]:
     """The defects of a scan, numbered D01 … from the top of the left image down."""
     settings = settings or DefectSettings()
     skin = skin_map(sighted, settings)
@@ -117,12 +119,12 @@ def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     return cut < _CUT or found.outline.length > _LEAST_VIEW_MM
 
 
-def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> FittedDefect:
     patch, bottom, outline = found.patch, found.bottom, found.outline
     place = patch.frame.rig([bottom.x, bottom.y, _height(found)])
     u, v = sighted.reconstruction.rig.left.project(place)
     nature = nature_of(patch, bottom, outline, found.region.sign, settings)
-    row = Defect(
+    row = FittedDefect(
         "", x_mm=float(place[0]), y_mm=float(place[1]), z_mm=float(place[2]), u_px=float(u), v_px=float(v), kind=nature
     )
     own = skin.cells.plate == found.region.plate
@@ -141,7 +143,7 @@ def _height(found: _Found) -> float:
     return float(frame.local(skin)[2]) - found.region.sign * found.bottom.depth
 
 
-def _with_depth(row: Defect, found: _Found, settings: DefectSettings) -> Defect:
+def _with_depth(row: FittedDefect, found: _Found, settings: DefectSettings) -> FittedDefect:
     """Depth with its U95, and whether all of the defect was seen."""
     pixels = found.patch.true_pixels(found.outline.width)
     if row.kind == "scratch" and pixels < settings.scratch_pixels:
@@ -168,7 +170,9 @@ def _hidden_by(found: _Found) -> HiddenBy | None:
     return "seam" if found.outline.cut_by_seam > _CUT else "fastener"
 
 
-def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+def _with_extents(
+    row: FittedDefect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings
+) -> FittedDefect:
     """Extents, what follows from them and the depth, and distances."""
     patch, bottom, outline = found.patch, found.bottom, found.outline
     share = found.depth_sd / bottom.depth
@@ -195,8 +199,10 @@ def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, s
     return row if row.depth_mm is None else _with_shape(row, found, skin, sighted, settings)
 
 
-def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
-    """What needs a depth: ratios, the foot, volume, the bottom's radius, and depth under a straight-edge."""
+def _with_shape(
+    row: FittedDefect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings
+) -> FittedDefect:
+    """What needs a depth: ratios, the foot, volume, the bottom's radius, depth under a straight-edge, and its form."""
     patch, bottom, outline = found.patch, found.bottom, found.outline
     width_share = float(
         np.hypot(found.depth_sd / bottom.depth, (row.width_u95_mm or 0.0) / COVERAGE_95 / outline.width)
@@ -213,15 +219,14 @@ def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, set
     level = max(_FOOT * bottom.depth, _FOOT_SDS * found.depth_sd)
     foot = outline_at(patch, depth, level, _deepest(patch, depth))
     if foot is not None:
-        volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * found.region.sign
+        volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * patch.sign
         row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)
-    if found.region.sign > 0:
-        turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
-        at, length = (bottom.x, bottom.y), settings.straight_edge_mm
-        lines = [section(patch, skin, sighted.reconstruction, at, float(turn), length) for turn in turns]
-        gaps = [line.gap(0.5 * outline.length) for line in lines]
-        row = replace(row, straight_edge_depth_mm=max(gaps))
-    return row
+    turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
+    at, length = (bottom.x, bottom.y), settings.straight_edge_mm
+    lines = [section(patch, depth, skin, sighted.reconstruction, at, float(turn), length) for turn in turns]
+    if patch.sign > 0:
+        row = replace(row, straight_edge_depth_mm=max(line.gap(0.5 * outline.length) for line in lines))
+    return replace(row, form=form_of(patch, sighted.reconstruction, bottom, outline, lines[0], lines[_EDGES // 2]))
 
 
 def _in_image(found: _Found, sighted: Sighted) -> tuple[float, float, float]:

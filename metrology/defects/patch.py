@@ -37,6 +37,8 @@ class Patch:
     ----------
     number : int
         Of its plate.
+    sign : 1 or −1
+        The defect's side: below or above.
     reference : Reference
     frame : Frame
         Its x, y is the tangent plane of the reference at the defect's deepest cell.
@@ -56,9 +58,12 @@ class Patch:
         Where it ends at what was not seen, and not at a seam.
     step_px, step_mm : int, float
         Of the grid.
+    corner_px : (u, v)
+        First pixel of its first cell.
     """
 
     number: int
+    sign: int
     reference: Reference
     frame: Frame
     x: Array
@@ -71,6 +76,7 @@ class Patch:
     view: Mask
     step_px: int
     step_mm: float
+    corner_px: tuple[int, int]
 
     @property
     def cell_mm2(self) -> float:
@@ -81,6 +87,10 @@ class Patch:
         """Pixels that a narrow line is wide, less what smoothing has added to its outline."""
         pixels = width_mm / self.step_mm * self.step_px
         return float(np.sqrt(max(pixels**2 - (_FWHM * np.hypot(_SMOOTH_PX[0], SUPPORT_PX)) ** 2, 0.0)))
+
+    def grid_of(self, pixels: Array) -> Array:
+        """(n, 2) column and row of pixels (n, 2) of the left image."""
+        return np.asarray((pixels - self.corner_px - 0.5 * (self.step_px - 1)) / self.step_px)
 
     def smoothed(self, radius_mm: float) -> Array:
         """Depth as its outline is taken from."""
@@ -149,6 +159,7 @@ def _patch(
     view = np.asarray(finer(((cells.plate == 0) & ~cells.seam)[window]), bool)
     return Patch(
         number=region.plate,
+        sign=region.sign,
         reference=reference,
         frame=frame,
         x=x,
@@ -161,6 +172,7 @@ def _patch(
         view=view,
         step_px=step,
         step_mm=float(np.sqrt(across * down)),
+        corner_px=(pixels[1].start, pixels[0].start),
     )
 
 
