@@ -35,6 +35,7 @@ _EDGES = 6  # directions in which a straight-edge is laid
 _VAGUE = 0.5  # of a scratch's depth that its U95 may be
 _BY_LEVEL = 0.9  # share by which an extent changes where depth changes by that share: slope of a cos² bowl
 _GRID = 0.3  # of a grid step, standard deviation of an extent beside that of its levels
+_RESTS = 2.0  # standard deviations of the smoothed surface is the highest of its points about
 _HIDDEN: dict[HiddenBy, str] = {
     "view": "it runs out of view: its depth and extents are at least these",
     "fastener": "its deepest point lies under a fastener: its depth is at least this",
@@ -204,29 +205,41 @@ def _with_shape(
 ) -> FittedDefect:
     """What needs a depth: ratios, the foot, volume, the bottom's radius, depth under a straight-edge, and its form."""
     patch, bottom, outline = found.patch, found.bottom, found.outline
-    width_share = float(
-        np.hypot(found.depth_sd / bottom.depth, (row.width_u95_mm or 0.0) / COVERAGE_95 / outline.width)
-    )
-    row = replace(
-        row,
-        width_to_depth=outline.width / bottom.depth,
-        width_to_depth_u95=COVERAGE_95 * outline.width / bottom.depth * width_share,
-        length_to_depth=outline.length / bottom.depth,
-        bottom_radius_mm=bottom.radius,
-        bottom_radius_u95_mm=COVERAGE_95 * bottom.radius_sd,
-    )
-    depth = patch.smoothed(0.5 * float(np.sqrt(outline.length * outline.width)))
+    row = replace(row, bottom_radius_mm=bottom.radius, bottom_radius_u95_mm=COVERAGE_95 * bottom.radius_sd)
+    if row.hidden_by is None:  # of two that are at least these nothing is known of one over the other
+        width = _over_depth(found, row.width_mm, row.width_u95_mm)
+        length = _over_depth(found, row.length_mm, row.length_u95_mm)
+        row = replace(
+            row,
+            width_to_depth=width[0],
+            width_to_depth_u95=width[1],
+            length_to_depth=length[0],
+            length_to_depth_u95=length[1],
+        )
+    radius = 0.5 * float(np.sqrt(outline.length * outline.width))
+    depth = patch.smoothed(radius)
     level = max(_FOOT * bottom.depth, _FOOT_SDS * found.depth_sd)
     foot = outline_at(patch, depth, level, _deepest(patch, depth))
     if foot is not None:
         volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * patch.sign
         row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)
     turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
-    at, length = (bottom.x, bottom.y), settings.straight_edge_mm
-    lines = [section(patch, depth, skin, sighted.reconstruction, at, float(turn), length) for turn in turns]
+    at, edge = (bottom.x, bottom.y), settings.straight_edge_mm
+    lines = [section(patch, depth, skin, sighted.reconstruction, at, float(turn), edge) for turn in turns]
     if patch.sign > 0:
-        row = replace(row, straight_edge_depth_mm=max(line.gap(0.5 * outline.length) for line in lines))
+        gap = max(line.gap(0.5 * outline.length) for line in lines)
+        gap += max(bottom.depth - float(depth[_deepest(patch, depth)]), 0.0)  # smoothing has filled it
+        # An edge rests on what noise has raised.
+        u95 = COVERAGE_95 * float(np.hypot(bottom.sd, _RESTS * patch.smoothed_sd(radius)))
+        row = replace(row, straight_edge_depth_mm=gap, straight_edge_depth_u95_mm=u95)
     return replace(row, form=form_of(patch, sighted.reconstruction, bottom, outline, lines[0], lines[_EDGES // 2]))
+
+
+def _over_depth(found: _Found, extent: float | None, u95: float | None) -> tuple[float, float]:
+    """An extent over the depth, and its U95."""
+    ratio = (extent or 0.0) / found.bottom.depth
+    shares = COVERAGE_95 * found.depth_sd / found.bottom.depth, (u95 or 0.0) / max(extent or 0.0, 1e-9)
+    return ratio, ratio * float(np.hypot(*shares))
 
 
 def _in_image(found: _Found, sighted: Sighted) -> tuple[float, float, float]:

@@ -94,11 +94,20 @@ class Patch:
 
     def smoothed(self, radius_mm: float) -> Array:
         """Depth as its outline is taken from."""
-        pixels = np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * self.step_px, *_SMOOTH_PX)
-        sigma = float(pixels / self.step_px)
         both = np.dstack([np.where(self.plate, self.depth, 0.0), self.plate.astype(float)])
-        total = cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        total = cv2.GaussianBlur(both, (0, 0), self._smoothing(radius_mm), borderType=cv2.BORDER_CONSTANT)
         return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-3))
+
+    def smoothed_sd(self, radius_mm: float) -> float:
+        """Standard deviation of that by noise, mm."""
+        return (
+            float(np.nanmedian(self.sigma)) * self.reference.noise / (np.sqrt(4 * np.pi) * self._smoothing(radius_mm))
+        )
+
+    def _smoothing(self, radius_mm: float) -> float:
+        """Standard deviation of the smoothing, grid cells."""
+        pixels = np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * self.step_px, *_SMOOTH_PX)
+        return float(pixels / self.step_px)
 
 
 def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> Patch:
