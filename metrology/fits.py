@@ -1,6 +1,7 @@
 """The fits that a result's values rest on, as they are kept with the run: what a close-up draws.
 
-They hold no points, only surfaces and lines: with them a value can be had again by the function that gave it.
+Those of rivets and seams hold no points, only surfaces and lines: with them a value can be had again by the function
+that gave it. A defect's is its form as it was measured.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.defects.row import Defect
 from metrology.results import Rivet, SeamStation
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
+
+_SHOWN = 2.6  # radii at half depth: a bowl's foot is at two
 
 
 @dataclass(frozen=True)
@@ -121,3 +125,81 @@ class FittedStation(SeamStation):
     """A seam station with the fit that its values rest on; None where it was not measured."""
 
     fit: SectionFit | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class DefectSection:
+    """A line over a defect, as far as its plate goes.
+
+    Attributes
+    ----------
+    t : (n,) ndarray
+        Position, 0 at the deepest point, mm.
+    surface, skin : (n,) ndarray
+        Heights of what is there and of the skin without the defect over the tangent plane, mm.
+    edge : (n,) ndarray
+        Underside of a straight-edge as long as the line that lies on the surface: where it does not touch, it is
+        above. (A rigid edge cannot bend round a curved skin: on one it rocks, and touches on either side of a dent.)
+    """
+
+    t: Array
+    surface: Array
+    skin: Array
+    edge: Array
+
+    def gap(self, reach: float) -> float:
+        """Greatest gap under the straight-edge within `reach` of the deepest point, mm."""
+        near = np.abs(self.t) <= reach
+        return float((self.edge - self.surface)[near].max(initial=0.0))
+
+    def within(self, reach: float) -> DefectSection:
+        """The part within `reach` of the deepest point, over the straight-edge's line there."""
+        middle = int(np.abs(self.t).argmin())
+        before, after = max(middle - 1, 0), min(middle + 1, len(self.t) - 1)
+        slope = (self.edge[after] - self.edge[before]) / max(self.t[after] - self.t[before], 1e-9)
+        level = self.edge[middle] + slope * self.t
+        part = np.abs(self.t) <= reach
+        return DefectSection(self.t[part], *((h - level)[part] for h in (self.surface, self.skin, self.edge)))
+
+
+@dataclass(frozen=True)
+class DefectForm:
+    """Heights above the skin as it would be without the defect, mm.
+
+    Attributes
+    ----------
+    heights : (rows, columns) ndarray
+        Round the defect as the left image shows it; NaN where no sound skin is.
+    corner : (x, y)
+        Of the middle of its first cell from the deepest point, mm; x as the image's columns, y as its rows.
+    step_mm : float
+    outline : (n, 2) ndarray
+        At half depth, mm on the map.
+    along, across : DefectSection
+        Through the deepest point; the line of `along` lies in the direction `turn` of the map, radians from x to y.
+    turn : float
+    """
+
+    heights: Array
+    corner: tuple[float, float]
+    step_mm: float
+    outline: Array
+    along: DefectSection
+    across: DefectSection
+    turn: float
+
+    @property
+    def reach_mm(self) -> float:
+        """From the deepest point to the end of what a section shows: the foot and a bit of bare skin."""
+        return _SHOWN * float(np.hypot(*self.outline.T).max())
+
+    def shown(self) -> tuple[DefectSection, DefectSection]:
+        """The sections along and across, as far as a close-up shows them, held so that the straight-edge is level."""
+        return self.along.within(self.reach_mm), self.across.within(self.reach_mm)
+
+
+@dataclass(frozen=True)
+class FittedDefect(Defect):
+    """A defect with its form; None where it has no depth."""
+
+    form: DefectForm | None = field(default=None, compare=False, repr=False)

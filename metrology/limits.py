@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from metrology.errors import SpecError
 from metrology.kinds import LIMITS
 from metrology.results import Decision, Severity
@@ -99,6 +101,39 @@ class Limit:
         high = "+∞" if self.upper is None else f"{self.upper:+.3f}"
         origin = " ".join(part for part in (self.source, self.revision) if part)
         return f"{low} … {high}" + (f" ({origin})" if origin else "")
+
+
+@dataclass(frozen=True)
+class GradedLimit(Limit):
+    """An upper limit of an amount that goes with an extent; `upper` is the greatest.
+
+    Attributes
+    ----------
+    steps : tuple of (extent, limit)
+        Extents ascending; between them the limit is interpolated, beyond them the nearest one holds.
+    """
+
+    steps: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        extents = [extent for extent, _ in self.steps]
+        if len(extents) < 2 or extents != sorted(set(extents)) or min(min(step) for step in self.steps) < 0:
+            raise SpecError(f"steps: found {self.steps}, expected two or more, extents ascending, nothing negative")
+
+    def upper_at(self, extent: float) -> float:
+        """The limit at an extent."""
+        extents, uppers = (np.array(column, float) for column in zip(*self.steps, strict=True))
+        return float(np.interp(extent, extents, uppers))
+
+    def upper_from(self, extent: float) -> float:
+        """The greatest limit at an extent or a larger one."""
+        return max(self.upper_at(extent), *(upper for at, upper in self.steps if at >= extent), 0.0)
+
+    @property
+    def said(self) -> str:
+        """The steps, for people."""
+        return ", ".join(f"{upper:g} at {extent:g}" for extent, upper in self.steps)
 
 
 Zone = Mapping[str, Limit]

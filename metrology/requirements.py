@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from metrology.kinds import Kind, Quantity
-from metrology.limits import Limit, PanelSpec, Zone
+from metrology.limits import GradedLimit, Limit, PanelSpec, Zone
 from metrology.results import Feature
 
 Downstream = Literal[-1, 0, 1]
@@ -53,8 +55,9 @@ def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requireme
     value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
     limit, *by_wind = (zone.get(limit.name) for limit in quantity.limits)
     own = Requirement(quantity.name, quantity.unit, value, u95, limit, quantity.signed)
+    graded = _by_extent(quantity, row, zone)
     if not any(by_wind):
-        return [own]
+        return [graded] if graded and limit is None else [own, *([graded] if graded else [])]
     into, out = by_wind
     required = [own] if limit else []
     as_met = getattr(row, quantity.into_wind)
@@ -63,6 +66,31 @@ def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requireme
         return [*required, Requirement(name, quantity.unit, as_met, u95, both, signed=True)]
     name, amount = f"{quantity.name} (wind direction unknown)", None if value is None else abs(value)
     return required + [Requirement(name, quantity.unit, amount, u95, each) for each in (into, out) if each]
+
+
+def _by_extent(quantity: Quantity, row: Feature, zone: Zone) -> Requirement | None:
+    """What a zone asks of a quantity's amount by the extent that the feature has.
+
+    How well the extent is known is part of the uncertainty. Of a feature that is hidden in part the extent is at least
+    this: it fails what no larger one may have.
+    """
+    graded = quantity.by_extent
+    limit = zone.get(graded.limit.name) if graded else None
+    if graded is None or not isinstance(limit, GradedLimit):
+        return None
+    value, u95 = _value(row, quantity.column), _value(row, quantity.u95_column)
+    extent, extent_u95 = _value(row, graded.column), _value(row, graded.u95_column) or 0.0
+    if value is None or u95 is None or extent is None:
+        return Requirement(f"{quantity.name} by {graded.word}", quantity.unit, None, None, limit)
+    if getattr(row, "hidden_by", None):
+        upper, spread = limit.upper_from(extent), 0.0
+    else:
+        upper = limit.upper_at(extent)
+        spread = 0.5 * abs(limit.upper_at(extent + extent_u95) - limit.upper_at(extent - extent_u95))
+    serious = None if limit.serious_upper is None else max(limit.serious_upper, upper)
+    there = Limit(upper=upper, serious_upper=serious, source=limit.source, revision=limit.revision)
+    name = f"{quantity.name} for a {graded.word} of {extent:.1f} mm"
+    return Requirement(name, quantity.unit, abs(value), float(np.hypot(u95, spread)), there)
 
 
 def downstream_of(quantity: Quantity, row: Feature | Mapping[str, Any]) -> Downstream:

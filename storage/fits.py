@@ -1,4 +1,4 @@
-"""The fits of a run as Parquet: what a close-up draws, one row per rivet or seam station that was measured."""
+"""The fits of a run as Parquet: what a close-up draws, one row per rivet, seam station or defect that was measured."""
 
 from __future__ import annotations
 
@@ -12,14 +12,23 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from metrology.errors import StoreError
-from metrology.fits import FittedRivet, FittedStation, HeadFit, SectionFit, SkinLine
+from metrology.fits import (
+    DefectForm,
+    DefectSection,
+    FittedDefect,
+    FittedRivet,
+    FittedStation,
+    HeadFit,
+    SectionFit,
+    SkinLine,
+)
 from metrology.results import Features
 from metrology.surfaces import Frame
 
 _SAME_PLACE_MM = 1e-3  # tables are rounded, and stations stand farther apart
 _COLUMNS = (
-    ("feature_id", pa.string(), "rivet_id, or seam_id"),
-    ("s_mm", pa.float64(), "position along the seam, mm; NULL for a rivet"),
+    ("feature_id", pa.string(), "rivet_id, seam_id, or defect_id"),
+    ("s_mm", pa.float64(), "position along the seam, mm; NULL for a rivet and a defect"),
     ("origin_mm", pa.list_(pa.float64()), "origin of the fit's frame in the rig frame, mm"),
     ("axes", pa.list_(pa.float64()), "the frame's axes x, y, h in the rig frame, row by row; a seam's x ends at B"),
     ("skin", pa.list_(pa.float64()), "skin round the head: coefficients of 1, x, y, x², xy, y²"),
@@ -32,7 +41,15 @@ _COLUMNS = (
     ("depths_mm", pa.list_(pa.float64()), "depth of D and G under them; NULL where the width was not measured"),
     ("reach_mm", pa.list_(pa.float64()),
      "where the points lie: rivet: head up to, skin from, to; seam: skin from, to, half length along the seam"),
+    ("heights_mm", pa.list_(pa.float32()), "round a defect, above the skin without it, mm, row by row; NaN unseen"),
+    ("map", pa.list_(pa.float64()),
+     "of these: columns, step (mm), x and y of the first from the deepest point (mm), direction of the length (rad)"),
+    ("outline_mm", pa.list_(pa.float32()), "x, y of the defect's outline at half depth on that map"),
+    ("along_mm", pa.list_(pa.float32()),
+     "section along the defect: positions, then heights of the surface, of the skin without it, of a straight-edge"),
+    ("across_mm", pa.list_(pa.float32()), "section across it likewise"),
 )  # fmt: skip
+_OF_DEFECTS = "map"
 _SCHEMA = pa.schema([pa.field(name, kind, metadata={"comment": said}) for name, kind, said in _COLUMNS])
 
 
@@ -44,7 +61,7 @@ class StoredFits:
 
     def head(self, rivet_id: str) -> HeadFit | None:
         """The fit of a rivet."""
-        row = next((r for r in self.rows if r["s_mm"] is None and r["feature_id"] == rivet_id), None)
+        row = next((r for r in self.rows if r["skin"] is not None and r["feature_id"] == rivet_id), None)
         if row is None:
             return None
         inner, *outer = row["reach_mm"]
@@ -62,6 +79,19 @@ class StoredFits:
         depths = None if row["depths_mm"] is None else tuple(row["depths_mm"])
         return SectionFit(_frame(row), a, b, tuple(row["edges_mm"]), depths, *row["reach_mm"])
 
+    def form(self, defect_id: str) -> DefectForm | None:
+        """The form of a defect."""
+        row = next((r for r in self.rows if r.get(_OF_DEFECTS) and r["feature_id"] == defect_id), None)
+        if row is None:
+            return None
+        columns, step, x, y, turn = row[_OF_DEFECTS]
+        along, across = (
+            DefectSection(*np.array(row[name], float).reshape(4, -1)) for name in ("along_mm", "across_mm")
+        )
+        heights = np.array(row["heights_mm"], float).reshape(-1, int(columns))
+        outline = np.array(row["outline_mm"], float).reshape(-1, 2)
+        return DefectForm(heights, (x, y), step, outline, along, across, turn)
+
 
 def write_fits(path: Path, features: Features) -> None:
     """Write the fits that a result's rows carry."""
@@ -70,13 +100,16 @@ def write_fits(path: Path, features: Features) -> None:
     rows += [
         _section_row(s.seam_id, s.s_mm, s.fit) for s in found if isinstance(s, FittedStation) and s.fit is not None
     ]
+    rows += [_form_row(d.defect_id, d.form) for d in found if isinstance(d, FittedDefect) and d.form is not None]
     pq.write_table(pa.Table.from_pylist(rows, _SCHEMA), path, compression="zstd")
 
 
 def read_fits(path: Path) -> StoredFits:
     """Read the fits of a run."""
     try:
-        return StoredFits(pq.read_table(path, columns=_SCHEMA.names).to_pylist())
+        # Versions before 2026-12 kept no defects' forms.
+        known = [name for name in _SCHEMA.names if name in pq.read_schema(path).names]
+        return StoredFits(pq.read_table(path, columns=known).to_pylist())
     except (OSError, KeyError, pa.ArrowException) as problem:
         raise StoreError(f"{path}: found {problem}, expected the fits of a run") from None
 
@@ -103,6 +136,21 @@ def _section_row(seam_id: str, s_mm: float, fit: SectionFit) -> dict[str, Any]:
         "edges_mm": list(fit.edges_mm),
         "depths_mm": None if fit.depths_mm is None else list(fit.depths_mm),
         "reach_mm": [fit.inner_mm, fit.outer_mm, fit.half_length_mm],
+    }
+
+
+def _form_row(defect_id: str, form: DefectForm) -> dict[str, Any]:
+    along, across = (
+        np.concatenate([line.t, line.surface, line.skin, line.edge]).round(4).tolist()
+        for line in (form.along, form.across)
+    )
+    return {
+        "feature_id": defect_id,
+        "heights_mm": form.heights.round(4).ravel().tolist(),
+        _OF_DEFECTS: [form.heights.shape[1], form.step_mm, *form.corner, form.turn],
+        "outline_mm": form.outline.round(3).ravel().tolist(),
+        "along_mm": along,
+        "across_mm": across,
     }
 
 

@@ -17,6 +17,7 @@ from pydantic import Field, create_model, model_validator
 
 from metrology.errors import SpecError
 from metrology.kinds import LIMITS
+from metrology.limits import GradedLimit
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.rules import Rule
 from metrology.tolerance import DEFAULT_ZONE, Limit, PanelSpec
@@ -42,7 +43,18 @@ class LimitModel(StrictModel):
     revision: Annotated[str, Field(min_length=1)]
 
 
-_FIELDS: dict[str, Any] = dict.fromkeys(LIMITS, (LimitModel | None, None))
+class GradedLimitModel(StrictModel):
+    """A limit that goes with an extent: [extent, limit] in turn."""
+
+    steps: tuple[tuple[float, float], ...]
+    serious_upper: float | None = None
+    source: Annotated[str, Field(min_length=1)]
+    revision: Annotated[str, Field(min_length=1)]
+
+
+_FIELDS: dict[str, Any] = {
+    name: ((GradedLimitModel if limit.graded else LimitModel) | None, None) for name, limit in LIMITS.items()
+}
 
 
 class ZoneModel(create_model("_Limits", __base__=StrictModel, **_FIELDS)):  # type: ignore[misc]
@@ -234,8 +246,11 @@ def _toml(value: str | float | Iterable[Any], digits: int = 4) -> str:
     return f"[{', '.join(_toml(item, digits) for item in value)}]"
 
 
-def _limit(place: str, model: LimitModel) -> Limit:
+def _limit(place: str, model: LimitModel | GradedLimitModel) -> Limit:
     try:
+        if isinstance(model, GradedLimitModel):
+            greatest = max((upper for _, upper in model.steps), default=0.0)
+            return GradedLimit(upper=greatest, **model.model_dump())
         return Limit(**model.model_dump())
     except SpecError as problem:
         raise SpecError(f"{place}: {problem}") from None

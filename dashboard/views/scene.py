@@ -28,6 +28,7 @@ from dashboard.scenes import (
     requirements,
     worst_feature,
 )
+from dashboard.views.defect import show_defect
 from metrology.errors import FlushlineError, StoreError
 from metrology.kinds import BY_NAME, DEFECT, HOLE, KINDS, RIVET, SEAM_STATION, Kind
 from metrology.requirements import limit_of
@@ -319,6 +320,8 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     elif kind is SEAM_STATION:
         fit = fits.section(str(measured.seam_id), float(measured.s_mm))
         _seam(context, seam_section(cloud, measured, fit))
+    elif kind is DEFECT:
+        show_defect(context.locale, measured, fits.form(chosen.id))
 
 
 def _values(context: PageContext, row: Any, measured: Any, chosen: Feature) -> None:

@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.defects.bottom import Bottom, bottom_of
+from metrology.defects.form import form_of
 from metrology.defects.nature import nature_of
 from metrology.defects.outline import Outline, outline_at
 from metrology.defects.patch import Patch, cut_patch
-from metrology.defects.row import Defect, HiddenBy
+from metrology.defects.row import HiddenBy
 from metrology.defects.settings import DefectSettings
 from metrology.defects.skin_map import Region, SkinMap, skin_map
 from metrology.defects.straight_edge import section
 from metrology.defects.surroundings import distances, is_pull_in, pull_in
+from metrology.fits import FittedDefect
 from metrology.results import COVERAGE_95, Rivet, SeamStation, of_type
 from metrology.sighted import Sighted
 
@@ -33,6 +35,7 @@ _EDGES = 6  # directions in which a straight-edge is laid
 _VAGUE = 0.5  # of a scratch's depth that its U95 may be
 _BY_LEVEL = 0.9  # share by which an extent changes where depth changes by that share: slope of a cos² bowl
 _GRID = 0.3  # of a grid step, standard deviation of an extent beside that of its levels
+_RESTS = 2.0  # standard deviations of the smoothed surface is the highest of its points about
 _HIDDEN: dict[HiddenBy, str] = {
     "view": "it runs out of view: its depth and extents are at least these",
     "fastener": "its deepest point lies under a fastener: its depth is at least this",
@@ -56,7 +59,7 @@ class _Found:
     seen_sd: float
 
 
-def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) -> list[Defect]:
+def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) -> list[FittedDefect]:
     """The defects of a scan, numbered D01 … from the top of the left image down."""
     settings = settings or DefectSettings()
     skin = skin_map(sighted, settings)
@@ -96,7 +99,8 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
         bottom = replace(bottom, depth=seen, sd=float(np.hypot(bottom.sd, seen - bottom.depth)))
     skin_variance = by_reference + region.doubt**2
     sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
-    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + skin_variance)
+    # Whether it is one does not hang on waves: its neighbours' are in their own standard deviation.
+    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + by_reference / patch.reference.together + region.doubt**2)
     return _Found(region, patch, bottom, outline, float(sd), seen, float(seen_sd))
 
 
@@ -116,12 +120,12 @@ def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     return cut < _CUT or found.outline.length > _LEAST_VIEW_MM
 
 
-def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+def _row(found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> FittedDefect:
     patch, bottom, outline = found.patch, found.bottom, found.outline
     place = patch.frame.rig([bottom.x, bottom.y, _height(found)])
     u, v = sighted.reconstruction.rig.left.project(place)
     nature = nature_of(patch, bottom, outline, found.region.sign, settings)
-    row = Defect(
+    row = FittedDefect(
         "", x_mm=float(place[0]), y_mm=float(place[1]), z_mm=float(place[2]), u_px=float(u), v_px=float(v), kind=nature
     )
     own = skin.cells.plate == found.region.plate
@@ -140,7 +144,7 @@ def _height(found: _Found) -> float:
     return float(frame.local(skin)[2]) - found.region.sign * found.bottom.depth
 
 
-def _with_depth(row: Defect, found: _Found, settings: DefectSettings) -> Defect:
+def _with_depth(row: FittedDefect, found: _Found, settings: DefectSettings) -> FittedDefect:
     """Depth with its U95, and whether all of the defect was seen."""
     pixels = found.patch.true_pixels(found.outline.width)
     if row.kind == "scratch" and pixels < settings.scratch_pixels:
@@ -167,7 +171,9 @@ def _hidden_by(found: _Found) -> HiddenBy | None:
     return "seam" if found.outline.cut_by_seam > _CUT else "fastener"
 
 
-def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
+def _with_extents(
+    row: FittedDefect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings
+) -> FittedDefect:
     """Extents, what follows from them and the depth, and distances."""
     patch, bottom, outline = found.patch, found.bottom, found.outline
     share = found.depth_sd / bottom.depth
@@ -194,33 +200,46 @@ def _with_extents(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, s
     return row if row.depth_mm is None else _with_shape(row, found, skin, sighted, settings)
 
 
-def _with_shape(row: Defect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings) -> Defect:
-    """What needs a depth: ratios, the foot, volume, the bottom's radius, and depth under a straight-edge."""
+def _with_shape(
+    row: FittedDefect, found: _Found, skin: SkinMap, sighted: Sighted, settings: DefectSettings
+) -> FittedDefect:
+    """What needs a depth: ratios, the foot, volume, the bottom's radius, depth under a straight-edge, and its form."""
     patch, bottom, outline = found.patch, found.bottom, found.outline
-    width_share = float(
-        np.hypot(found.depth_sd / bottom.depth, (row.width_u95_mm or 0.0) / COVERAGE_95 / outline.width)
-    )
-    row = replace(
-        row,
-        width_to_depth=outline.width / bottom.depth,
-        width_to_depth_u95=COVERAGE_95 * outline.width / bottom.depth * width_share,
-        length_to_depth=outline.length / bottom.depth,
-        bottom_radius_mm=bottom.radius,
-        bottom_radius_u95_mm=COVERAGE_95 * bottom.radius_sd,
-    )
-    depth = patch.smoothed(0.5 * float(np.sqrt(outline.length * outline.width)))
+    row = replace(row, bottom_radius_mm=bottom.radius, bottom_radius_u95_mm=COVERAGE_95 * bottom.radius_sd)
+    if row.hidden_by is None:  # of two that are at least these nothing is known of one over the other
+        width = _over_depth(found, row.width_mm, row.width_u95_mm)
+        length = _over_depth(found, row.length_mm, row.length_u95_mm)
+        row = replace(
+            row,
+            width_to_depth=width[0],
+            width_to_depth_u95=width[1],
+            length_to_depth=length[0],
+            length_to_depth_u95=length[1],
+        )
+    radius = 0.5 * float(np.sqrt(outline.length * outline.width))
+    depth = patch.smoothed(radius)
     level = max(_FOOT * bottom.depth, _FOOT_SDS * found.depth_sd)
     foot = outline_at(patch, depth, level, _deepest(patch, depth))
     if foot is not None:
-        volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * found.region.sign
+        volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * patch.sign
         row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)
-    if found.region.sign > 0:
-        turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
-        at, length = (bottom.x, bottom.y), settings.straight_edge_mm
-        lines = [section(patch, skin, sighted.reconstruction, at, float(turn), length) for turn in turns]
-        gaps = [line.gap(0.5 * outline.length) for line in lines]
-        row = replace(row, straight_edge_depth_mm=max(gaps))
-    return row
+    turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
+    at, edge = (bottom.x, bottom.y), settings.straight_edge_mm
+    lines = [section(patch, depth, skin, sighted.reconstruction, at, float(turn), edge) for turn in turns]
+    if patch.sign > 0:
+        gap = max(line.gap(0.5 * outline.length) for line in lines)
+        gap += max(bottom.depth - float(depth[_deepest(patch, depth)]), 0.0)  # smoothing has filled it
+        # An edge rests on what noise has raised.
+        u95 = COVERAGE_95 * float(np.hypot(bottom.sd, _RESTS * patch.smoothed_sd(radius)))
+        row = replace(row, straight_edge_depth_mm=gap, straight_edge_depth_u95_mm=u95)
+    return replace(row, form=form_of(patch, sighted.reconstruction, bottom, outline, lines[0], lines[_EDGES // 2]))
+
+
+def _over_depth(found: _Found, extent: float | None, u95: float | None) -> tuple[float, float]:
+    """An extent over the depth, and its U95."""
+    ratio = (extent or 0.0) / found.bottom.depth
+    shares = COVERAGE_95 * found.depth_sd / found.bottom.depth, (u95 or 0.0) / max(extent or 0.0, 1e-9)
+    return ratio, ratio * float(np.hypot(*shares))
 
 
 def _in_image(found: _Found, sighted: Sighted) -> tuple[float, float, float]:

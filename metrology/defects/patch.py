@@ -24,6 +24,7 @@ _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_PX = (2.4, 8.0)
 _FWHM = 2.355  # of a Gaussian, standard deviations
+_ENOUGH = 1000  # points that tell how pixels map onto the skin
 SUPPORT_PX = 1.4
 """Standard deviation of the area that a point is a mean of."""
 
@@ -36,6 +37,8 @@ class Patch:
     ----------
     number : int
         Of its plate.
+    sign : 1 or −1
+        The defect's side: below or above.
     reference : Reference
     frame : Frame
         Its x, y is the tangent plane of the reference at the defect's deepest cell.
@@ -55,9 +58,12 @@ class Patch:
         Where it ends at what was not seen, and not at a seam.
     step_px, step_mm : int, float
         Of the grid.
+    corner_px : (u, v)
+        First pixel of its first cell.
     """
 
     number: int
+    sign: int
     reference: Reference
     frame: Frame
     x: Array
@@ -70,6 +76,7 @@ class Patch:
     view: Mask
     step_px: int
     step_mm: float
+    corner_px: tuple[int, int]
 
     @property
     def cell_mm2(self) -> float:
@@ -81,13 +88,26 @@ class Patch:
         pixels = width_mm / self.step_mm * self.step_px
         return float(np.sqrt(max(pixels**2 - (_FWHM * np.hypot(_SMOOTH_PX[0], SUPPORT_PX)) ** 2, 0.0)))
 
+    def grid_of(self, pixels: Array) -> Array:
+        """(n, 2) column and row of pixels (n, 2) of the left image."""
+        return np.asarray((pixels - self.corner_px - 0.5 * (self.step_px - 1)) / self.step_px)
+
     def smoothed(self, radius_mm: float) -> Array:
         """Depth as its outline is taken from."""
-        pixels = np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * self.step_px, *_SMOOTH_PX)
-        sigma = float(pixels / self.step_px)
         both = np.dstack([np.where(self.plate, self.depth, 0.0), self.plate.astype(float)])
-        total = cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        total = cv2.GaussianBlur(both, (0, 0), self._smoothing(radius_mm), borderType=cv2.BORDER_CONSTANT)
         return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-3))
+
+    def smoothed_sd(self, radius_mm: float) -> float:
+        """Standard deviation of that by noise, mm."""
+        return (
+            float(np.nanmedian(self.sigma)) * self.reference.noise / (np.sqrt(4 * np.pi) * self._smoothing(radius_mm))
+        )
+
+    def _smoothing(self, radius_mm: float) -> float:
+        """Standard deviation of the smoothing, grid cells."""
+        pixels = np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * self.step_px, *_SMOOTH_PX)
+        return float(pixels / self.step_px)
 
 
 def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> Patch:
@@ -148,6 +168,7 @@ def _patch(
     view = np.asarray(finer(((cells.plate == 0) & ~cells.seam)[window]), bool)
     return Patch(
         number=region.plate,
+        sign=region.sign,
         reference=reference,
         frame=frame,
         x=x,
@@ -160,6 +181,7 @@ def _patch(
         view=view,
         step_px=step,
         step_mm=float(np.sqrt(across * down)),
+        corner_px=(pixels[1].start, pixels[0].start),
     )
 
 
@@ -181,9 +203,12 @@ def _tangent(region: Region, skin: SkinMap, reference: Reference) -> Frame:
 
 def _everywhere(values: Array, known: Mask) -> Array:
     """Coordinates of all grid cells, from a quadratic through the known ones: pixels map smoothly onto the skin."""
-    v, u = np.mgrid[: values.shape[0], : values.shape[1]]
-    v, u = v / max(values.shape) - 0.5, u / max(values.shape) - 0.5
-    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
-    part = known & (np.arange(known.size).reshape(known.shape) % max(1, known.size // 4000) == 0)
-    fit, *_ = np.linalg.lstsq(design[part], values[part], rcond=None)
-    return np.asarray(design @ fit)
+    rows, columns = values.shape
+    part = np.flatnonzero(known)
+    part = part[:: max(1, len(part) // _ENOUGH)]
+    u, v = (np.arange(n) / max(rows, columns) - 0.5 for n in (columns, rows))
+    pu, pv = u[part % columns], v[part // columns]
+    design = np.stack([np.ones_like(pu), pu, pv, pu * pu, pu * pv, pv * pv], axis=-1)
+    c, *_ = np.linalg.lstsq(design, values.ravel()[part], rcond=None)
+    across, down = c[0] + c[1] * u + c[3] * u * u, c[2] * v + c[5] * v * v
+    return np.asarray(across + down[:, None] + c[4] * v[:, None] * u)

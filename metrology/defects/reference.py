@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, ruled_profiles
 from metrology.defects.surface_kernel import PLAIN, depths, surface_heights
-from metrology.robust import MAD, TUKEY, tukey
+from metrology.robust import MAD, TUKEY, median, tukey
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _LEAST_DEGREE, _MOST_DEGREE = 4, 8  # a torus needs the fourth
 _BEND_SD = 0.3  # of half the plate's extent over the diameter
 _WAVE_SD_MM = 0.02  # of the polynomial's terms before the plate itself tells
 _WAVE_RANGE_MM = (2e-4, 0.2)
-_FIT_CELLS = 3000  # of a plate are enough for its surface
+_FIT_CELLS = 2000  # of a plate are enough for its surface
 _LEAST_CELLS = 100
 _THINNEST = 0.02  # of its extent: narrower strips tell no surface
 
@@ -48,6 +48,12 @@ class Reference:
     ruled : tuple of Ruled
     noise : float
         Residuals over the cells' own standard deviation.
+    wave_sd : float
+        Standard deviation of the polynomial's terms, mm; 0 until the plate has told it.
+    density : float
+        Cells that it was fitted to, for each mm² of the plate.
+    together : float
+        By how much the skin's waves raise the variance that independent cells would leave.
     """
 
     frame: Frame
@@ -57,6 +63,9 @@ class Reference:
     covariance: Array
     ruled: tuple[Ruled, ...] = ()
     noise: float = 1.0
+    wave_sd: float = 0.0
+    density: float = 0.0
+    together: float = 1.0
 
     @property
     def extent(self) -> float:
@@ -78,9 +87,9 @@ class Reference:
         return np.asarray(sum((profile.at(x, y) for profile in self.ruled), np.zeros_like(x)))
 
     def variance(self, x: Array, y: Array) -> Array:
-        """Of `height`, mm², for independent noise of cells."""
+        """Of `height`, mm², by noise of the cells and waves of the skin."""
         design = self.design(x, y, self.smooth(x, y))
-        by_surface = ((design @ self.covariance) * design).sum(axis=-1) * self.extent**2
+        by_surface = ((design @ self.covariance) * design).sum(axis=-1) * self.extent**2 * self.together
         return np.asarray(sum((profile.variance_at(x, y) for profile in self.ruled), by_surface))
 
     def depths(self, points: Array, member: NDArray[np.bool_], out: Array) -> None:
@@ -103,6 +112,23 @@ class Reference:
         normal = np.array([-slope_x, -slope_y, 1.0]) @ self.frame.axes
         return Frame.on_plane(self.frame.rig([x, y, height]), normal)
 
+    def with_waves(self, waves: float, cell_sd: float, largest_mm: float) -> Reference:
+        """With the uncertainty that waves of the skin bring, since cells on one of them err together.
+
+        The longest wave that the reference does not follow has a half-wave L of `largest_mm`; under its correlation,
+        about exp(−(π d / L)² / 2), lies an area of 2 L² / π.
+
+        Parameters
+        ----------
+        waves : float
+            Their standard deviation, mm.
+        cell_sd : float
+            Of a cell's own noise, mm.
+        largest_mm : float
+        """
+        cells = self.density * 2 / np.pi * largest_mm**2
+        return replace(self, together=1 + cells * (waves / cell_sd) ** 2)
+
     def spans(self, points: Array) -> list[tuple[float, float]]:
         """From where to where points (n, 3) of the rig frame lie along each profile, bins."""
         x, y = self.frame.local(points)[:, :2].T
@@ -121,7 +147,11 @@ class Reference:
 
 
 def fit_reference(
-    points: Array, sigma: Array, seams: Sequence[tuple[Array, Array]], largest_mm: float
+    points: Array,
+    sigma: Array,
+    seams: Sequence[tuple[Array, Array]],
+    largest_mm: float,
+    like: Reference | None = None,
 ) -> Reference | None:
     """The reference of a plate; None where its cells lie too unevenly.
 
@@ -135,9 +165,13 @@ def fit_reference(
         Two points on the course of each seam beside it, rig frame.
     largest_mm : float
         Length of the largest defect of interest.
+    like : Reference
+        Of more of the plate's cells: its frame, its terms and how large they are, and its profiles are this one's, too.
     """
+    if len(points) < _LEAST_CELLS:
+        return None
     part = slice(None, None, max(1, len(points) // _FIT_CELLS))
-    shape = _shape(points[part], largest_mm) if len(points) >= _LEAST_CELLS else None
+    shape = replace(like, ruled=()) if like else _shape(points[part], largest_mm)
     if shape is None:
         return None
     x, y, h = np.ascontiguousarray(shape.frame.local(points[part]).T)
@@ -145,8 +179,11 @@ def fit_reference(
     # The paraboloid and the profiles first: waves would take part of the profiles.
     plain = replace(shape, waves=shape.waves[:0])
     fitted = _fitted(plain, x, y, h, sd)
-    courses = [np.diff(shape.frame.local(np.stack(seam)), axis=0)[0, :2] for seam in seams]
-    directions = bent_along(h - fitted.smooth(x, y), sd, x, y, courses)
+    if like:
+        directions = [profile.direction for profile in like.ruled]
+    else:
+        courses = [np.diff(shape.frame.local(np.stack(seam)), axis=0)[0, :2] for seam in seams]
+        directions = bent_along(h - fitted.smooth(x, y), sd, x, y, courses)
     if not directions:
         return _fitted(shape, x, y, h, sd)
     for form in (plain, plain, shape):
@@ -170,9 +207,11 @@ def _shape(points: Array, largest_mm: float) -> Reference | None:
     if extents.min() < _THINNEST * extents.max():
         return None
     centred = Frame(frame.rig([*(0.5 * (low + high)), 0.0]), frame.axes)
+    density = len(points) / float(4 * extents.prod())
     most = np.clip(2 * extents // largest_mm, _LEAST_DEGREE, _MOST_DEGREE).astype(int)
     waves = [(i, j) for i in range(most[0] + 1) for j in range(most[1] + 1) if 3 <= i + j <= most.max()]
-    return Reference(centred, extents, np.array(waves, np.int64).reshape(-1, 2), np.zeros(0), np.zeros((0, 0)))
+    terms = np.array(waves, np.int64).reshape(-1, 2)
+    return Reference(centred, extents, terms, np.zeros(0), np.zeros((0, 0)), density=density)
 
 
 def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Reference:
@@ -180,7 +219,7 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
     e = shape.extent
     design = shape.design(x, y, h) * (e / sd[:, None])
     target = h / sd
-    wave_sd = _WAVE_SD_MM
+    wave_sd = shape.wave_sd or _WAVE_SD_MM
     weights = np.ones(len(x))
     noise, solution = 1.0, np.zeros(design.shape[1])
     for number in range(_ROUNDS):
@@ -192,11 +231,12 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         change = np.abs(design @ (updated - solution)).max()
         solution = updated
         residual = np.abs(target - design @ solution)
-        noise = MAD * float(np.median(residual)) + 1e-9
+        noise = MAD * median(residual) + 1e-9
         weights = tukey(residual / (TUKEY * noise))
         if number > 1 and change < _CONVERGED * noise:
             break
-        if number > 0 and len(waves):
+        if number > 0 and len(waves) and not shape.wave_sd:
             second = solution[PLAIN:] ** 2 + noise**2 * np.diag(inverse)[PLAIN:]
             wave_sd = float(np.clip(e * np.sqrt(second.mean()), *_WAVE_RANGE_MM))
-    return replace(shape, coefficients=solution, covariance=np.asarray(inverse * noise**2, float), noise=noise)
+    covariance = np.asarray(inverse * noise**2, float)
+    return replace(shape, coefficients=solution, covariance=covariance, noise=noise, wave_sd=wave_sd)

@@ -45,11 +45,15 @@ class Defect(Feature):
         float | None,
         "greatest gap under a straight-edge laid over its deepest point in any direction, mm; NULL above",
     ] = None
+    straight_edge_depth_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of straight_edge_depth_mm, mm"] = (
+        None
+    )
     area_mm2: Annotated[float | None, "area within its outline at half depth, mm²"] = None
     volume_mm3: Annotated[float | None, "volume between it and the skin, mm³; negative above"] = None
-    width_to_depth: Annotated[float | None, "width over depth"] = None
+    width_to_depth: Annotated[float | None, "width over depth; NULL where a part is hidden"] = None
     width_to_depth_u95: Annotated[float | None, "expanded uncertainty (95 %) of width_to_depth"] = None
-    length_to_depth: Annotated[float | None, "length over depth"] = None
+    length_to_depth: Annotated[float | None, "length over depth; NULL where a part is hidden"] = None
+    length_to_depth_u95: Annotated[float | None, "expanded uncertainty (95 %) of length_to_depth"] = None
     bottom_radius_mm: Annotated[
         float | None, "least radius of curvature at its bottom, the skin's own left out, mm"
     ] = None

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from metrology.robust import MAD, TUKEY, tukey
+from metrology.robust import MAD, TUKEY, median, tukey
 
 Array = NDArray[np.float64]
 
 BIN_MM = 2.0
+_PER_BIN = 20  # points that a median needs
 _COARSE_MM = 6.0  # of bins that tell whether there is anything
 _BORNE_OUT = 2.0  # times what noise makes of it must a profile vary
 _HELD = 1e-3  # of a full bin: its neighbours tell where no cell does
@@ -85,10 +86,10 @@ def bent_along(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[
         across = x * direction[1] - y * direction[0]
         low = ((s - s.min()) / _COARSE_MM).astype(int)
         count = int(low.max()) + 1
-        far = across > np.median(across)
+        far = across > median(across)
         near_heights, far_heights = (_medians(low[half], rest[half], count) for half in (~far, far))
         alike = np.where(near_heights * far_heights > 0, np.minimum(np.abs(near_heights), np.abs(far_heights)), 0.0)
-        noise = MAD * float(np.median(np.abs(rest - _medians(low, rest, count)[low])))
+        noise = MAD * median(np.abs(rest - _medians(low, rest, count)[low]))
         variance = np.pi * noise**2 / max(len(rest) / count, 1.0)
         if np.mean(alike**2) > _BORNE_OUT**2 * variance:
             bent.append(direction)
@@ -105,14 +106,15 @@ def _profile(rest: Array, sd: Array, x: Array, y: Array, direction: Array) -> Ru
     share = place - low
     weights = w = sd**-2.0
     # A start that dents on a line do not lift; medians stand between two nodes.
-    medians = _medians(low, rest, count)
+    part = slice(None, None, max(1, len(rest) // (_PER_BIN * count)))
+    medians = _medians(low[part], rest[part], count)
     heights = 0.5 * (medians + np.roll(medians, 1))
     heights[0] = medians[0]
     for number in range(4):
         if number:
             heights = _polyline(low, share, w, rest, count)
         residual = np.abs(rest - (1 - share) * heights[low] - share * heights[low + 1]) / sd
-        scale = MAD * float(np.median(residual)) + 1e-12
+        scale = MAD * median(residual) + 1e-12
         w = weights * tukey(residual / (TUKEY * scale))
     total = np.bincount(low, (1 - share) * w, count) + np.bincount(low + 1, share * w, count)
     return Ruled(direction, start, heights, scale**2 / np.maximum(total, _HELD * total.max()))
@@ -148,7 +150,7 @@ def _turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:
     across = -profile.direction[1] * x + profile.direction[0] * y
     lever = slope * (across - across.mean())
     residual = rest - profile.at(x, y)
-    kept = np.abs(residual) < 3 * MAD * np.median(np.abs(residual))
+    kept = np.abs(residual) < 3 * MAD * median(np.abs(residual))
     turn = float(np.sum(lever[kept] * residual[kept]) / max(np.sum(lever[kept] ** 2), 1e-12))
     turn = float(np.clip(turn, -_MOST_TURN, _MOST_TURN))
     c, s = np.cos(turn), np.sin(turn)

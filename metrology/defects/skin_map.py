@@ -15,7 +15,7 @@ from metrology.defects.settings import DefectSettings
 from metrology.defects.split import bottoms
 from metrology.registration.rows import has_position, positions
 from metrology.results import SeamStation, of_type
-from metrology.robust import MAD
+from metrology.robust import MAD, median
 from metrology.sighted import Sighted
 
 Array = NDArray[np.float64]
@@ -23,8 +23,9 @@ Mask = NDArray[np.bool_]
 
 _ROUNDS = 4  # of finding what lies off the skin, and fitting the skin to the rest
 _DOUBTFUL_ROUNDS = 2  # at first, in which a dent may have bent the reference beside it
-_UNCHANGED = 2e-3  # of a plate's cells: what is left out has stayed the same
+_UNCHANGED = 5e-3  # of a plate's cells: what is left out has stayed the same
 _SMOOTH_CELLS = 1.5
+_ENOUGH = 12000  # cells that tell a plate's reference and its profiles
 _WAVES_CELLS = 8.0  # over which the skin's own waviness is told from noise
 _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
 _LEAST_CELLS = 8
@@ -121,9 +122,16 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
             break
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
-    others = {p: _reference(cells, p, wide, seams, settings) for p in {region.plate for region in regions}}
+    others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
     doubted = tuple(replace(region, doubt=_doubt(region, depth, cells, others[region.plate])) for region in regions)
-    return SkinMap(cells, references, depth, smoothed, sd, waves, doubted)
+    told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
+    return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
+
+
+def _with_waves(reference: Reference, cells: CellMap, plate: int, waves: float, settings: DefectSettings) -> Reference:
+    """A plate's reference with the uncertainty that its waves add."""
+    typical = reference.noise * float(np.nanmedian(cells.sigma[cells.plate == plate]))
+    return reference.with_waves(waves, typical, settings.largest_mm)
 
 
 def _parts(region: Region, smoothed: Array, sd: Array) -> list[Region]:
@@ -135,11 +143,18 @@ def _parts(region: Region, smoothed: Array, sd: Array) -> list[Region]:
 
 
 def _reference(
-    cells: CellMap, plate: int, covered: Mask, seams: list[tuple[Array, Array]], settings: DefectSettings
+    cells: CellMap,
+    plate: int,
+    covered: Mask,
+    seams: list[tuple[Array, Array]],
+    settings: DefectSettings,
+    like: Reference | None = None,
 ) -> Reference | None:
     """The skin of a plate by its bare cells."""
-    use = (cells.plate == plate) & cells.free & ~covered
-    return fit_reference(cells.points[use], cells.sigma[use], seams, settings.largest_mm)
+    use = np.flatnonzero((cells.plate == plate) & cells.free & ~covered)
+    use = use[:: max(1, len(use) // _ENOUGH)]
+    points, sigma = cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use]
+    return fit_reference(points, sigma, seams, settings.largest_mm, like)
 
 
 def _doubt(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> float:
@@ -174,10 +189,10 @@ def _smoothed(depth: Array, cells: CellMap, covered: Mask) -> tuple[Array, Array
         on_plate = (cells.plate == plate) & bare
         if not on_plate.any():
             continue
-        noise = MAD * float(np.median(np.abs((smooth - broad)[on_plate]) / cells.sigma[on_plate]))
-        waves[plate] = MAD * float(np.median(np.abs(broad[on_plate])))
+        noise = MAD * median(np.abs((smooth - broad)[on_plate]) / cells.sigma[on_plate])
+        waves[plate] = MAD * median(np.abs(broad[on_plate]))
         here = cells.plate == plate
-        typical = float(np.median(cells.sigma[on_plate]))
+        typical = median(cells.sigma[on_plate])
         sd[here] = np.hypot(noise * np.where(known[here], cells.sigma[here], typical), waves[plate])
     bridged = np.where(cells.plate > 0, smooth, np.nan)
     return bridged, sd, waves

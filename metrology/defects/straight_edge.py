@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +10,7 @@ from metrology.cloud import Reconstruction
 from metrology.defects.cells import SIZE
 from metrology.defects.patch import Patch
 from metrology.defects.skin_map import SkinMap
+from metrology.fits import DefectSection
 from metrology.jit import kernel
 
 Array = NDArray[np.float64]
@@ -18,40 +18,22 @@ Array = NDArray[np.float64]
 _STEP_MM = 0.5
 
 
-@dataclass(frozen=True)
-class Section:
-    """A line over a defect, as far as its plate goes.
-
-    Attributes
-    ----------
-    t : (n,) ndarray
-        Position, 0 at the deepest point, mm.
-    surface, skin : (n,) ndarray
-        Heights of what is there and of the skin without the defect over the tangent plane, mm.
-    edge : (n,) ndarray
-        Underside of a straight-edge as long as the line that lies on the surface: where it does not touch, it is
-        above. (A rigid edge cannot bend round a curved skin: on one it rocks, and touches on either side of a dent.)
-    """
-
-    t: Array
-    surface: Array
-    skin: Array
-    edge: Array
-
-    def gap(self, reach: float) -> float:
-        """Greatest gap under the straight-edge within `reach` of the deepest point, mm."""
-        near = np.abs(self.t) <= reach
-        return float((self.edge - self.surface)[near].max(initial=0.0))
-
-
 def section(
-    patch: Patch, skin: SkinMap, reconstruction: Reconstruction, at: tuple[float, float], turn: float, length_mm: float
-) -> Section:
+    patch: Patch,
+    depth: Array,
+    skin: SkinMap,
+    reconstruction: Reconstruction,
+    at: tuple[float, float],
+    turn: float,
+    length_mm: float,
+) -> DefectSection:
     """The line through a point.
 
     Parameters
     ----------
     patch : Patch
+    depth : (rows, columns) ndarray
+        Of the patch, smoothed, mm; beyond it the line is taken from the skin's cells.
     skin : SkinMap
     reconstruction : Reconstruction
     at : (x, y)
@@ -68,14 +50,26 @@ def section(
     x, y = np.ascontiguousarray(reference.frame.local(patch.frame.rig(line))[:, :2].T)
     on_skin = reference.frame.rig(np.stack([x, y, reference.height(x, y)], axis=1))
     bare = patch.frame.local(on_skin)[:, 2]
-    places = (reconstruction.rig.left.project(on_skin) - 0.5 * (SIZE - 1)) / SIZE
-    depth = skin.depth_at(patch.number, places)
-    gone = np.flatnonzero(~np.isfinite(depth))
+    pixels = reconstruction.rig.left.project(on_skin)
+    below = skin.depth_at(patch.number, (pixels - 0.5 * (SIZE - 1)) / SIZE)
+    fine = _between(patch, depth, patch.grid_of(pixels))
+    below = np.where(np.isfinite(below) & np.isfinite(fine), patch.sign * fine, below)
+    gone = np.flatnonzero(~np.isfinite(below))
     first = int(gone[gone < half].max(initial=-1)) + 1
     end = int(gone[gone >= half].min(initial=len(t)))
     part = slice(first, max(end, first + 1))
-    surface = np.asarray(np.nan_to_num(bare - depth)[part], float)
-    return Section(t[part], surface, bare[part], _laid_on(t[part], surface))
+    surface = np.asarray(np.nan_to_num(bare - below)[part], float)
+    return DefectSection(t[part], surface, bare[part], _laid_on(t[part], surface))
+
+
+def _between(patch: Patch, depth: Array, places: Array) -> Array:
+    """(n,) depth at places (n, 2), column and row of the grid; NaN off the patch's plate."""
+    column, row = places.astype(np.float32).T
+    values = cv2.remap(
+        np.where(patch.plate, depth, np.nan).astype(np.float32),
+        column[:, None], row[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan,
+    )  # fmt: skip
+    return np.asarray(values[:, 0], float)
 
 
 def _laid_on(t: Array, surface: Array) -> Array:

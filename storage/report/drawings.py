@@ -106,11 +106,12 @@ class _Axes:
 
     def frame(self, label: str) -> list[Markup]:
         ends = _LEFT, _WIDTH - 12
-        lines = [_drawn("tick", *ends, self.y(tick), f"{tick:.10g}") for tick in _ticks(self.y0, self.y1)]
+        lines = [_drawn("tick", *ends, self.y(tick), f"{tick:.10g}") for tick in ticks(self.y0, self.y1)]
         return [*lines, _drawn("axis_title", (_HEIGHT - _BOTTOM) / 2 + 40, label)]
 
 
-def _ticks(low: float, high: float) -> list[float]:
+def ticks(low: float, high: float) -> list[float]:
+    """Round numbers within a range."""
     step = 10.0 ** np.floor(np.log10((high - low) / 3))
     step *= next(k for k in (1, 2, 5, 10) if (high - low) / (step * k) <= 7)
     return [round(float(t), 10) for t in np.arange(np.ceil(low / step) * step, high, step)]
@@ -197,8 +198,7 @@ def course_chart(kind: Kind, quantity: Quantity, course: Sequence[Row], limits: 
         lower = [(axes.x(row[position]), axes.y(row[value] - (row[u95] or 0))) for row in piece]
         marks.append(_drawn("band", _points([*upper, *reversed(lower)])))
         marks.append(_drawn("profile", _points((axes.x(row[position]), axes.y(row[value])) for row in piece)))
-    ticks = _ticks(axes.x0, axes.x1)
-    marks += [_drawn("text", axes.x(tick), _HEIGHT - 14, "middle", f"{tick:g}") for tick in ticks]
+    marks += [_drawn("text", axes.x(tick), _HEIGHT - 14, "middle", f"{tick:g}") for tick in ticks(axes.x0, axes.x1)]
     marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", f"mm along the {kind.subject}"))
     return _chart(marks)
 

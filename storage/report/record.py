@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,12 @@ from metrology.errors import StoreError
 from metrology.kinds import DEFECT, KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
+from storage.archive.bundle import FITS
 from storage.archive.decisions import same_place
 from storage.archive.known_defects import Accepted, accepted_before
 from storage.archive.work import Standing, open_work, standings
 from storage.evidence.chain import Link, scene_links, sign_off_link, sources
+from storage.fits import StoredFits, read_fits
 from storage.review import Entry, ReviewLog
 
 Row = Mapping[str, Any]
@@ -49,6 +51,8 @@ class SceneRecord:
         Number and checksum of the last entry of the review log.
     chain : tuple of Link
         What its values rest on.
+    fits : StoredFits
+        What its close-ups draw; none of a version that kept none.
     """
 
     scene: Row
@@ -61,6 +65,7 @@ class SceneRecord:
     standings: tuple[Standing, ...] = ()
     review_head: str = ""
     chain: tuple[Link, ...] = ()
+    fits: StoredFits = field(default_factory=lambda: StoredFits(()))
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -119,8 +124,13 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
     return SceneRecord(
         rests_on.scene, found, rests_on.manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
         rests_on.limits, decisions, how_they_stand, str(ReviewLog(store.root).head()),
-        (*scene_links(rests_on), sign_off_link(rests_on)),
+        (*scene_links(rests_on), sign_off_link(rests_on)), _fits(paths.bundle / FITS),
     )  # fmt: skip
+
+
+def _fits(path: Path) -> StoredFits:
+    """What close-ups draw; none of a version that kept none."""
+    return read_fits(path) if path.exists() else StoredFits(())
 
 
 def _with_reason(row: Row, accepted: Accepted | None) -> Row:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from metrology.kinds import KINDS
+from markupsafe import Markup
+
+from metrology.kinds import DEFECT, KINDS, Kind
+from storage.report.defect_form import defect_forms
 from storage.report.drawings import marked_picture
 from storage.report.letterhead import Letterhead
 from storage.report.markup import figure, moment, page, png_figure
@@ -28,7 +31,7 @@ def scene_page(record: SceneRecord, letterhead: Letterhead | None = None) -> str
         picture=figure(marked_picture(record.preview, record.of_kind), f"Left camera. {_MARKS}"),
         overlay=png_figure(record.overlay_png, "overlay", "The overlay, as the projector shows it."),
         features=[
-            (f"{kind.subject.capitalize()}s", features(kind, rows, record.limits))
+            (f"{kind.subject.capitalize()}s", [*features(kind, rows, record.limits), *_close_ups(kind, record)])
             for kind in KINDS
             if (rows := record.of_kind[kind.name])
         ],
@@ -36,3 +39,8 @@ def scene_page(record: SceneRecord, letterhead: Letterhead | None = None) -> str
         limits=limits_table(record.limits),
         traceability=traceability(record),
     )
+
+
+def _close_ups(kind: Kind, record: SceneRecord) -> list[Markup]:
+    """Of defects, whose form a table does not tell."""
+    return defect_forms(record.of_kind[kind.name], record.fits) if kind is DEFECT else []

@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from metrology.kinds import LIMITS, Cell, Kind, Quantity
+from metrology.limits import GradedLimit
 from metrology.requirements import downstream_of, limit_of
 from metrology.tolerance import RULE, Limit, PanelSpec
 from storage.archive.work import OPEN_WORK, said
@@ -132,7 +133,7 @@ def limits_table(spec: PanelSpec | None) -> Markup:
         [
             name,
             LIMITS[key].title,
-            *(number(bound, 3, sign=True) for bound in limit.bounds),
+            *_bounds(limit),
             limit.source,
             limit.revision,
         ]
@@ -141,6 +142,14 @@ def limits_table(spec: PanelSpec | None) -> Markup:
     ]
     heads = ["zone", "quantity", "lower", "upper", "serious below", "serious above", "source", "revision"]
     return section("limits", RULE, spec, table(heads, rows, [2, 3, 4, 5]) if rows else "")
+
+
+def _bounds(limit: Limit) -> list[str]:
+    """Lower, upper, serious lower, serious upper; of one that goes with an extent every step."""
+    said = [number(bound, 3, sign=True) for bound in limit.bounds]
+    if isinstance(limit, GradedLimit):
+        said[1] = limit.said
+    return said
 
 
 def decisions_table(record: SceneRecord) -> Markup:

@@ -11,6 +11,7 @@ import pytest
 from metrology.cloud import Reconstruction
 from metrology.defects.measure import measure_defects
 from metrology.defects.row import Defect, DefectKind
+from metrology.fits import FittedDefect
 from metrology.kinds import DEFECT
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
@@ -255,3 +256,26 @@ def test_defects_keep_their_names_from_scan_to_scan() -> None:
     # A bump where a dent was is another; 12 mm away at 20 mm of length is another, too.
     assert {row.defect_id: row.x_panel_mm for row in named} == {"D01": -4.0, "D02": 104.0, "D05": 2.0, "D06": 212.0}
     assert [row.defect_id for row in with_known_names(rows, [])] == ["D01", "D02", "D03", "D04"]
+
+
+def test_the_form_of_a_defect_is_its_map_and_two_sections(rng: np.random.Generator) -> None:
+    """Across a cylinder the straight-edge lies level on the rims, and the gap under it is less than the depth."""
+    skin = replace(FLAT, radius_x=400.0)
+    cloud = bent(scan(skin, (), rng), skin, bowl(4.0, 2.0, 0.5, 24.0, 14.0, 0.0))
+    (found,) = measure_defects(sighted(cloud, skin))
+    assert isinstance(found, FittedDefect)
+    form, depth = found.form, found.depth_mm
+    assert form is not None
+    assert depth is not None
+    assert np.nanmin(form.heights) == pytest.approx(-depth, abs=0.03)
+    row, column = np.unravel_index(int(np.nanargmin(form.heights)), form.heights.shape)
+    middle = np.array(form.corner) + form.step_mm * np.array([column, row])
+    assert np.hypot(*middle) < 3.0
+    assert 2 * np.hypot(*form.outline.T).max() == pytest.approx(found.length_mm, rel=0.15)
+    for section, extent in zip(form.shown(), (24.0, 14.0), strict=True):
+        deep = section.t[section.skin - section.surface > 0.5 * depth]
+        assert np.ptp(deep) == pytest.approx(extent, rel=0.1)
+        assert section.edge[np.abs(section.t) < 5.0] == pytest.approx(0.0, abs=1e-6)
+        assert section.surface.max() == pytest.approx(0.0, abs=1e-6)
+    # Over the round of the cylinder a straight-edge bridges little of it; along its line nearly all.
+    assert form.along.gap(5.0) < 0.5 * depth < 0.9 * depth < form.across.gap(5.0) < 1.02 * depth

@@ -29,7 +29,7 @@ def test_a_kind_names_what_exists(kind: Kind) -> None:
 
 def test_names_are_of_one_thing_each() -> None:
     quantities = [quantity for kind in KINDS for quantity in kind.quantities]
-    limits = [limit.name for quantity in quantities for limit in quantity.limits]
+    limits = [limit.name for quantity in quantities for limit in quantity.all_limits]
     for names in (
         [quantity.name for quantity in quantities],
         limits,

@@ -1,0 +1,246 @@
+"""What a kind of feature declares: its table and rows, its quantities with their limits, and how it is shown.
+
+Dataclasses and strings alone, so that reading them costs nothing: what a kind needs of other modules is named
+"module:name" and loaded where it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from metrology.results import Feature
+
+
+@dataclass(frozen=True)
+class LimitName:
+    """A limit that a zone of a panel specification may have.
+
+    Attributes
+    ----------
+    name : str
+        Its key in a zone, with the unit.
+    title : str
+        For people, with the unit.
+    amount : bool
+        Whether it is an upper limit of the value's amount alone.
+    graded : bool
+        Whether it goes with an extent of the feature (`metrology.limits.GradedLimit`).
+    """
+
+    name: str
+    title: str
+    amount: bool = False
+    graded: bool = False
+
+
+@dataclass(frozen=True)
+class Graded:
+    """A limit that goes with an extent, the columns of the extent and of its U95, and what the extent is called."""
+
+    limit: LimitName
+    column: str
+    u95_column: str
+    word: str
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity of a kind.
+
+    Attributes
+    ----------
+    name : str
+        In messages, addresses and charts; no other quantity of any kind has it.
+    column, u95_column : str
+        Of the value and of its expanded uncertainty.
+    unit, title : str
+        For people.
+    limits : tuple of LimitName
+        What a zone may ask of it. The first is of the value itself.
+    signed : bool
+        Whether the value has a direction, so that its sign is written.
+    word : str
+        What reports and the projector call it; its name where nothing is given.
+    projected : bool
+        Whether the projector writes it beside its feature.
+    rests_on_it : tuple of str
+        Further columns that say nothing without it.
+    into_wind : str
+        Column of the value as the air meets it, where that is what two of the limits are of: the second of what rises
+        in the air's way, the third of what falls.
+    by_extent : Graded
+        A limit of its amount that goes with an extent; None where there is no such limit.
+    not_of : tuple of (str, str or None)
+        Columns and values of rows that have no such quantity: the edge of one sheet on another has no gap.
+    """
+
+    name: str
+    column: str
+    u95_column: str
+    unit: str
+    title: str
+    limits: tuple[LimitName, ...]
+    signed: bool = False
+    word: str = ""
+    projected: bool = True
+    rests_on_it: tuple[str, ...] = ()
+    into_wind: str = ""
+    by_extent: Graded | None = None
+    not_of: tuple[tuple[str, str | None], ...] = ()
+
+    def lacking(self, row: Feature) -> bool:
+        """Whether a row has no such quantity."""
+        return any(getattr(row, column) == value for column, value in self.not_of)
+
+    @property
+    def said(self) -> str:
+        """What reports and the projector call it."""
+        return self.word or self.name
+
+    @property
+    def all_limits(self) -> tuple[LimitName, ...]:
+        """What a zone may ask of it, by an extent too."""
+        return (*self.limits, *([self.by_extent.limit] if self.by_extent else ()))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A column of a report's table: a value, a value with its U95, or the range between two.
+
+    Attributes
+    ----------
+    head : str
+        With the unit.
+    columns : tuple of str
+        One; or the value's and its U95's; or the least's and the greatest's where `span`.
+    digits : int
+    signed, span : bool
+    """
+
+    head: str
+    columns: tuple[str, ...]
+    digits: int = 3
+    signed: bool = False
+    span: bool = False
+
+
+@dataclass(frozen=True)
+class Count:
+    """A column of `scenes` that counts a kind: its rows, those that were found, or the different names among them."""
+
+    column: str
+    meaning: str
+    of: Literal["rows", "found", "names"] = "found"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of feature.
+
+    Attributes
+    ----------
+    name : str
+        As decisions and findings name it.
+    table, row : str
+        Its table, and the dataclass of a row ("module:name").
+    one, many : str
+        What a row is of, for people: "position along a seam", "seam positions".
+    id_columns : tuple of str
+        The column of its name, and where a name has several places, the column of the position, mm.
+    point, pixel : str
+        What x, y, z are of; what u, v are of.
+    quantities : tuple of Quantity
+        The first is the one that findings are sorted by.
+    counts : tuple of Count
+    per_panel : tuple of str
+        Columns of the view `panel_summary` beside the numbers of rows and of those failing, as SQL.
+    subject : str
+        What bears the name, as trends follow it: a seam for its positions.
+    parameter : str
+        As addresses of pages name it.
+    verdict : str
+        A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
+    unlimited : str
+        A function of a row that no limit of its zone judges ("module:name"); "" where such a row is in order.
+    note : str
+        A function of a row that gives what the projector writes behind its values; "" where there is nothing to say.
+    measure : str
+        A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
+        before it ("module:name"): from a `metrology.sighted.Sighted`, and its block of the settings (None where there
+        is none), to rows. "" for rivets and seams, whose steps come first.
+    settings : str
+        Name of that block; "" for the name of the table.
+    cells : tuple of Cell
+        What reports have in a row between its name and its zone; its quantities where nothing is given.
+    size : tuple of str
+        Columns of its extent, mm. The largest is the ring that the projector draws; rows of two scans nearer than half
+        of it are of one feature of the panel.
+    along : str
+        Column of the direction of its length in the left image, degrees, where it is longer than wide: pictures show
+        the ellipse of `major_px` and `minor_px`, and the projector an arrow along it.
+    """
+
+    name: str
+    table: str
+    row: str
+    one: str
+    many: str
+    id_columns: tuple[str, ...]
+    point: str
+    quantities: tuple[Quantity, ...]
+    counts: tuple[Count, ...]
+    pixel: str = "that point"
+    per_panel: tuple[str, ...] = ()
+    subject: str = ""
+    parameter: str = ""
+    verdict: str = ""
+    unlimited: str = ""
+    note: str = ""
+    measure: str = ""
+    settings: str = ""
+    cells: tuple[Cell, ...] = ()
+    size: tuple[str, ...] = ()
+    along: str = ""
+
+    @property
+    def is_course(self) -> bool:
+        """Whether its rows are positions along something that bears the name."""
+        return len(self.id_columns) > 1
+
+    @property
+    def shown(self) -> tuple[Cell, ...]:
+        """What reports have in a row between its name and its zone."""
+        return self.cells or tuple(
+            Cell(f"{q.said} {q.unit}", (q.column, q.u95_column), signed=q.signed) for q in self.quantities
+        )
+
+    @property
+    def row_type(self) -> type[Feature]:
+        """The dataclass of a row."""
+        row: type[Feature] = load(self.row)
+        return row
+
+    @property
+    def id_sql(self) -> str:
+        """SQL for the id of a row within its scene."""
+        name, *positions = self.id_columns
+        return " || '@' || ".join([name, *(f"printf('%.1f', {position})" for position in positions)])
+
+    def names(self, rows: Iterable[Feature]) -> set[str]:
+        """The different names among rows: of seams, where the rows are positions along them."""
+        return {getattr(row, self.id_columns[0]) for row in rows}
+
+    def id_of(self, row: Feature | Mapping[str, Any]) -> str:
+        """The id of a row within its scene, such as ``R12``, or ``S1@24.0`` for a position along a seam."""
+        name, *positions = [row[c] if isinstance(row, Mapping) else getattr(row, c) for c in self.id_columns]
+        return "@".join([str(name), *(f"{position:.1f}" for position in positions)])
+
+
+def load(name: str) -> Any:
+    """What "module:name" names."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute)
