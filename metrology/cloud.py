@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,10 +105,12 @@ class Reconstruction:
         views = {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
         return {name: (device, views[name]) for name, device in self.rig.cameras.items()}
 
-    @property
+    @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """(h, w) where there is a point."""
-        return np.isfinite(self.points[..., 2])
+        """(h, w) where there is a point; read-only."""
+        valid = np.isfinite(self.points[..., 2])
+        valid.flags.writeable = False
+        return valid
 
     def covariance(self, v: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
         """Covariance of the points at pixels [v, u], mm².

@@ -54,12 +54,12 @@ class StoredCloud:
 def encode_cloud(reconstruction: Reconstruction) -> bytes:
     """The organised cloud of a reconstruction as the content of a Parquet file."""
     height, width = reconstruction.flags.shape
-    missing = ~reconstruction.valid.ravel()
+    known = pa.py_buffer(np.packbits(reconstruction.valid, bitorder="little"))
 
     def whole(values: NDArray[np.float32], scale: float) -> pa.Array:
         with np.errstate(invalid="ignore"):  # what is not finite is missing
             rounded = np.rint(values * np.float32(scale)).astype(np.int32)
-        return pa.array(rounded.ravel(), mask=missing)
+        return pa.Array.from_buffers(pa.int32(), rounded.size, [known, pa.py_buffer(rounded)])
 
     columns = {
         "v_px": pa.array(np.repeat(np.arange(height, dtype=np.uint16), width)),
@@ -82,7 +82,8 @@ def encode_cloud(reconstruction: Reconstruction) -> bytes:
         pa.table(columns, schema),
         content,
         compression={name: "NONE" if name in packed else "ZSTD" for name in columns},
-        use_dictionary=["v_px", "flags"],
+        use_dictionary=["v_px"],
+        write_statistics=False,
         column_encoding=dict.fromkeys(packed, "DELTA_BINARY_PACKED"),
     )
     return bytes(content.getvalue())

@@ -1,4 +1,7 @@
-"""Structure, checksums and samples of grey PNG files, as cameras' frames come; OpenCV decodes those of unusual form."""
+"""PNG files: structure, checksums and samples of grey ones, as cameras' frames come, and pictures written as PNG.
+
+OpenCV decodes frames of unusual form.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,9 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK_OVERHEAD = 12  # length, type and CRC
 _MAX_CHUNKS = 100_000
 _MAX_EXIF_BYTES = 65_536
-_GREY, _PALETTE = 0, 3
-_COLOURS = {2: "colour", _PALETTE: "palette", 4: "grey with alpha", 6: "colour with alpha"}
+_GREY, _COLOUR, _PALETTE = 0, 2, 3
+_UP = 2  # filter of a row: differences to the one above
+_COLOURS = {_COLOUR: "colour", _PALETTE: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 
 def size_and_bits(source: FrameSource) -> tuple[int, int, int]:
@@ -87,6 +91,26 @@ def decode_into(frame: NDArray[np.uint8] | NDArray[np.uint16], data: bytes, imag
     known = bool(unfilter(stored, frame.itemsize, samples))
     frame[:] = samples.view(">u2")
     return known
+
+
+def encode(picture: NDArray[np.uint8]) -> bytes:
+    """A grey (h, w) picture, or one in red, green and blue (h, w, 3), as a PNG.
+
+    Each row is stored as its differences to the one above, deflated by ISA-L.
+    """
+    height, width = picture.shape[:2]
+    rows = picture.reshape(height, -1)
+    stored = np.full((height, rows.shape[1] + 1), _UP, np.uint8)
+    stored[:1, 1:] = rows[:1]
+    np.subtract(rows[1:], rows[:-1], out=stored[1:, 1:])
+    header = struct.pack(">IIBBBBB", width, height, 8, _GREY if picture.ndim == 2 else _COLOUR, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", isal_zlib.compress(stored, 1)), (b"IEND", b""))
+    return SIGNATURE + b"".join(_chunk(kind + content) for kind, content in chunks)
+
+
+def _chunk(content: bytes) -> bytes:
+    """A chunk of a PNG: length, kind and content, checksum."""
+    return struct.pack(">I", len(content) - 4) + content + struct.pack(">I", isal_zlib.crc32(content))
 
 
 def _check_exif(data: bytes) -> None:

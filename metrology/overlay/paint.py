@@ -73,10 +73,16 @@ def _paint_label(image: NDArray[np.uint8], label: Label) -> None:
     cos, sin = np.cos(label.angle), np.sin(label.angle)
     turn = np.array([[cos, -sin], [sin, cos]])
     shift = label.centre - turn @ ((np.array([width, height]) - 1) / 2)
-    placing = np.column_stack([turn, shift])
-    # Straight into the image: only the plate's own pixels change.
+    # Straight into the image, of which only the part with the plate is gone through.
+    reach = 0.5 * np.abs(turn) @ (width, height) + 1.0
+    first = np.maximum(np.floor(label.centre - reach), 0).astype(int)
+    end = np.minimum(np.ceil(label.centre + reach) + 1, image.shape[1::-1]).astype(int)
+    if (end <= first).any():
+        return
+    part = image[first[1] : end[1], first[0] : end[0]]
+    placing = np.column_stack([turn, shift - first])
     cv2.warpAffine(
-        plate, placing, image.shape[1::-1], dst=image, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+        plate, placing, part.shape[1::-1], dst=part, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
     )
 
 

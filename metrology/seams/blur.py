@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,18 +75,18 @@ class EdgeResponse:
         return cls(step, values, slopes)
 
 
-# A fit asks again and again for the same blur: where only borders move, or a step was taken back.
-@lru_cache(maxsize=64)
-def blurred_step(normal: tuple[float, float], blur: PixelBlur, nodes_per_px: int, reach_px: float) -> Array:
-    """(6, n) blurred unit step across an edge with the unit `normal` (u, v), for |x| ≤ reach, x in px.
+@kernel
+def blurred_steps(normals, lenses, spill, nodes_per_px, reach_px):  # type: ignore[no-untyped-def]
+    """(k, 6, n) blurred unit steps across edges with the unit `normals` (k, 2), for |x| ≤ reach, x in px.
 
-    Rows: the step, its change with the spill, and that with the lens, each with its slope. Read-only.
+    Rows: the step, its change with the spill, and that with the lens, each with its slope.
     """
     half = int(np.ceil(reach_px * nodes_per_px))
-    side_u, side_v = (max(abs(side), _THIN) for side in normal)
-    step: Array = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, blur.lens_px, blur.spill)
-    step.flags.writeable = False
-    return step
+    tables = np.empty((lenses.size, 6, 2 * half + 1))
+    for k in range(lenses.size):
+        side_u, side_v = max(abs(normals[k, 0]), _THIN), max(abs(normals[k, 1]), _THIN)
+        tables[k] = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, lenses[k], spill)
+    return tables
 
 
 @kernel

@@ -113,7 +113,7 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     """Skin lines, then the gap between them, then what both say of each place along the seam."""
     settings = ground.settings
     s_mm = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
-    places = [_place(track, float(s), ground) for s in s_mm]
+    places = _places(track, s_mm, ground)
     own = [place.section if isinstance(place.section, Section) else None for place in places]
     sections = smoothed_sections(own, s_mm, settings.half_length_mm)
     half_widths = [place.half_width_mm for place in places]
@@ -126,32 +126,35 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     return [plausible_station(row) for row in rows]
 
 
-def _place(track: Track, s: float, ground: _Ground) -> _Place:
-    """One seam station's section."""
+def _places(track: Track, s_mm: Array, ground: _Ground) -> list[_Place]:
+    """Every seam station's section."""
     settings = ground.settings
-    origin, direction, pixel, width_px = track.at(s)
-    across = towards_b(direction, origin, ground.upright)
-    ahead = ground.reconstruction.rig.left.project(np.stack([origin, origin + across]))
-    px_mm = float(np.linalg.norm(ahead[1] - ahead[0]))
-    half = 0.5 * width_px / px_mm
-    inner = half + settings.guard_px / px_mm
-    u, v = np.clip(np.round(pixel).astype(int), 0, np.array(ground.heads.shape[::-1]) - 1)
-    if ground.heads[v, u]:
-        return _Place(s, pixel, half, inner, "over a rivet")
-    section = section_at(
-        ground.reconstruction,
-        ground.clear,
-        origin,
-        direction,
-        across,
-        pixel,
-        (inner, inner),
-        (inner + settings.skin_extent_mm,) * 2,
-        settings.half_length_mm,
-        settings.min_points,
-        ground.other_courses,
-    )
-    return _Place(s, pixel, half, inner, section)
+    origins, directions, pixels, widths_px = track.at(s_mm)
+    across = towards_b(directions, origins, ground.upright)
+    ahead = ground.reconstruction.rig.left.project(np.stack([origins, origins + across]))
+    px_mm = np.linalg.norm(ahead[1] - ahead[0], axis=-1)
+    halves, inner = 0.5 * widths_px / px_mm, (0.5 * widths_px + settings.guard_px) / px_mm
+    u, v = np.clip(np.round(pixels).astype(int), 0, np.array(ground.heads.shape[::-1]) - 1).T
+    over_a_rivet = ground.heads[v, u]
+
+    def section(k: int) -> Section | str:
+        if over_a_rivet[k]:
+            return "over a rivet"
+        return section_at(
+            ground.reconstruction,
+            ground.clear,
+            origins[k],
+            directions[k],
+            across[k],
+            pixels[k],
+            float(inner[k]),
+            float(inner[k]) + settings.skin_extent_mm,
+            settings.half_length_mm,
+            settings.min_points,
+            ground.other_courses,
+        )
+
+    return [_Place(float(s_mm[k]), pixels[k], float(halves[k]), float(inner[k]), section(k)) for k in range(len(s_mm))]
 
 
 def _row(seam_id: str, place: _Place, section: Section | None, gap: Gap | str, ground: _Ground) -> SeamStation:

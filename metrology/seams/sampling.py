@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,29 +39,37 @@ class LocalMap:
     @property
     def px_per_unit(self) -> float:
         """Pixels per unit of x, across the line."""
-        gradient = self.coefficients[:, 1:3]
-        return float(np.linalg.norm(np.linalg.inv(gradient)[:, 0]))
+        du, dv = self._inverse[:, 0]
+        return math.hypot(du, dv)
 
     @property
     def gradient(self) -> tuple[float, float]:
         """Change of x per pixel in u and in v."""
         return float(self.coefficients[0, 1]), float(self.coefficients[0, 2])
 
+    @property
+    def _inverse(self) -> Array:
+        """(2, 2) change of u and of v with x and z."""
+        (a, b), (c, d) = self.coefficients[:, 1:3].tolist()
+        return np.array([[d, -b], [-c, a]]) / (a * d - b * c)
 
-def grid_offsets(half_x: float, half_z: float) -> Array:
-    """(25, 2) x, z of a grid over ±half_x, ±half_z: project the points there and hand the pixels to `fit_map`."""
-    return np.asarray(_GRID * (half_x, half_z))
+
+def grid_offsets(half_x: Array, half_z: float) -> Array:
+    """(n, 25, 2) x, z of grids over ±half_x, ±half_z: project the points there and hand the pixels to `fit_maps`."""
+    return np.asarray(_GRID * np.stack([half_x, np.full(len(half_x), half_z)], axis=-1)[:, None])
 
 
-def fit_map(offsets: Array, pixels: Array) -> LocalMap:
-    """The map that takes `pixels` (n, 2) to their `offsets` (n, 2): exact to the third order of the patch's size."""
-    centre = pixels.mean(axis=0)
-    a, b = (pixels - centre).T
-    scale = max(np.abs(a).max(), np.abs(b).max())
-    a, b = a / scale, b / scale
+def fit_maps(offsets: Array, pixels: Array) -> list[LocalMap]:
+    """The maps that take `pixels` (n, m, 2) to their `offsets` (n, m, 2): exact to third order in the patch's size."""
+    centres = pixels.mean(axis=1)
+    relative = pixels - centres[:, None]
+    scales = np.abs(relative).max(axis=(1, 2))
+    a, b = np.moveaxis(relative / scales[:, None, None], -1, 0)
     design = np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=-1)
-    coefficients = np.linalg.solve(design.T @ design, design.T @ offsets).T
-    return LocalMap(centre, np.ascontiguousarray(coefficients / scale ** np.array([0, 1, 1, 2, 2, 2])))
+    turned = design.transpose(0, 2, 1)
+    coefficients = np.linalg.solve(turned @ design, turned @ offsets).transpose(0, 2, 1)
+    coefficients = np.ascontiguousarray(coefficients / scales[:, None, None] ** np.array([0, 1, 1, 2, 2, 2]))
+    return [LocalMap(centre, own) for centre, own in zip(centres, coefficients, strict=True)]
 
 
 def sample(
@@ -72,9 +81,8 @@ def sample(
     -------
     x, z, grey : (n,) ndarray
     """
-    inverse = np.linalg.inv(local.coefficients[:, 1:3])
     corners = np.array([[low_x, -half_z], [low_x, half_z], [high_x, -half_z], [high_x, half_z]])
-    reach = np.abs((corners - local.coefficients[:, 0]) @ inverse.T).max(axis=0) + 1.5
+    reach = np.abs((corners - local.coefficients[:, 0]) @ local._inverse.T).max(axis=0) + 1.5
     return _sample(image, local.centre, local.coefficients, reach, low_x, high_x, half_z)
 
 

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from metrology.errors import UsageError
 from metrology.seams import SeamSettings, detect_seams, measure_seams
-from metrology.seams.blur import EdgeResponse, PixelBlur, blurred_step
+from metrology.seams.blur import EdgeResponse, PixelBlur, blurred_steps
 from metrology.seams.gap import floor, model, solver
 from metrology.seams.gap.fit import fit_gap
 from metrology.seams.gap.floor import Floor, possible_floors
@@ -129,7 +129,7 @@ def test_steps_and_their_changes_between_nodes():
     samples, end, px_mm = np.linspace(-1.5, 1.5, 301), 0.13, 6.0
 
     def at(lens, spill, end=end):
-        table = blurred_step(normal, PixelBlur(lens, spill), model.NODES_PER_PX, 6.0)
+        [table] = blurred_steps(np.array([normal]), np.array([lens]), spill, model.NODES_PER_PX, 6.0)
         spans, blurred = np.empty((1, 2), np.int64), np.empty((4, 1, len(samples)))
         model.steps_at(samples, len(samples), np.array([end]), 1, px_mm, table, spans, blurred)
         blurred[:, 0, : spans[0, 0]] = blurred[:, 0, spans[0, 1] :] = 0
@@ -138,7 +138,7 @@ def test_steps_and_their_changes_between_nodes():
 
     step, slope, by_spill, by_lens = at(blur.lens_px, blur.spill)
     assert np.interp(end, samples, step) == pytest.approx(0.5, abs=1e-3)
-    fine = blurred_step(normal, blur, 40 * model.NODES_PER_PX, 6.0)
+    [fine] = blurred_steps(np.array([normal]), np.array([blur.lens_px]), blur.spill, 40 * model.NODES_PER_PX, 6.0)
     places = (np.arange(fine.shape[1]) - fine.shape[1] // 2) / (40 * model.NODES_PER_PX)
     assert step == pytest.approx(np.interp((samples - end) * px_mm, places, fine[0]), abs=1e-5)
     assert slope == pytest.approx(
@@ -157,7 +157,7 @@ def test_picture_of_a_gap_is_what_single_rays_meet(gap):
         gap.depth_mm, 0.0, 1.0,
     ])  # fmt: skip
     # A blur of a hundredth of a pixel.
-    table = blurred_step((1.0, 0.0), PixelBlur(0.05, 0.0), model.NODES_PER_PX, 3.0)
+    [table] = blurred_steps(np.array([[1.0, 0.0]]), np.array([0.05]), 0.0, model.NODES_PER_PX, 3.0)
     tilt = np.array([-gap.step_mm / 2, 0.0])
     basis = basis_of(samples, outline, gap.sealed, tilt, eye, lamp, px_mm, table)
     regions = {
@@ -197,7 +197,7 @@ def test_normal_equations_are_the_cost_s_derivatives(rng):
     known = Prior(some, Floor(False))
     shared = known.mean.copy()
     borders = np.outer(some.half_widths, [-1.0, 1.0]) + 0.05
-    state = solver._state_at(some, borders, shared, known, with_shape=True)
+    state = solver._state_at(some, borders, shared, known)
     # Half of the cost's slope downhill is the gradient: the levels have settled, so only θ moves it.
     for k, size in (
         (0, 1e-4),
@@ -218,7 +218,7 @@ def test_normal_equations_are_the_cost_s_derivatives(rng):
                 b[:, k] += sign * size
             else:
                 s[k - 2] += sign * size
-            costs.append(solver._state_at(some, b, s, known, with_shape=True).costs)
+            costs.append(solver._state_at(some, b, s, known).costs)
         slope = (costs[1] - costs[0]) / (2 * size)
         scale = np.sqrt(state.normals[:, k, k] * state.costs)
         assert np.allclose(-2 * state.gradients[:, k] / scale, slope / scale, atol=0.05)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError
 from storage.frames import read_frame, read_header
+from storage.png import encode
 
 
 def chunk(kind: bytes, content: bytes) -> bytes:
@@ -63,3 +64,13 @@ def test_a_stream_damaged_where_chunks_are_sound_is_refused(tmp_path: Path) -> N
     damaged = content[:start] + chunk(b"IDAT", bytes(stream)) + chunk(b"IEND", b"")
     with pytest.raises(SceneError, match="does not decode"):
         read(tmp_path / "frame.png", damaged)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (31, 57), (9, 4, 3)])
+def test_what_is_encoded_is_what_opencv_and_this_reader_decode(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    picture = np.random.default_rng(7).integers(0, 255, shape, np.uint8)
+    content = encode(picture)
+    decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(decoded[..., ::-1] if picture.ndim == 3 else decoded, picture)
+    if picture.ndim == 2:
+        np.testing.assert_array_equal(read(tmp_path / "picture.png", content), picture)

@@ -70,13 +70,13 @@ def floor_depth(
                 continue
             depth = depth[(low < points[:, 0]) & (points[:, 0] < high)]
         if len(points) >= _MIN_POINTS and len(depth) >= _MIN_POINTS:
-            low, middle, high = np.percentile(depth, [16, 50, 84])
+            low, middle, high = _percentiles(depth)
             # Points that scatter more than their noise and a floor's evenness explain are of walls, or mixed.
             if high - low < 2 * np.hypot(_LEVEL_MM, 2 * np.median(points[:, 3])):
                 depths.append(float(middle))
     if len(depths) < max(_MIN_STATIONS, 0.5 * sum(section is not None for section in sections)):
         return None
-    low, middle, high = np.percentile(depths, [16, 50, 84])
+    low, middle, high = _percentiles(np.array(depths))
     return float(middle) if high - low < 2 * _FLOOR_SIGMA_MM else None
 
 
@@ -88,6 +88,11 @@ def _in_full_view(section: Section, half: float, depth: float, centres: Array) -
     places = section.frame.local(centres)
     shifts = depth * places[:, 0] / places[:, 2]
     return -half - min(float(shifts.min()), 0.0), half - max(float(shifts.max()), 0.0)
+
+
+def _percentiles(values: Array) -> Array:
+    """The middle value, and those below and above which 16 % lie: numpy's own take ten times as long."""
+    return np.interp(np.array([0.16, 0.5, 0.84]) * (len(values) - 1), np.arange(len(values)), np.sort(values))
 
 
 def possible_floors(depth_mm: float | None) -> list[Floor]:

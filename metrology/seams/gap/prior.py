@@ -6,7 +6,7 @@ All of it is wide: it decides only what the pictures leave open, and goes into t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,12 +74,10 @@ class Prior:
     profiles : Profiles
         Of what stands around the gap: cameras, lamp, chamfers as drawn.
     floor : Floor
-    fixed : tuple of int
-        What is held fixed besides.
     """
 
-    def __init__(self, profiles: Profiles, floor: Floor, fixed: Sequence[int] = ()) -> None:
-        self.profiles, self.floor = profiles, floor
+    def __init__(self, profiles: Profiles, floor: Floor) -> None:
+        self.floor = floor
         ambient, slope = profiles.ambient, profiles.chamfer_slope
         self.lenses = range(LENSES, LENSES + len(ambient))
         # Direct light grazes the walls.
@@ -99,8 +97,7 @@ class Prior:
         for first, second in itertools.pairwise(levels):
             for chamfer in (CHAMFER_A, CHAMFER_B):
                 self._alike(first + chamfer, second + chamfer, _ALIKE_VIEWS)
-        held = (*fixed, *(_OF_OPEN_GAPS if floor.sealed else ()))
-        self.free = np.setdiff1d(np.arange(len(sigma)), held)
+        self.free = np.setdiff1d(np.arange(len(sigma)), _OF_OPEN_GAPS if floor.sealed else ())
 
     def _alike(self, i: int, j: int, sigma: float) -> None:
         difference = np.zeros(len(self.mean))
@@ -109,33 +106,35 @@ class Prior:
 
     def without_chamfers(self) -> Prior:
         """The same with both chamfers held as they are."""
-        return Prior(self.profiles, self.floor, (WIDTH_A, WIDTH_B, SLOPE))
+        return self._holding(WIDTH_A, WIDTH_B, SLOPE)
 
     def of_usual_cameras(self) -> Prior:
         """The same with blur and directions held as they are: far from the solution they would go astray."""
-        return Prior(self.profiles, self.floor, (*_DIRECTIONS, SPILL, *self.lenses))
+        return self._holding(*_DIRECTIONS, SPILL, *self.lenses)
 
     def of_square_walls(self) -> Prior:
         """The same with directions held as they are."""
-        return Prior(self.profiles, self.floor, _DIRECTIONS)
+        return self._holding(*_DIRECTIONS)
+
+    def _holding(self, *fixed: int) -> Prior:
+        """The same with so much more held fixed."""
+        other = copy(self)
+        other.free = np.setdiff1d(self.free, fixed)
+        return other
 
     def cost(self, shared: Array) -> float:
         """Squared standard deviations from the mean."""
         away = shared - self.mean
         return float(away @ self.precision @ away)
 
-    def gradient(self, shared: Array) -> Array:
-        """Half the cost's slope downhill."""
-        return np.asarray(self.precision @ (self.mean - shared))
-
-    def within_bounds(self, shared: Array) -> Array:
-        """What is shared, no value beyond what can be."""
-        lenses = slice(self.lenses.start, self.lenses.stop)
-        bounded = shared.copy()
-        bounded[:LENSES] = np.clip(shared[:LENSES], _LOWEST, _HIGHEST)
-        bounded[SLOPE] = np.clip(shared[SLOPE], *(_SLOPE_BOUNDS * self.mean[SLOPE]))
-        bounded[lenses] = np.clip(shared[lenses], *_LENS_BOUNDS_PX)
-        return bounded
+    @property
+    def limits(self) -> tuple[Array, Array, NDArray[np.int64], Array, Array]:
+        """Mean, precision, what is free, and the lowest and highest values that can be."""
+        bounds = np.stack([np.full(len(self.mean), -np.inf), np.full(len(self.mean), np.inf)])
+        bounds[:, :LENSES] = _LOWEST, _HIGHEST
+        bounds[:, SLOPE] = _SLOPE_BOUNDS * self.mean[SLOPE]
+        bounds[:, self.lenses.start : self.lenses.stop] = np.array(_LENS_BOUNDS_PX)[:, None]
+        return self.mean, self.precision, self.free, bounds[0], bounds[1]
 
 
 def _depth(floor: Floor) -> tuple[float, float]:

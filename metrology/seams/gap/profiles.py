@@ -12,14 +12,16 @@ from metrology.jit import kernel
 from metrology.rig import Device
 from metrology.seams.gap.levels import LEVEL_SCATTER
 from metrology.seams.gap.model import LEVELS
-from metrology.seams.gap.views import View, section_map
-from metrology.seams.sampling import binned, sample
+from metrology.seams.gap.views import View, section_maps
+from metrology.seams.sampling import LocalMap, binned, sample
 from metrology.seams.skins.sections import Section
 
 Array = NDArray[np.float64]
 
 # Skin in view beyond each expected border, px: enough for its brightness and its slope.
 _SKIN_PX = 8.0
+# Beyond them a map of pixels holds, mm.
+_SKIN_MM = 2.0
 # A border's blur, and the error of where it is expected, reach this far onto the skin, px.
 BLUR_PX = 3.0
 _BIN_PX = 1.0 / 3.0
@@ -104,11 +106,14 @@ def collect(
     chamfer_slope: float,
 ) -> Profiles | None:
     """Profiles of all stations that have a section and whose skin a camera sees; None where there is none."""
+    there = [(i, section) for i, section in enumerate(sections) if section is not None]
+    if not there:
+        return None
+    halves = np.array([half_widths[i] for i, _ in there])
+    maps = [section_maps([s for _, s in there], view.device, halves + _SKIN_MM, half_length) for view in views]
     rows = []
-    for i, (section, half) in enumerate(zip(sections, half_widths, strict=True)):
-        if section is None:
-            continue
-        seen = [_profile(section, half, view, half_length) for view in views]
+    for (i, section), half, local in zip(there, halves, zip(*maps, strict=True), strict=True):
+        seen = [_profile(one, half, view, half_length) for one, view in zip(local, views, strict=True)]
         if any(one is not None for one in seen):
             rows.append((i, section, half, seen))
     if not rows:
@@ -169,9 +174,8 @@ class _Profile:
     scatter: float
 
 
-def _profile(section: Section, half: float, view: View, half_length: float) -> _Profile | None:
+def _profile(local: LocalMap, half: float, view: View, half_length: float) -> _Profile | None:
     """What one camera shows, relative to the skin's mean beyond the border; None without skin on both sides."""
-    local = section_map(section, view.device, half + 2.0, half_length)
     px_mm = local.px_per_unit
     reach = half + _SKIN_PX / px_mm
     x, _, grey = sample(view.texture, local, -reach, reach, half_length)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rig import Device
-from metrology.seams.sampling import LocalMap, fit_map, grid_offsets
+from metrology.seams.sampling import LocalMap, fit_maps, grid_offsets
 from metrology.seams.skins.sections import Section
 
 Array = NDArray[np.float64]
@@ -50,15 +51,16 @@ def both_views(reconstruction: Reconstruction) -> tuple[View, View]:
     return views[0], views[1]
 
 
-def section_map(section: Section, device: Device, half_x: float, half_y: float) -> LocalMap:
-    """A camera's pixel → (x, y) of the section, mm, on the reference curve for |x| ≤ half_x, |y| ≤ half_y.
+def section_maps(sections: Sequence[Section], device: Device, half_x: Array, half_y: float) -> list[LocalMap]:
+    """A camera's pixel → (x, y) of each section, mm, on the reference curve for |x| ≤ half_x (n,), |y| ≤ half_y.
 
     The reference curve is the mean of both skin lines: on it both sides have one coordinate x.
     """
     offsets = grid_offsets(half_x, half_y)
-    x, y = offsets.T
-    pixels = device.project(section.frame.rig(np.stack([x, y, reference_height(section, x)], axis=-1)))
-    return fit_map(offsets, pixels)
+    heights = [reference_height(section, x) for section, x in zip(sections, offsets[..., 0], strict=True)]
+    local = np.concatenate([offsets, np.array(heights)[..., None]], axis=-1)
+    axes, origins = (np.array([getattr(section.frame, name) for section in sections]) for name in ("axes", "origin"))
+    return fit_maps(offsets, device.project(local @ axes + origins[:, None]))
 
 
 def reference_height(section: Section, x: float | Array) -> Array:

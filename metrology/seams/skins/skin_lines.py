@@ -36,8 +36,8 @@ class SkinFit(NamedTuple):
     ----------
     solution : (7,) ndarray
         A's c_0, c_1, B's c_0, c_1, common c_2, slopes along the seam on A and B.
-    covariance : (7, 7) ndarray
-        As if the points were independent.
+    normal : (7, 7) ndarray
+        Matrix of the normal equations.
     chi : float
         Residuals over their expected standard deviation; 1 where σ is right.
     n_a, n_b : int
@@ -49,12 +49,17 @@ class SkinFit(NamedTuple):
     """
 
     solution: Array
-    covariance: Array
+    normal: Array
     chi: float
     n_a: int
     n_b: int
     clumping: float
     stretches: Array
+
+    @property
+    def covariance(self) -> Array:
+        """(7, 7) covariance of the solution as if the points were independent."""
+        return np.asarray(np.linalg.inv(self.normal) * self.chi**2)
 
 
 def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: float) -> SkinFit | None:
@@ -72,13 +77,7 @@ def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: fl
     x, y, h, sigma = (np.ascontiguousarray(column) for column in points[:, :4].T)
     normal, solution, stretches = np.zeros((7, 7)), np.zeros(7), np.zeros(2 * _STRETCHES)
     spread, n_a, n_b, clumping, good = _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretches)
-    if not good:
-        return None
-    try:
-        covariance = np.linalg.inv(normal) * spread**2
-    except np.linalg.LinAlgError:
-        return None
-    return SkinFit(solution, covariance, spread, n_a, n_b, clumping, stretches / spread)
+    return SkinFit(solution, normal, spread, n_a, n_b, clumping, stretches / spread) if good else None
 
 
 @kernel

@@ -56,18 +56,18 @@ class Track:
         """From the first to the last node."""
         return float(self.s[-1])
 
-    def at(self, s: float) -> tuple[Array, Array, Array, float]:
-        """Point, unit tangent, pixel and line width at an arc length."""
+    def at(self, s: Array) -> tuple[Array, Array, Array, Array]:
+        """Points (n, 3), unit tangents (n, 3), pixels (n, 2) and line widths (n,) at arc lengths."""
 
         def interpolated(values: Array) -> Array:
-            return np.array([np.interp(s, self.s, column) for column in values.T])
+            return np.stack([np.interp(s, self.s, column) for column in values.T], axis=-1)
 
-        direction = interpolated(self.directions)
+        directions = interpolated(self.directions)
         return (
             interpolated(self.points),
-            direction / np.linalg.norm(direction),
+            directions / np.linalg.norm(directions, axis=1, keepdims=True),
             interpolated(self.pixels),
-            float(np.interp(s, self.s, self.width_px)),
+            np.interp(s, self.s, self.width_px),
         )
 
 
