@@ -19,7 +19,7 @@ def add_code_options(parser: argparse.ArgumentParser, both_axes: bool = False) -
     if both_axes:
         group.add_argument("--counts-y", type=int, nargs="*", help="those along y, where they are others")
     group.add_argument("--periods", type=int, nargs="+", metavar="PX", help="periods in projector pixels, not counts")
-    group.add_argument("--over", type=int, metavar="PX", help="projector pixels that the counts are counted over")
+    group.add_argument("--over", type=int, metavar="PX", help="projector pixels that counts and stripes are over")
     group.add_argument(
         "--direction", type=int, choices=(1, -1), default=1, help="-1: the phase falls from step to step"
     )
@@ -46,11 +46,14 @@ def fringe_model(options: argparse.Namespace) -> FringeModel:
     from storage.models import validate
     from storage.scene_models import FringeModel
 
-    counts = () if options.periods else tuple(options.counts)
-    columns = counts or options.periods or ()
+    periods = tuple(options.periods or ())
+    if periods and (options.over or len(periods) == 1):
+        options.counts, periods = _counts_of(periods, options.over), ()
+    counts = () if periods else tuple(options.counts)
+    columns = counts or periods
     document: dict[str, object] = {"axis": options.axis, "counts": counts, "direction": options.direction}
     document["steps"] = options.steps[0] if len(options.steps) == 1 else tuple(options.steps)
-    document["periods_px"] = tuple(options.periods or ())
+    document["periods_px"] = periods
     if options.over:
         document["size_px"] = options.over
     if any(options.offset):
@@ -71,6 +74,19 @@ def fringe_model(options: argparse.Namespace) -> FringeModel:
     model = validate(FringeModel, document, Path("code"), UsageError)
     model.code  # noqa: B018 - refuses what no projector can show
     return model
+
+
+def _counts_of(periods: tuple[int, ...], over: int | None) -> tuple[int, ...]:
+    """Fringes over so many projector pixels; UsageError where that is no whole number of them."""
+    from metrology.errors import UsageError
+
+    if not over or min(periods) < 1 or any(over % period for period in periods):
+        raise UsageError(
+            f"--periods {' '.join(map(str, periods))}: found --over {over or 'nowhere'}, expected a multiple of the "
+            "periods not below the projector's width (height), which fringes and stripes are counted over: "
+            "18 px on 1024: --periods 18 --over 1026 --gray 114 (stripes of 9 px)"
+        )
+    return tuple(over // period for period in periods)
 
 
 def both_fringe_models(options: argparse.Namespace) -> dict[Axis, FringeModel]:

@@ -5,26 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import DecodedView
 from metrology.code_guess import CodeGuess, guess_code
-from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.frame_consistency import frame_consistency
 from metrology.frame_sample import sample_frames
 from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
-from metrology.reconstruct import usual_size
 from metrology.saturation import saturation_level
 from storage.documents import utc_text
 from storage.frames import read_header, read_stack
 from storage.models import validate
-from storage.scene import load_scene
 from storage.scene_models import FORMAT, MANIFEST, Camera, FringeModel, SceneModel, fringe_document
 from storage.scene_names import (
     Values,
@@ -32,13 +28,14 @@ from storage.scene_names import (
     by_count_and_step,
     by_number,
     cameras_of,
+    count_names,
     exposure_names,
     in_sequence,
     matching,
 )
 
 _MOST_CONTRADICTORY = 0.03
-_TILE = 480
+_MOST_LABELS = 4
 _OFFSETS_ALIKE = 0.06  # radians
 _SHIFTS_ALIKE = 0.04  # stripes
 
@@ -73,12 +70,23 @@ def _of_one_exposure(
         usual += ["white", "black"] * bool(code.gray and code.gray.references)
         paths = in_sequence(by_number(found, name), code, options.sequence or usual)
     else:
-        paths = by_count_and_step(found, name, code, options.labels)
+        paths = by_count_and_step(found, name, code, _labels(options))
         if options.gray_pattern:
             paths += by_number(matching(options.folder, options.gray_pattern), name)
     if len(paths) != code.frames:
         raise SceneError(f"{camera} camera: found {len(paths)} frames, expected {code.frames} for this code")
     return paths
+
+
+def _labels(options: argparse.Namespace) -> list[str]:
+    """What the counts are called: as given, or by their periods."""
+    return options.labels or [str(period) for period in options.periods or ()]
+
+
+def untold_labels(options: argparse.Namespace, code: FringeCode) -> list[str]:
+    """What the counts are called where nothing but the order of the names tells which is which."""
+    names, told = count_names(matching(options.folder, options.pattern), code, _labels(options))
+    return [] if told else names
 
 
 def exposure_times(options: argparse.Namespace) -> tuple[float, ...]:
@@ -103,6 +111,7 @@ def new_scene(
     listed: Listed,
     guess: bool = True,
     exposures: Sequence[float] = (1.0,),
+    labels: Sequence[str] = (),
 ) -> list[str]:
     """Write scene.json; returns what is to be said about the code.
 
@@ -117,11 +126,13 @@ def new_scene(
         Whether the frames say what offsets, direction, order of bits and borders are.
     exposures : sequence of float
         Their times.
+    labels : sequence of str
+        What the counts are called, where the names' order was taken for theirs.
     """
     lines: list[str] = []
     fringe = shown.model_dump(mode="json", exclude_defaults=True)
     if guess:
-        found = guesses(shown.code, listed)
+        found = guesses(shown.code, listed, labels)
         lines = guess_lines(found)
         best = _common(found)
         fringe = fringe_document(best.code)
@@ -148,17 +159,37 @@ def new_scene(
     return lines
 
 
-def guesses(code: FringeCode, listed: Mapping[str, Sequence[Sequence[Path]]]) -> dict[str, CodeGuess]:
-    """What each camera's frames of the middle exposure say."""
+def guesses(
+    code: FringeCode, listed: Mapping[str, Sequence[Sequence[Path]]], labels: Sequence[str] = ()
+) -> dict[str, CodeGuess]:
+    """What each camera's frames of the middle exposure say; `labels` as `new_scene` has them."""
     found: dict[str, CodeGuess] = {}
     for camera, of in listed.items():
         paths = of[len(of) // 2]
         frames = _read(paths)
         try:
-            found[camera] = guess_code(frames, code, saturation_level(frames[None], frames[None, : code.fringe_frames]))
+            saturation = saturation_level(frames[None], frames[None, : code.fringe_frames])
+            found[camera] = guess_code(frames, code, saturation)
         except SceneError as problem:
-            raise SceneError(f"{paths[0].parent}: {camera} camera: {problem}") from None
+            better = _other_labels(frames, code, saturation, labels)
+            raise SceneError(f"{paths[0].parent}: {camera} camera: {problem}{better}") from None
     return found
+
+
+def _other_labels(frames: NDArray, code: FringeCode, saturation: float, labels: Sequence[str]) -> str:
+    """The order of the counts' names in which the frames agree, as the end of a message."""
+    if not 2 <= len(labels) <= _MOST_LABELS or len(labels) != len(code.counts) or len(set(code.step_counts)) > 1:
+        return ""
+    steps = code.step_counts[0]
+    rest = list(range(code.fringe_frames, code.frames))
+    for order in permutations(range(len(labels))):
+        shown = [k * steps + step for k in order for step in range(steps)] + rest
+        try:
+            guess_code(frames[shown], code, saturation)
+        except SceneError:
+            continue
+        return f"; they agree with --labels {' '.join(labels[k] for k in order)}"
+    return ""
 
 
 def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
@@ -217,41 +248,3 @@ def _refuse_contradictions(model: SceneModel, folder: Path) -> None:
 def _read(paths: Sequence[Path]) -> NDArray:
     """(frames, h, w) of one camera."""
     return read_stack(paths, read_header(paths[0], SceneError), SceneError).frames
-
-
-def describe_scene(folder: Path, sheet: Path) -> list[str]:
-    """Decode the cameras, draw the contact sheet, and say what was decoded."""
-    scene = load_scene(folder)
-    views, lines = [], []
-    for camera in scene.headers:
-        view = decode_phase(scene.frames(camera), scene.code, usual_size(scene.code), scene.exposures)
-        lit = np.isfinite(view.coordinate)
-        decoded = float(lit.mean())
-        strength = float(np.median(view.modulation[lit])) if lit.any() else 0.0
-        lines.append(
-            f"{camera}: decoded {decoded:.0%} of the pixels, modulation {strength:.1f} grey levels, "
-            f"noise {view.noise.sigma(100) if view.noise else 0:.2f}"
-        )
-        views.append(view)
-    sheet.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(sheet), np.vstack([_row(view) for view in views])):
-        raise SceneError(f"{sheet}: found a file that cannot be written as a picture, expected the ending .png")
-    return [*lines, f"scene: {folder / MANIFEST}", f"contact sheet: {sheet}"]
-
-
-def _row(view: DecodedView) -> NDArray[np.uint8]:
-    """Texture, modulation and coordinate of one camera beside each other."""
-    tiles = [_grey(view.texture), _grey(view.modulation)]
-    good = np.isfinite(view.coordinate)
-    low, high = np.quantile(view.coordinate[good], [0.001, 0.999]) if good.any() else (0.0, 1.0)
-    hue = np.clip((np.nan_to_num(view.coordinate) - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8)
-    colours = cv2.applyColorMap(hue, cv2.COLORMAP_TURBO)
-    colours[~good] = 0
-    size = (_TILE, round(_TILE * view.texture.shape[0] / view.texture.shape[1]))
-    return np.hstack([cv2.resize(tile, size, interpolation=cv2.INTER_AREA) for tile in (*tiles, colours)])
-
-
-def _grey(values: NDArray) -> NDArray[np.uint8]:
-    high = max(float(np.quantile(values[::4, ::4], 0.995)), 1e-6)
-    grey = np.clip(values / high * 255, 0, 255).astype(np.uint8)
-    return np.repeat(grey[..., None], 3, axis=-1)

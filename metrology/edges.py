@@ -20,8 +20,12 @@ from metrology.reconstruction_settings import ReconstructionSettings
 _EDGE, _NONE = np.uint8(PixelFlag.EDGE), np.uint8(0)
 # A second difference of the coordinate counts as a depth edge from this many of its standard deviations …
 _CURVATURE_SIGMAS = np.float32(7.0)
-# … and a brightness gradient if it exceeds edge_contrast by this many of its own.
+# … and a brightness gradient if it exceeds edge_contrast by this many of its own, and zero by that many: noise alone
+# would mark one pixel in a hundred at three, and a disc about each.
 _GRADIENT_SIGMAS = np.float32(3.0)
+_ZERO_SIGMAS = np.float32(5.0)
+# Missing pixels among the nine about a pixel that noise alone may leave, without an edge.
+_LONE = 3
 
 
 def flag_neighbourhoods(view: DecodedView, frames: int, settings: ReconstructionSettings) -> DecodedView:
@@ -71,11 +75,34 @@ def _edges(view: DecodedView, frames: int, settings: ReconstructionSettings) -> 
     contrast = np.float32(settings.edge_contrast)
     step = max(1, round(2 * settings.blur_radius_px))
 
+    coordinate = _without_lone_gaps(view)
+
     def mark(first: int, end: int) -> None:
-        _mark_rows(view.coordinate, view.sigma, view.texture, noise, contrast, step, first, end, mask)
+        _mark_rows(coordinate, view.sigma, view.texture, noise, contrast, step, first, end, mask)
 
     over_rows(mark, height, settings.threads)
     return mask
+
+
+def _without_lone_gaps(view: DecodedView) -> NDArray[np.float32]:
+    """The coordinate with pixels filled that noise alone lost, between neighbours that have theirs.
+
+    A pixel whose fringe order noise has made doubtful is missing, but no edge; neighbours on two sides of an edge still
+    show it. Saturated pixels stay missing.
+    """
+    gone = np.isnan(view.coordinate).view(np.uint8)
+    if not gone.any():
+        return view.coordinate
+    around = cv2.boxFilter(gone, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    lone = (gone > 0) & (around <= _LONE) & ((view.flags & np.uint16(PixelFlag.SATURATED)) == 0)
+    lone[[0, -1]] = lone[:, [0, -1]] = False
+    v, u = np.nonzero(lone)
+    if v.size == 0:
+        return view.coordinate
+    filled = view.coordinate.copy()
+    sides = [0.5 * (filled[v, u - 1] + filled[v, u + 1]), 0.5 * (filled[v - 1, u] + filled[v + 1, u])]
+    filled[v, u] = np.where(np.isfinite(sides[0]), sides[0], sides[1])
+    return filled
 
 
 @kernel
@@ -98,7 +125,9 @@ def _mark_rows(coordinate, sigma, texture, noise, contrast, step, first, end, ma
             a = bright[x]
             du = half * (bright_right[x] - bright_left[x])
             dv = half * (bright_down[x] - bright_up[x])
-            steep = np.sqrt(du * du + dv * dv) > contrast * a + _GRADIENT_SIGMAS * np.sqrt(half * (read + gain * a))
+            noise_here = np.sqrt(half * (read + gain * a))
+            least = max(contrast * a + _GRADIENT_SIGMAS * noise_here, _ZERO_SIGMAS * noise_here)
+            steep = np.sqrt(du * du + dv * dv) > least
             twice = here[x] + here[x]
             # A comparison with NaN is false: a missing neighbour marks the pixel.
             limit = bend * spread[x]

@@ -174,6 +174,13 @@ class FringeCode:
         """Frames per camera and exposure that show fringes; Gray-code frames come after them."""
         return sum(self.step_counts)
 
+    @property
+    def texture_frames(self) -> int:
+        """Frames whose mean the texture is, or as many as it is as noisy as the mean of."""
+        if self.counts or not self.gray:
+            return self.fringe_frames
+        return self.gray.stripe_frames if self.gray.inverse else 2
+
     def size(self, width: int, height: int) -> int:
         """The projector's size along the fringe axis, pixels."""
         return width if self.axis == "x" else height
@@ -187,11 +194,13 @@ class FringeCode:
             Count-major, then step; then Gray code from the most significant bit; then white and black.
         """
         size = self.size(width, height)
-        position = (np.arange(size) + 0.5) / (self.size_px or size)
+        lines = self.lines((np.arange(size) + 0.5) / (self.size_px or size))
+        image = lines[:, None, :] if self.axis == "x" else lines[:, :, None]
+        return np.broadcast_to(image, (self.frames, height, width))
+
+    def lines(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(frames, n) values in [0, 1] at positions (n,), shares of W, in the order of `patterns`."""
         own = np.array(self.counts, float)[self.count_of, None]
         turns = own * position + self.offset_turns[self.count_of, None]
         lines = 0.5 + 0.5 * np.cos(2 * np.pi * turns + self.step_angles[:, None])
-        if self.gray:
-            lines = np.concatenate([lines, self.gray.lines(position)])
-        image = lines[:, None, :] if self.axis == "x" else lines[:, :, None]
-        return np.broadcast_to(image, (self.frames, height, width))
+        return np.concatenate([lines, self.gray.lines(position)]) if self.gray else lines

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, PixelFlag
@@ -25,6 +26,9 @@ Float32 = NDArray[np.float32]
 _LIT_SIGMAS = 5.0  # of a sample's noise: what half the difference of dark and bright must exceed
 _EVEN = 12.0**-0.5  # standard deviation of an even spread over one stripe
 _LEAST_SIGMA_PX = 0.01
+_USUAL = 4.0  # standard deviations
+_LEAST_SAMPLE = 500  # pixels that tell the noise
+_CLEAR = 0.98  # of full light: pixels nearer to it are no farther from the border than that
 _CHI2_ONE_MEDIAN = 0.4549  # median of the square of a standard normal value
 
 
@@ -54,7 +58,7 @@ def decode_stripes(
     assert code.gray is not None
     levels, clipped = _one_exposure(frames, exposures, saturation)
     swing, texture, half = _swings(levels, code.gray)
-    noise = _noise(levels, code.gray, saturation)
+    noise = _noise(levels, swing, code.gray, saturation)
     sigma = noise.sigma(np.maximum(texture, 0)).astype(np.float32)
     dark = half < np.maximum(settings.min_modulation * saturation / 254, _LIT_SIGMAS * sigma)
     flags = np.where(dark, int(PixelFlag.LOW_MODULATION), 0).astype(np.uint16)
@@ -63,7 +67,7 @@ def decode_stripes(
     bits = resolved_bits(swing, flags == 0)
     merged = 2 ** (code.gray.bits - bits)  # stripes of the code in one that is told apart
     number = np.where(flags == 0, _numbers(swing[:bits], -(-code.gray.stripes // merged)), -1).astype(np.int32)
-    place, scatter = _between_borders(swing[:bits], number)
+    place, scatter = _between_borders(swing[:bits], half, number)
     stripe = projector_size / code.gray.stripes * merged
     coordinate = place * np.float32(stripe) + np.float32(code.gray.shift * stripe / merged - 0.5)
     deviation = np.where(np.isfinite(coordinate), np.maximum(scatter * stripe, 1e-4), np.nan).astype(np.float32)
@@ -93,14 +97,26 @@ def _swings(levels: Float32, gray: GrayCode) -> tuple[Float32, Float32, Float32]
     return stripes - middle, middle, 0.5 * (high - low)
 
 
-def _noise(levels: Float32, gray: GrayCode, saturation: float) -> NoiseModel:
-    """Read noise from what frame and inverse add up to, which is the same for every bit; a usual value without."""
-    if not gray.inverse or gray.bits < 2:
+def _noise(levels: Float32, swing: Float32, gray: GrayCode, saturation: float) -> NoiseModel:
+    """Read noise from what says the same twice; a usual value where too little does.
+
+    Frame and inverse add up to the same for every bit; without inverses pixels are as bright in the frames of two
+    coarse bits where both are bright or both dark.
+    """
+    if gray.bits < 2:
         return NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
-    total = levels[0 : gray.stripe_frames : 2, ::4, ::4] + levels[1 : gray.stripe_frames : 2, ::4, ::4]
-    # The two finest bits are alike in all but noise.
-    variance = float(np.median((total[-1] - total[-2]) ** 2)) / _CHI2_ONE_MEDIAN / 4
-    return NoiseModel(max(variance, 1 / 12), 0.0)
+    thin = np.s_[:, ::4, ::4]
+    if gray.inverse:  # the two finest bits are alike in all but noise
+        total = levels[0 : gray.stripe_frames : 2][thin] + levels[1 : gray.stripe_frames : 2][thin]
+        squares, frames = (total[-1] - total[-2]) ** 2, 4
+    else:
+        state = swing[:2][thin] > 0
+        squares, frames = ((levels[0:2][thin][1] - levels[0:2][thin][0]) ** 2)[state[0] == state[1]], 2
+    if squares.size < _LEAST_SAMPLE:
+        return NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
+    # Grey levels are whole: of the squares that a normal scatter may have, the mean says more than the median.
+    usual = squares[squares <= _USUAL**2 * max(float(np.median(squares)) / _CHI2_ONE_MEDIAN, 1.0)]
+    return NoiseModel(max(float(usual.mean()) / frames, 1 / 12), 0.0)
 
 
 def _numbers(swing: Float32, stripes: int) -> NDArray[np.int64]:
@@ -109,32 +125,35 @@ def _numbers(swing: Float32, stripes: int) -> NDArray[np.int64]:
     return np.where(number < stripes, number, -1)
 
 
-def _between_borders(swing: Float32, number: NDArray[np.int32]) -> tuple[Float32, Float32]:
+def _between_borders(swing: Float32, half: Float32, number: NDArray[np.int32]) -> tuple[Float32, Float32]:
     """(h, w) place in stripes and its standard deviation; a stripe's middle where its borders are not seen."""
     along_rows = runs_along_rows(np.where(number < 0, np.nan, number).astype(np.float32))
     lines = number if along_rows else np.ascontiguousarray(number.T)
     bits = swing if along_rows else np.ascontiguousarray(swing.transpose(0, 2, 1))
+    full = half if along_rows else np.ascontiguousarray(half.T)
     place, gradient = np.full(lines.shape, np.nan, np.float32), np.zeros(lines.shape, np.float32)
-    bends, pairs = np.full((2, *lines.shape), np.nan, np.float32)
-    _place(lines, bits, place, gradient, bends, pairs)
-    sigma_px = np.float32(max(_between_sigma(bends, pairs), _LEAST_SIGMA_PX))
+    course = np.full((3, *lines.shape), np.nan, np.float32)
+    _place(lines, bits, full, place, gradient, course)
+    sigma_px = np.float32(max(_between_sigma(course), _LEAST_SIGMA_PX))
     scatter = np.where(gradient > 0, gradient * sigma_px, np.float32(_EVEN))
     return (place, scatter) if along_rows else (np.ascontiguousarray(place.T), np.ascontiguousarray(scatter.T))
 
 
-def _between_sigma(bends: Float32, pairs: Float32) -> float:
-    """Standard deviation of places between borders, pixels, from how the borders' course bends.
+def _between_sigma(course: Float32) -> float:
+    """Standard deviation of places between borders, pixels, from differences of the borders' course.
 
     Borders err at random by σ, and by ±a in turn, since a blurred border of the finest bit leans the other way than its
-    neighbours. A bend has the variance 6 σ² + 16 a², two neighbouring ones together 4 σ²; what is interpolated between
-    two borders has 2 σ²/3 + a²/3.
+    neighbours; and their course bends by c. Differences over three borders have the variance 6 σ² + 16 a² + c², over
+    four 20 σ² + 64 a², and 10 σ² over five that leave out what comes in turn. What is interpolated between two borders
+    has 2 σ²/3 + a²/3 + c²/120.
     """
-    alone, together = (_robust_variance(values) for values in (bends, pairs))
-    if alone is None or together is None:
+    bend, third, plain = (_robust_variance(values) for values in course)
+    if bend is None or third is None or plain is None:
         return 0.5
-    random = together / 4
-    in_turn = max(alone - 6 * random, 0.0) / 16
-    return float(np.sqrt(2 * random / 3 + in_turn / 3))
+    random = plain / 10
+    in_turn = max(third - 20 * random, 0.0) / 64
+    curved = max(bend - 6 * random - 16 * in_turn, 0.0)
+    return float(np.sqrt(2 * random / 3 + in_turn / 3 + curved / 120))
 
 
 def _robust_variance(values: Float32) -> float | None:
@@ -142,9 +161,19 @@ def _robust_variance(values: Float32) -> float | None:
     return (MAD * float(np.median(np.abs(seen)))) ** 2 if seen.size else None
 
 
+@njit(inline="always")
+def _probit(share):  # type: ignore[no-untyped-def]
+    """Standard deviations of its blur that a pixel lies from a border, from its level (−1 … 1); Winitzki's formula."""
+    share = min(max(share, -_CLEAR), _CLEAR)
+    log = np.log(1.0 - share * share)
+    t = 2.0 / (np.pi * 0.147) + 0.5 * log
+    value = np.sqrt(max(np.sqrt(t * t - log / 0.147) - t, 0.0))
+    return value if share >= 0 else -value
+
+
 @kernel
-def _place(number, swing, place, gradient, bends, pairs):  # type: ignore[no-untyped-def]
-    """Place and its gradient (stripes per pixel, 0 where unknown) along lines; bends of the borders' course, px."""
+def _place(number, swing, half, place, gradient, course):  # type: ignore[no-untyped-def]
+    """Place and its gradient (stripes per pixel, 0 where unknown) along lines; differences of borders' course, px."""
     lines, length = number.shape
     bits = swing.shape[0]
     at, value = np.empty(length), np.empty(length)
@@ -165,17 +194,22 @@ def _place(number, swing, place, gradient, bends, pairs):  # type: ignore[no-unt
                         differ >>= 1
                         bit += 1
                     before, after = swing[bits - 1 - bit, y, end - 1], swing[bits - 1 - bit, y, end]
+                    # A blurred border is a normal distribution's course, which is no straight line between pixels.
+                    before, after = _probit(before / half[y, end - 1]), _probit(after / half[y, end])
                     at[found] = end - 1 + before / (before - after)
                     value[found] = max(a, b)
                     found += 1
                 end += 1
-            for i in range(1, found - 1):
-                step = value[i] - value[i - 1]
-                if step == 0 or value[i + 1] - value[i] != step:
-                    continue
-                bends[y, int(at[i])] = at[i - 1] - 2 * at[i] + at[i + 1]
-                if i + 2 < found and value[i + 2] - value[i + 1] == step:
-                    pairs[y, int(at[i])] = at[i - 1] - at[i] - at[i + 1] + at[i + 2]
+            even = 1  # borders up to this one that follow each other in one direction
+            for i in range(1, found):
+                even = even + 1 if i > 1 and value[i] - value[i - 1] == value[i - 1] - value[i - 2] != 0 else 2
+                here = int(at[i])
+                if even > 2:
+                    course[0, y, here] = at[i - 2] - 2 * at[i - 1] + at[i]
+                if even > 3:
+                    course[1, y, here] = at[i - 3] - 3 * at[i - 2] + 3 * at[i - 1] - at[i]
+                if even > 4:
+                    course[2, y, here] = at[i - 4] - 2 * at[i - 3] + 2 * at[i - 1] - at[i]
             next_border = 0
             for x in range(start, end):
                 while next_border < found and at[next_border] <= x:

@@ -1,8 +1,9 @@
 """Likely mix-ups of frames, tried on decoded views when a scan does not fit its rig: which one makes it fit.
 
 A mix-up is undone on the decoded views (exchange them, turn or mirror an image, reverse the coordinate) or on the rig
-(leave out the lens distortion); the scan is then triangulated and the rig judged as always. All are tried by the third
-view with every third row and column; those that fit are confirmed by texture with all of them.
+(leave out the lens distortion, take R and t in another convention); the scan is then triangulated and the rig judged as
+always. All are tried by the third view, or texture, with every third row and column of large images; those that fit are
+confirmed by texture with all of them.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ from metrology.fringe import Axis
 from metrology.reconstruct import triangulate
 from metrology.rig import Device, Rig
 from metrology.rig_health import HealthSettings, epipolar_health, projector_rms
+from metrology.rig_plausibility import poses, stands_left
 
 Turn = tuple[int, int]  # steps through an image's rows and columns, 1 or −1
 
 _EVERY = 3
+_LARGE_PX = 900  # images narrower than this are not thinned: too few patches of texture would be left
 # What is mixed up is off by many pixels; put right it is ten times closer, even where the rig has drifted a little.
 _CLOSER = 10.0
 _MOST_OFF_PX = 5.0
@@ -64,6 +67,7 @@ _TURNS: dict[Turn, str] = {
     (1, -1): "mirrored left to right",
     (-1, 1): "mirrored top to bottom",
 }
+_ANY = Device(2, 2, np.eye(3), np.zeros(5), np.eye(3), np.zeros(3))
 _AS_CALIBRATED = "frames as the cameras gave them when the rig was calibrated"
 _AS_LISTED = "scene.json to list them as the rig's cameras are"
 _AS_SHOWN = "the steps in the order that scene.json says"
@@ -90,7 +94,10 @@ def find_mix_up(
     if scan.rig.projector is None and not np.isfinite(misfit) and _matched(reconstruction):
         return None  # nothing tells that the frames do not fit: of two cameras exchanged and mirrored ones do as well
     limit = min(misfit / _CLOSER, _MOST_OFF_PX)
-    for hypotheses in (_exchanges_and_turns(), _undistortions()):
+    tried = [_exchanges_and_turns(scan.rig.projector is not None), _conventions(), _undistortions()]
+    if stands_left(scan.rig.with_right()):  # where the cameras' lenses are alike, an inverse pose is exchanged cameras
+        tried[:2] = tried[1::-1]
+    for hypotheses in tried:
         found: list[tuple[float, _Hypothesis]] = []
         for hypothesis in hypotheses:
             undone = hypothesis.undo(scan, projector_size)
@@ -106,13 +113,15 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     """How far the projector, or texture without one, is from where a scan's points tell, px; infinite where they are
     too few to tell.
     """
-    reconstruction = triangulate(_thinned(scan.left, _EVERY), _thinned(scan.right, _EVERY), _thinned_rig(scan.rig))
+    every = _EVERY if scan.rig.left.width >= _LARGE_PX else 1
+    rig = _thinned_rig(scan.rig, every)
+    reconstruction = triangulate(_thinned(scan.left, every), _thinned(scan.right, every), rig)
     if not _matched(reconstruction):
         return np.inf
     if scan.rig.projector is None:
         drift = epipolar_health(reconstruction, (), axis, settings).epipolar_drift_px
-        return np.inf if drift is None else _EVERY * drift
-    rms = projector_rms(reconstruction, axis, replace(settings, block_px=max(16, settings.block_px // _EVERY)))
+        return np.inf if drift is None else every * drift
+    rms = projector_rms(reconstruction, axis, replace(settings, block_px=max(16, settings.block_px // every)))
     return np.inf if rms is None else rms
 
 
@@ -132,11 +141,14 @@ def _fits(scan: _Scan, axis: Axis, settings: HealthSettings) -> bool:
     return max(health.projector_rms_px or 0.0, health.epipolar_drift_px or 0.0) <= _MOST_OFF_PX
 
 
-def _exchanges_and_turns() -> Iterator[_Hypothesis]:
-    """What is done to the frames of both cameras, alone or together, and to those of one."""
+def _exchanges_and_turns(projector: bool) -> Iterator[_Hypothesis]:
+    """What is done to the frames of both cameras, alone or together, and to those of one.
+
+    Steps reversed in both cameras alike are told by a projector alone.
+    """
     for exchanged in (False, True):
         for turn, turned in {(1, 1): "", **_TURNS}.items():
-            for reverse in (False, True):
+            for reverse in (False, True) if projector else (False,):
                 parts = ["left and right are exchanged"] if exchanged else []
                 parts += [f"all frames are {turned}"] if turned else []
                 parts += ["the phase steps are taken in reverse order"] if reverse else []
@@ -153,6 +165,31 @@ def _exchanges_and_turns() -> Iterator[_Hypothesis]:
             yield _Hypothesis(mix_up, _undoing(turns, False, (False, False)))
         mix_up = MixUp(f"the {name} camera's phase steps are taken in reverse order", _AS_SHOWN)
         yield _Hypothesis(mix_up, _undoing(((1, 1), (1, 1)), False, (which == 0, which == 1)))
+
+
+def _conventions() -> Iterator[_Hypothesis]:
+    """R and t of the right camera in each other convention; cameras whose lenses are exchanged."""
+    expected = "a rig whose R and t lead from the left camera to the right one"
+    for number, (said, _) in enumerate(poses(_ANY)):
+        yield _Hypothesis(MixUp(f"its right camera's pose is read otherwise: {said}", expected), _posed(number))
+    yield _Hypothesis(MixUp("K and distortion of its cameras are exchanged", "those of the left camera first"), _lenses)
+
+
+def _posed(number: int) -> Callable[[_Scan, int], _Scan]:
+    def undo(scan: _Scan, _: int) -> _Scan:
+        right = list(poses(scan.rig.with_right()))[number][1]
+        return replace(scan, rig=replace(scan.rig, right=right))
+
+    return undo
+
+
+def _lenses(scan: _Scan, _: int) -> _Scan:
+    left, right = scan.rig.left, scan.rig.with_right()
+    exchanged = (
+        replace(left, K=right.K, distortion=right.distortion),
+        replace(right, K=left.K, distortion=left.distortion),
+    )
+    return replace(scan, rig=replace(scan.rig, left=exchanged[0], right=exchanged[1]))
 
 
 def _undistortions() -> Iterator[_Hypothesis]:
@@ -223,15 +260,15 @@ def _thinned(view: DecodedView, every: int) -> DecodedView:
     )
 
 
-def _thinned_rig(rig: Rig) -> Rig:
-    return replace(rig, left=_thinned_device(rig.left), right=_thinned_device(rig.with_right()))
+def _thinned_rig(rig: Rig, every: int) -> Rig:
+    return replace(rig, left=_thinned_device(rig.left, every), right=_thinned_device(rig.with_right(), every))
 
 
-def _thinned_device(device: Device) -> Device:
-    """The camera whose pixels are every third of a camera's."""
+def _thinned_device(device: Device, every: int) -> Device:
+    """The camera whose pixels are every third, or so, of a camera's."""
     K = device.K.copy()
-    K[:2] /= _EVERY
-    return replace(device, width=-(-device.width // _EVERY), height=-(-device.height // _EVERY), K=K)
+    K[:2] /= every
+    return replace(device, width=-(-device.width // every), height=-(-device.height // every), K=K)
 
 
 def _sizes_fit(scan: _Scan) -> bool:

@@ -87,7 +87,7 @@ def decode(
     """
     settings = settings or ReconstructionSettings()
     view = decode_phase(frames, code, projector_size, exposures, settings)
-    return without_border(flag_neighbourhoods(view, code.fringe_frames or code.frames, settings))
+    return without_border(flag_neighbourhoods(view, code.texture_frames, settings))
 
 
 def triangulate(

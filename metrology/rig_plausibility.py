@@ -27,6 +27,7 @@ _LEAST_SHARED = 0.3  # of the left camera's field: what the right one must see o
 _LEAST_LIT = 0.3  # of what both cameras see: what the projector must reach of it
 _NEAR_BEST = 0.9  # of the largest shared field: where the fields cross, they do so at the working distance
 _OPEN = 0.3  # of the largest shared field: cameras that look almost alike share it from here on
+_DIVERGING_DEG = 5.0  # more than cameras that were meant to be parallel ever do
 _PLACES = 7  # per axis of the left image
 _DISTANCES_MM = np.geomspace(10.0, 30_000.0, 101)
 _UNITS = {
@@ -101,6 +102,8 @@ def _shared_field(rig: Rig) -> _Misplaced | None:
         what = "cameras that look apart: it sees" if rig.right else "it lighting"
         found = f"{what} {shared.max():.0%} of the left camera's field at best"
         return _Misplaced(name, found, "both to see the same place (R and t)")
+    if (apart := _diverging(rig.left, second)) > _DIVERGING_DEG:
+        return _Misplaced(name, f"axes that lead {apart:.0f}° apart", "both to see the same place (R and t)")
     crossing = shared[-1] < _OPEN * shared.max()
     fitting = shared >= (_NEAR_BEST if crossing else _OPEN) * shared.max()
     per_px = distances / np.sqrt(rig.left.K[0, 0] * rig.left.K[1, 1])
@@ -125,10 +128,51 @@ def _shared_field(rig: Rig) -> _Misplaced | None:
 
 def _crossing(left: Device, second: Device) -> Array:
     """Distances at which the middles of two images come nearest to each other: narrow fields cross only here."""
-    middle = [(device.width / 2, device.height / 2) for device in (left, second)]
-    a, b = left.rays(middle[0]), second.rays(middle[1])
-    along = float(np.linalg.lstsq(np.stack([a, -b], axis=1), second.centre, rcond=None)[0][0]) * a[2]
+    a, b = _axes(left, second)
+    along = _along(a, b, second)[0] * a[2]
     return along * np.array([0.97, 1.0, 1.03]) if np.isfinite(along) and along > 0 else np.empty(0)
+
+
+def _axes(left: Device, second: Device) -> tuple[Array, Array]:
+    """Rays through the middles of two images."""
+    return left.rays((left.width / 2, left.height / 2)), second.rays((second.width / 2, second.height / 2))
+
+
+def _along(a: Array, b: Array, second: Device) -> Array:
+    """How far along each of two rays, from its own device, they come nearest to each other, mm."""
+    return np.asarray(np.linalg.lstsq(np.stack([a, -b], axis=1), second.centre, rcond=None)[0], float)
+
+
+def _diverging(left: Device, second: Device) -> float:
+    """Degrees by which axes lead apart; 0 where they meet before the cameras."""
+    a, b = _axes(left, second)
+    return 0.0 if _along(a, b, second).min() > 0 else angle_deg(a, b)
+
+
+def angle_deg(a: Array, b: Array) -> float:
+    """Angle between two directions."""
+    return float(np.degrees(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)), -1, 1))))
+
+
+def rig_facts(rig: Rig) -> list[str]:
+    """What a person can hold against the rig that stands there: sizes, fields, distances."""
+    lines = []
+    for name, device in rig.devices.items():
+        field = 2 * np.degrees(np.arctan(device.width / (2 * device.K[0, 0])))
+        bare = "" if device.distortion.any() else ", no lens distortion"
+        place = ""
+        if name != "left":
+            a, b = _axes(rig.left, device)
+            x, y, z = device.centre
+            place = f"; {np.linalg.norm(device.centre):.4g} mm from the left camera ({x:.4g}, {y:.4g}, {z:.4g})"
+            if _along(a, b, device).min() > 0 and (angle := angle_deg(a, b)) > 1.0:
+                away = _along(a, b, device)[0] * a[2]
+                place += f", their axes meet {away:.4g} mm away at {angle:.0f}°, where a pixel is "
+                place += f"{away / rig.left.K[0, 0]:.2g} mm"
+        if name == "right" and stands_left(device):
+            place += "; to its LEFT: where it stands elsewhere, R and t are the inverse, or the cameras are exchanged"
+        lines.append(f"{name}: {device.width}×{device.height} px, {field:.0f}° wide{bare}{place}")
+    return lines
 
 
 def _sees(device: Device, left: Device, distances: Array) -> NDArray[np.bool_]:
@@ -145,7 +189,7 @@ def _likely(rig: Rig, misplaced: _Misplaced) -> str:
     """The convention in which the rig would be a sound one, as the end of a message."""
     device = rig.devices[misplaced.device]
     fitting = []
-    for said, changed in _conventions(device):
+    for said, changed in conventions(device):
         right = misplaced.device == "right"
         meant = replace(rig, right=changed) if right else replace(rig, projector=changed)
         left_to_fix = _misplaced(meant)
@@ -155,14 +199,19 @@ def _likely(rig: Rig, misplaced: _Misplaced) -> str:
             fitting.append(said)
     if not fitting:
         return ""
-    return f": most likely {fitting[0]}"
+    return f": most likely {' or '.join(fitting[:2])}"
 
 
-def _conventions(device: Device) -> Iterator[tuple[str, Device]]:
-    """What else R and t may have been meant as."""
-    R, t = device.R, device.t
+def conventions(device: Device) -> Iterator[tuple[str, Device]]:
+    """What else R and t may have been meant as; units first."""
     for unit, scale in _UNITS.items():
-        yield f"t is in {unit}", replace(device, t=scale * t)
+        yield f"t is in {unit}", replace(device, t=scale * device.t)
+    yield from poses(device)
+
+
+def poses(device: Device) -> Iterator[tuple[str, Device]]:
+    """What else R and t may have been meant as, in the same unit."""
+    R, t = device.R, device.t
     yield "R and t are the inverse (from this device to the left camera)", replace(device, R=R.T, t=-R.T @ t)
     yield "t is the device's place in the left camera's frame, −Rᵀt", replace(device, t=-R @ t)
     yield "R is transposed", replace(device, R=R.T)

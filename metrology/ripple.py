@@ -1,9 +1,11 @@
-"""What the projector's gamma leaves in a decoded coordinate, from the scan itself.
+"""What the projector's gamma, flicker and vibration leave in a decoded coordinate, from the scan itself.
 
 A projector that is not linear adds harmonics to its fringes. With N steps those of order m N ± 1 pass for fringe: the
-coordinate ripples with m N times the fringe's phase, φ = 2π f (ξ + ½)/W, the same way wherever a column is seen. Two
-cameras see the same ripple and match it away. One camera would measure it as relief, so the ripple of every count is
-fitted to second differences of the coordinate, in which a smooth skin hardly shows, and taken out.
+coordinate ripples with m N times the fringe's phase, φ = 2π f (ξ + ½)/W, the same way wherever a column is seen. Light
+that is not the same in every frame (flicker), and steps that are not where they should be (vibration), make it ripple
+with the phase itself and with twice the phase. Two cameras see the same ripple and match it away. One camera would
+measure it as relief, so the ripple of every count is fitted to second differences of the coordinate, in which a smooth
+skin hardly shows, and taken out.
 
 What second differences scatter beyond the stated σ, for whatever reason, is added to it: three steps leave no residual
 from which the noise could be told.
@@ -22,7 +24,9 @@ from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
-_ORDERS = (1, 2)
+_ORDERS = (1, 2)  # of what passes for fringe
+_UNEVEN = (1, 2)  # times the phase: of frames that are not alike
+_LEAST_SHOWN = 0.15  # of its amplitude, what second differences must show of a ripple: it is told by nothing else
 _ROWS = 400  # are looked at
 _FEWEST = 5000
 _OUTLIER = 5.0
@@ -45,13 +49,14 @@ def without_ripple(view: DecodedView, code: FringeCode, size: int) -> DecodedVie
     slope = np.abs(np.diff(rows, axis=1))
     if not np.isfinite(slope).any():
         return view
-    reach = _reach(code, size, float(np.nanmedian(slope)))
+    steep = float(np.nanmedian(slope))
+    reach = _reach(code, size, steep)
     bend = _second(rows, reach)
     expected = np.sqrt(_shifted(noise, reach) + 4 * noise[:, reach:-reach] ** 2)
     use = np.isfinite(bend) & np.isfinite(expected)
     if use.sum() < _FEWEST:
         return view
-    frequencies = _frequencies(code, size)
+    frequencies = _frequencies(code, size, reach * steep)
     terms = [_second(wave, reach)[use] for wave in _waves(rows, frequencies)]
     weights, left = _fitted(np.stack(terms, axis=1) if terms else np.empty((use.sum(), 0)), bend[use], expected[use])
     ripple = np.zeros(view.coordinate.shape)
@@ -70,15 +75,20 @@ def _along(values: NDArray[np.float32], axis: str) -> NDArray[np.float32]:
     return values if axis == "x" else values.T
 
 
-def _frequencies(code: FringeCode, size: int) -> list[float]:
-    """Of the ripples, radians per projector pixel."""
-    pairs = zip(code.counts, code.step_counts, strict=True)
-    return [2 * np.pi * count * steps * order / size for count, steps in pairs for order in _ORDERS]
+def _frequencies(code: FringeCode, size: int, reach_px: float) -> list[float]:
+    """Of the ripples that second differences over so many projector pixels show, radians per pixel, each once."""
+    orders = {
+        count * times
+        for count, steps in zip(code.counts, code.step_counts, strict=True)
+        for times in (*_UNEVEN, *(steps * order for order in _ORDERS))
+    }
+    frequencies = [2 * np.pi * order / size for order in sorted(orders)]
+    return [own for own in frequencies if 4 * np.sin(own * reach_px / 2) ** 2 > _LEAST_SHOWN]
 
 
 def _reach(code: FringeCode, size: int, slope: float) -> int:
-    """Camera pixels across half a ripple, over which second differences show it best."""
-    first = _frequencies(code, size)[:: len(_ORDERS)]
+    """Camera pixels across half a ripple of the projector's gamma, over which second differences show it best."""
+    first = [2 * np.pi * count * steps / size for count, steps in zip(code.counts, code.step_counts, strict=True)]
     return max(1, round(np.pi / (float(np.median(first)) * slope))) if first and slope > 0 else 1
 
 

@@ -30,6 +30,9 @@ _SLOPE = int(PixelFlag.SLOPE)
 _REACH = 1.0
 # How far (pixels) the left pixel found from the right one may lie from the start.
 _RETURN = 2
+# Both reach farther where noise moves coordinates by whole pixels: so many standard deviations, at most so far.
+_SLACK_SIGMAS = 4.0
+_MOST_SLACK = 16.0
 # Misfit of the window's plane, in standard deviations, beyond which it spans a jump.
 _TORN_SIGMAS = 4.0
 # First steps longer than this (pixels) come from a gradient that is noise.
@@ -292,14 +295,20 @@ def _accept(y, left, m, views, maps, table, grid, window, planes, limits, w, sta
         pixel = start[i]
         u = w[_PIXEL_U + i]
         v = w[_PIXEL_V + i]
-        if pixel < 0 or not (abs(u) <= _REACH and abs(v) <= _REACH and w[_RHO + i] > 0.0):
+        if pixel < 0 or not w[_RHO + i] > 0.0:
             continue
         vc = pixel >> 16
         uc = pixel & 0xFFFF
+        noise = np.sqrt(float(sl[y, x]) ** 2 + float(sr[vc, uc]) ** 2)
+        slope = np.sqrt(w[_PLANE_U + i] ** 2 + w[_PLANE_V + i] ** 2)
+        slack = np.floor(min(_SLACK_SIGMAS * noise / slope, _MOST_SLACK))
+        reach = _REACH + 0.25 * slack
+        if not (abs(u) <= reach and abs(v) <= reach):
+            continue
         back = _look_up(table, rowr[vc, uc], (cr[vc, uc] - lowest) * per_bin)
         vb = back >> 16
         ub = back & 0xFFFF
-        if back < 0 or abs(vb - y) > _RETURN or abs(ub - x) > _RETURN:
+        if back < 0 or abs(vb - y) > _RETURN + slack or abs(ub - x) > _RETURN + slack:
             continue
         flag = fl[y, x]
         z = w[_DEPTH + i]

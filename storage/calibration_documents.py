@@ -1,13 +1,16 @@
 """Calibration files of any program as nested tables of names and values, whatever their format.
 
-OpenCV's FileStorage (XML, YAML, JSON), plain JSON and YAML, NPZ, MAT, HDF5, and text of `name: numbers` or
-`name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it.
+OpenCV's FileStorage (XML, YAML, JSON), plain JSON, YAML, TOML and INI, NPZ, MAT, HDF5; text of `name: numbers` or
+`name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it, or of headings over rows of numbers; and a matrix in
+a file of its own (text, CSV, NPY), whose name is the file's.
 """
 
 from __future__ import annotations
 
+import configparser
 import json
 import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +28,7 @@ _LARGEST_BYTES = 64 * 2**20
 _HDF5 = b"\x89HDF"
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)\s*[=:]\s*\[([^\]]*)\]")
 _LINE = re.compile(r"^\s*([A-Za-z_][\w.]*)\s*[=:]\s*([-+\d.eE,;\s]+)$")
+_SECTION = re.compile(r"^\[[^\[\]=,;]*[A-Za-z][^\[\]=,;]*\]\s*$", re.MULTILINE)
 _COMMENT = re.compile(r"\s*(?:#|%|//).*$", re.MULTILINE)
 
 
@@ -44,7 +48,7 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def flat(document: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables as one, `left.K` for K inside left; matrices that are tables with `data` become arrays."""
+    """Nested tables as one, `left.K` for K inside left, `cameras.0.K` inside a list; tables with `data` are arrays."""
     found: dict[str, Any] = {}
     for key, value in document.items():
         name = f"{prefix}{key}"
@@ -52,6 +56,8 @@ def flat(document: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
             found[name] = np.reshape(value["data"], (int(value["rows"]), int(value["cols"])))
         elif isinstance(value, Mapping):
             found |= flat(value, f"{name}.")
+        elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+            found |= flat({str(place): item for place, item in enumerate(value)}, f"{name}.")
         else:
             found[name] = value
     return found
@@ -68,6 +74,8 @@ def numbers(value: Any) -> Array | None:
 
 def _document(path: Path) -> Any:
     suffix, head = path.suffix.lower(), path.read_bytes()[:65536]
+    if suffix == ".npy":
+        return {path.stem: np.load(path, allow_pickle=False)}
     if suffix == ".npz":
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
@@ -80,7 +88,9 @@ def _document(path: Path) -> Any:
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     if suffix == ".json":
         return json.loads(text)
-    if suffix not in (".yaml", ".yml") and (found := _text(text)):
+    if suffix == ".toml":
+        return tomllib.loads(text)
+    if suffix not in (".yaml", ".yml") and (found := _plain_text(text, path.stem)):
         return found
     import yaml  # type: ignore[import-untyped]
 
@@ -133,6 +143,45 @@ def _node(node: cv2.FileNode) -> Any:
         names = list(node.keys())
         return node.mat() if "data" in names else {name: _node(node.getNode(name)) for name in names}
     return node.real()
+
+
+def _plain_text(text: str, name: str) -> dict[str, Any]:
+    """Whatever kind of text holds numbers: sections, names and values, headings over rows, or one matrix alone."""
+    if _SECTION.search(text):
+        return _sections(text)
+    return _headed(text, name) | _text(text)
+
+
+def _sections(text: str) -> dict[str, Any]:
+    """`[section]` over `name = numbers`, which are apart by spaces or commas."""
+    parser = configparser.ConfigParser(strict=False, interpolation=None, inline_comment_prefixes=("#", "%"))
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read_string(text)
+    found: dict[str, Any] = {}
+    for section in parser.sections():
+        values = {name: _row(said) for name, said in parser.items(section)}
+        found[section] = {
+            name: value if value is None or value.size > 1 else float(value[0]) for name, value in values.items()
+        }
+    return found
+
+
+def _headed(text: str, name: str) -> dict[str, Any]:
+    """Rows of numbers under the line of words above them; without such a line they are what the file is called."""
+    rows: dict[str, list[Array]] = {}
+    heading = name
+    for line in _COMMENT.sub("", text).splitlines():
+        if (row := _row(line)) is not None:
+            rows.setdefault(heading, []).append(row)
+        elif line.strip():
+            heading = line.strip().rstrip(":").strip()
+    matrices = {key: numbers([row.tolist() for row in value]) for key, value in rows.items()}
+    return {key: value for key, value in matrices.items() if value is not None}
+
+
+def _row(line: str) -> Array | None:
+    words = [word for word in re.split(r"[,;\s\[\]]+", line) if word]
+    return numbers(words) if words else None
 
 
 def _text(text: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,19 +20,22 @@ Array = NDArray[np.float64]
 Found = dict[str, Array]
 
 NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size3")
+_OWN = ("posedR1", "posedT1", "posedR2", "posedT2")  # of a file of one camera: `storage.other_rigs.pose_of_both`
 # Names whose device or role their words do not tell.
 _EXACT = {
     "projector_matrix": "M3", "projector_distortion": "D3", "projector_rotation": "R3", "projector_translation": "T3",
     "projector_size": "size3", "M4": "M3", "D4": "D3", "Rlp": "R3", "Tlp": "T3", "Rlr": "R", "Tlr": "T",
-    "R_lr": "R", "T_lr": "T", "R12": "R", "T12": "T", "S": "size", "roration": "R", "R3": "R3",
-    "T3": "T3",
+    "R_lr": "R", "T_lr": "T", "R_LR": "R", "T_LR": "T", "t_LR": "T", "t_lr": "T", "R12": "R", "T12": "T",
+    "S": "size", "roration": "R", "R3": "R3", "T3": "T3",
 }  # fmt: skip
 _ROLES = {
     "M": ("k", "m", "a", "mtx", "matrix", "camk", "int", "intrinsic", "intrinsics", "intrinsicmatrix",
-          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cameraintrinsics", "kmat", "intr"),
+          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cameraintrinsics", "kmat", "intr",
+          "kk"),
     "D": ("d", "kc", "dist", "distortion", "distcoeff", "distcoeffs", "distcoef", "distcoefs", "coeffs", "discoeff",
           "distortioncoefficients", "distortioncoefficient", "distortioncoeffs", "distortionparameters", "distvec",
-          "distortioncoefs", "distvector", "distortionvector", "coef", "distortions"),
+          "distortioncoefs", "distvector", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
+          "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
           "stereor", "rstereo", "rodrigues", "rotationofcamera"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
@@ -40,7 +44,7 @@ _ROLES = {
     "size": ("imagesize", "imgsize", "imgshape", "imageshape", "resolution", "size", "shape", "imageresolution",
              "framesize", "frameshape", "imsize"),
 }  # fmt: skip
-_SIDES = {"left": 1, "l": 1, "right": 2, "r": 2, "projector": 3, "proj": 3, "prj": 3}
+_SIDES = {"left": 1, "l": 1, "master": 1, "right": 2, "r": 2, "slave": 2, "projector": 3, "proj": 3, "prj": 3}
 _SPELLED = {name: role for role, names in _ROLES.items() for name in names}
 _PAIRS = {
     f"{role.lower()}{side}": (as_, _SIDES[side]) for role, as_ in (("K", "M"), ("M", "M"), ("D", "D")) for side in "lr"
@@ -75,10 +79,13 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
     found: Found = {}
     told: list[tuple[str, int | None, str]] = []
+    placed = {"R1", "T1", "R2", "T2"} <= set(arrays)
     for name, array in arrays.items():
         exact = _EXACT.get(name) or _EXACT.get(name.rsplit(".", 1)[-1])
         if exact is not None:
             found[exact] = array
+        elif placed and name in ("R1", "T1", "R2", "T2"):
+            told.append((name[0], int(name[1]), name))
         elif (read := _role_and_side(name)) is not None and (name in NAMES or _fits(read[0], array)):
             told.append((*read, name))
     first = 10 if any(side == 10 for _, side, _ in told) else 11
@@ -92,14 +99,20 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
             found.setdefault(f"{role}{number or file_side or (1 if one_camera else 0)}", arrays[name])
         else:
             poses.setdefault(f"{role}{number or 0}", arrays[name])
+    if any(role == "M" and side is None for role, side, _ in told) and file_side and not one_camera:
+        poses = {f"posed{key[0]}{file_side}" if key in ("R0", "T0") else key: pose for key, pose in poses.items()}
+    found |= {key: value for key, value in poses.items() if key in _OWN}
     found |= {key: value for key, value in _poses(poses).items() if key not in found}
     found |= {key: value for key, value in _scalars(values, file_side).items() if key not in found}
     found |= {key: value for key, value in _size(arrays).items() if key not in found}
-    return _shaped({key: value for key, value in found.items() if key in NAMES})
+    return _shaped({key: value for key, value in found.items() if key in NAMES + _OWN})
 
 
 def _role_and_side(name: str) -> tuple[str, int | None] | None:
     """Role (M, D, R, T, size) and device (1, 2, 3; 10 + n where it is numbered n) that a name's words tell."""
+    parent, _, leaf = name.rpartition(".")
+    if leaf in ("R", "r") and parent and (_role_and_side(parent) or "T")[0] == "T":
+        return "R", _side_of(parent)  # the rotation inside a table, which is no name of a right camera
     words = [word.lower() for word in _WORD.findall(name)]
     if any(word.startswith(_OTHER_THINGS) for word in words):
         return None
@@ -150,11 +163,16 @@ def _poses(said: Found) -> Found:
         pose = next((said[f"{role}{side}"] for side in ("0", "2") if f"{role}{side}" in said), None)
         found |= {role: pose} if pose is not None else {}
         found |= {f"{role}3": said[f"{role}3"]} if f"{role}3" in said else {}
-    if {"R1", "R2", "T1", "T2"} <= set(said) and said["R1"].size == said["R2"].size == 9 and "R0" not in said:
-        first, second = said["R1"].reshape(3, 3), said["R2"].reshape(3, 3)
+    if {"R1", "R2", "T1", "T2"} <= set(said) and "R0" not in said:
+        first, second = turned(said["R1"]), turned(said["R2"])
         turn = second @ first.T  # both stand to the same object
         found |= {"R": turn, "T": said["T2"].ravel() - turn @ said["T1"].ravel()}
     return found
+
+
+def turned(value: Array) -> Array:
+    """(3, 3) rotation of a matrix or a rotation vector."""
+    return np.asarray(cv2.Rodrigues(value.ravel())[0], float) if value.size == 3 else value.reshape(3, 3)
 
 
 def _ordered(name: str, arrays: Mapping[str, Array]) -> Array:

@@ -20,6 +20,7 @@ from storage import other_rigs
 from storage.calibration_documents import flat, read_document
 from storage.calibration_names import from_names, side_of_file
 from storage.lens_names import check_lens_names
+from storage.projection_matrices import from_projections
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
@@ -28,6 +29,7 @@ MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
 _WRITTEN = {"size": "image_size", "size3": "projector_size"}  # what we call what OpenCV's samples leave out
 _FISHEYE_TERM = 0.002  # of the third and fourth term of four in a column, which of pinhole lenses are p1 and p2
+_ENDINGS = (".yml", ".yaml", ".xml", ".json", ".toml", ".ini", ".txt", ".csv", ".npy", ".npz", ".mat", ".h5")
 _PROJECTOR = ("M3", "D3", "R3", "T3", "size3")
 
 
@@ -60,7 +62,8 @@ def load_opencv_rig(
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
     found: dict[str, Array] = {}
     for path in paths:
-        found |= _read(Path(path), found)
+        for file in _files(Path(path)):
+            found |= _read(file, found)
     found |= other_rigs.pose_of_both(found)
     named = ", ".join(str(path) for path in paths)
     alone = "M3" in found and "M2" not in found
@@ -127,12 +130,24 @@ def _read(path: Path, before: Mapping[str, Array]) -> dict[str, Array]:
             return known
         check_lens_names(document)
         side = side_of_file([path.stem, path.parent.name]) or (2 if "M1" in before and "M2" not in before else 1)
-        return from_names(flat(document), side)
+        values = flat(document)
+        named = from_names(values, side)
+        return named if {"M1", "M2"} & set(named) else named | from_projections(values)
     except (KeyError, ValueError, TypeError, IndexError) as problem:
         raise RigError(f"{path}: found no {problem}, expected a whole calibration") from None
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def _files(path: Path) -> list[Path]:
+    """A file itself; a folder's files of matrices, but of COLMAP's the folder."""
+    if not path.is_dir() or any((path / f"cameras{ending}").exists() for ending in (".txt", ".bin")):
+        return [path]
+    found = sorted(file for file in path.iterdir() if file.suffix.lower() in _ENDINGS and file.is_file())
+    if not found:
+        raise RigError(f"{path}: found no file of {', '.join(_ENDINGS)}, expected a calibration")
+    return found
 
 
 def _is_length(unit: str) -> bool:

@@ -1,4 +1,5 @@
-"""Stereo calibrations in the formats of programs: MATLAB, Bouguet, Kalibr, ROS, EuRoC, KITTI, Middlebury, COLMAP.
+"""Stereo calibrations in the formats of programs: MATLAB, Bouguet, Kalibr, ROS, EuRoC, KITTI, Middlebury, COLMAP,
+MC-Calib, SLStudio.
 
 Whatever a value is called inside, it becomes the names of OpenCV's samples: M1, D1, M2, D2, R, T and the images' size.
 Conventions differ: MATLAB counts pixels from 1 and multiplies rows from the left, COLMAP puts pixel centres at halves,
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from metrology.errors import RigError
 from storage.calibration_documents import flat
-from storage.calibration_names import side_of_file
+from storage.calibration_names import side_of_file, turned
 
 Array = NDArray[np.float64]
 Found = dict[str, Array]
@@ -49,11 +50,17 @@ def from_document(document: Mapping[str, Any], path: Path) -> Found | None:
         return _kalibr(document)
     if {"fc_left", "fc_right"} <= set(values):
         return _bouguet(values)
+    if {"IntrinsicMatrix1", "IntrinsicMatrix2", "RotationOfCamera2", "TranslationOfCamera2"} <= set(values):
+        return _matlab({f"CameraParameters{n}": _numbered(values, n) for n in "12"} | values)
+    if {"camera_0.camera_pose_matrix", "camera_1.camera_pose_matrix"} <= set(values):
+        return _mc_calib(values)
+    if {"Kc", "kc", "Kp", "kp", "Rp", "Tp"} <= set(values):
+        return _sl_studio(values)
     if {"cam0", "cam1", "baseline"} <= set(values):
         return _middlebury(values)
     if {"P_rect_00", "P_rect_01"} <= set(values) or {"K_00", "K_01"} <= set(values):
         return _kitti_raw(values)
-    if {"P0", "P1"} <= set(values) and np.size(values["P0"]) == 12:
+    if {"P0", "P1"} <= set(values) and np.size(values["P0"]) == np.size(values["P1"]) == 12:
         return _kitti_odometry(values)
     if "T_BS" in values and "intrinsics" in values:
         return _euroc(values, path)
@@ -98,6 +105,32 @@ def _matlab(document: Mapping[str, Any]) -> Found:
             pose["A"] if "A" in pose else np.column_stack([pose["R"], np.ravel(pose["Translation"])]), float
         )
         found["R"], found["T"] = matrix[:3, :3], matrix[:3, 3]
+    return found
+
+
+def _numbered(values: Mapping[str, Any], number: str) -> dict[str, Any]:
+    """The values whose names end in a camera's number, by their names without it."""
+    return {name[:-1]: value for name, value in values.items() if name.endswith(number)}
+
+
+def _mc_calib(values: Mapping[str, Any]) -> Found:
+    """MC-Calib: each camera's pose leads from the camera to the group's first one."""
+    found: Found = {}
+    for number, name in ((1, "camera_0"), (2, "camera_1")):
+        found[f"M{number}"] = np.asarray(values[f"{name}.camera_matrix"], float)
+        found[f"D{number}"] = np.reshape(np.asarray(values[f"{name}.distortion_vector"], float), (1, -1))
+        found[f"placed{number}"] = np.reshape(np.asarray(values[f"{name}.camera_pose_matrix"], float), (4, 4))
+    found["size"] = np.array([float(values["camera_0.img_width"]), float(values["camera_0.img_height"])])
+    return found
+
+
+def _sl_studio(values: Mapping[str, Any]) -> Found:
+    """SLStudio: one camera and its projector."""
+    found = {name: np.asarray(values[said], float) for name, said in
+             (("M1", "Kc"), ("D1", "kc"), ("M3", "Kp"), ("D3", "kp"), ("R3", "Rp"), ("T3", "Tp"))}  # fmt: skip
+    for name, wide, high in (("size", "frameWidth", "frameHeight"), ("size3", "screenResX", "screenResY")):
+        if wide in values and high in values:
+            found[name] = np.array([float(values[wide]), float(values[high])])
     return found
 
 
@@ -224,11 +257,20 @@ def pose_of_both(found: Mapping[str, Array]) -> Found:
     if "placed1" in found and "placed2" in found:
         left, right = (np.asarray(np.linalg.inv(found[f"placed{number}"]), float) for number in (1, 2))
         return _relative(left[:3, :3], left[:3, 3], right[:3, :3], right[:3, 3])
+    posed = [side for side in "12" if f"posedR{side}" in found and f"posedT{side}" in found]
+    if len(posed) == 2:
+        return _relative(*(part for side in posed for part in _posed(found, side)))
+    if len(posed) == 1 and "R" not in found:
+        return dict(zip("RT", _posed(found, posed[0]), strict=True))
     if "rectified1" not in found or "rectified2" not in found:
         return {}
     left, right, projection = found["rectified1"], found["rectified2"], found["projection2"]
     base = np.array([projection[0, 3] / projection[0, 0], 0.0, 0.0])
     return {"R": right.T @ left, "T": right.T @ base}
+
+
+def _posed(found: Mapping[str, Array], side: str) -> tuple[Array, Array]:
+    return turned(found[f"posedR{side}"]), found[f"posedT{side}"].ravel()
 
 
 def from_colmap(folder: Path) -> Found:

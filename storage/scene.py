@@ -135,6 +135,13 @@ class Scene:
         wanted = [(device.width, device.height) for device in rig.cameras.values()]
         if found == wanted[::-1]:
             return "; they fit when left and right are exchanged"
+        shares = {
+            side / other
+            for size, device in zip(found, wanted, strict=False)
+            for side, other in zip(size, device, strict=True)
+        }
+        if max(shares) - min(shares) < 0.005 and max(shares) != 1:
+            return f"; they are {max(shares):.3g} times the size of the images that the rig was calibrated with"
         turned = any(size == device[::-1] != device for size, device in zip(found, wanted, strict=False))
         return "; they fit when turned by 90°" if turned else ""
 

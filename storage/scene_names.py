@@ -28,15 +28,15 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
     unknown = sorted(set(re.findall(r"\{(\w*)\}", pattern)) - set(FIELDS))
     if unknown:
         raise SceneError(f"pattern {pattern!r}: found {{{unknown[0]}}}, expected {', '.join(FIELDS)}")
-    parts = re.split(r"(\{\w+\}|\*)", pattern.replace("\\", "/"))
+    parts = [part for part in re.split(r"(\{\w+\}|\*)", pattern.replace("\\", "/")) if part]
     seen: set[str] = set()
     expression = ""
-    for part in parts:
+    for part, before in zip(parts, ["", *parts], strict=False):
         name = part[1:-1] if part.startswith("{") else ""
         if name in seen:
             expression += f"(?P={name})"
-        elif name:
-            expression += f"(?P<{name}>[^/]+?)"
+        elif name:  # right behind another field a number begins where the digits do
+            expression += rf"(?<!\d)(?P<{name}>\d+)" if before.startswith("{") else f"(?P<{name}>[^/]+?)"
             seen.add(name)
         else:
             expression += "[^/]*" if part == "*" else re.escape(part)
@@ -69,21 +69,39 @@ def exposure_names(found: Mapping[Path, Values]) -> list[str]:
     return sorted({values.get("exposure", "") for values in found.values()}, key=natural)
 
 
+def count_names(found: Mapping[Path, Values], code: FringeCode, labels: Sequence[str]) -> tuple[list[str], bool]:
+    """What {count} is of each count, in the code's order; and whether `labels` or the numbers themselves told it.
+
+    Parameters
+    ----------
+    found : mapping
+        Paths, and what their names say.
+    code : FringeCode
+    labels : sequence of str
+        What the counts are said to be called: any names, or numbers that names with leading zeros fit too.
+    """
+    names = sorted({values["count"] for values in found.values() if "count" in values}, key=natural)
+    plain = {name.lstrip("0") or "0": name for name in names}
+    if labels and set(labels) <= set(names):
+        return list(labels), True
+    for told in (list(labels), [str(count) for count in code.counts]):
+        if told and set(told) == set(plain):
+            return [plain[one] for one in told], True
+    return names, False
+
+
 def by_count_and_step(found: Mapping[Path, Values], camera: str, code: FringeCode, labels: Sequence[str]) -> list[Path]:
     """A camera's fringe frames, count-major; counts in the order of the code, told by number or by `labels`."""
     mine = {path: values for path, values in found.items() if values.get("camera", camera) == camera}
-    names = sorted({values.get("count", "") for values in mine.values()}, key=natural)
-    numbers = [str(count) for count in code.counts]
-    plain = {name.lstrip("0") or "0": name for name in names}
-    ordered = list(labels) or ([plain[n] for n in numbers] if set(plain) == set(numbers) else names)
-    if len(ordered) != len(code.counts) or not set(ordered) <= set(names):
+    ordered, _ = count_names(mine, code, labels) if len(code.counts) > 1 else ([""], True)
+    if len(ordered) != len(code.counts):
         raise SceneError(
-            f"camera {camera!r}: found the counts {', '.join(names)}, expected {len(code.counts)}: "
-            f"{', '.join(labels or numbers)} (--labels says how they are called, in the order of --counts)"
+            f"camera {camera!r}: found the counts {', '.join(ordered)}, expected {len(code.counts)}: "
+            f"{', '.join(map(str, labels or code.counts))} (--labels: what they are called, in the order of --counts)"
         )
     listed = []
     for name, steps in zip(ordered, code.step_counts, strict=True):
-        own = [path for path, values in mine.items() if values.get("count", "") == name]
+        own = [path for path, values in mine.items() if name in ("", values.get("count"))]
         own.sort(key=lambda path: natural(mine[path].get("step", path.name)))
         if len(own) != steps:
             raise SceneError(f"camera {camera!r}, count {name}: found {len(own)} steps, expected {steps}")
@@ -125,7 +143,11 @@ def in_sequence(paths: Sequence[Path], code: FringeCode, sequence: Sequence[str]
         blocks.setdefault(name, []).extend(paths[at : at + size])
         at += size
     if at != len(paths):
-        raise SceneError(f"found {len(paths)} frames, expected {at} for the sequence {' '.join(sequence)}")
+        more = "where white, black and others (skip:N) stand" if len(paths) > at else "what is not there"
+        raise SceneError(
+            f"found {len(paths)} frames, from {paths[0].name} to {paths[-1].name}, expected {at} for the sequence "
+            f"{' '.join(sequence)}: --sequence says {more}"
+        )
     listed = blocks.get("fringes", []) + blocks.get("gray", [])
     if gray and gray.references:
         listed += blocks.get("white", []) + blocks.get("black", [])

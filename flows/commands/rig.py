@@ -88,6 +88,7 @@ def run_import(options: argparse.Namespace) -> int:
     from datetime import UTC, datetime
 
     from metrology.rig import PROJECTOR_OF
+    from metrology.rig_plausibility import rig_facts
     from storage.documents import utc_text
     from storage.opencv_rig import load_opencv_rig
     from storage.rig import load_rig, save_rig
@@ -106,7 +107,7 @@ def run_import(options: argparse.Namespace) -> int:
     if other and rig.projector is other.projector:
         rig = replace(rig, extra={**rig.extra, PROJECTOR_OF: other.id})
     save_rig(rig, options.out)
-    print(options.out)
+    print("\n".join([*rig_facts(rig), str(options.out)]))
     return 0
 
 

@@ -116,7 +116,8 @@ def run_from_cloud(options: argparse.Namespace) -> int:
 def run_new(options: argparse.Namespace) -> int:
     """Find the frames, find the code's conventions, write scene.json and the contact sheet."""
     from flows.code_options import fringe_model
-    from flows.new_scene import describe_scene, exposure_times, frames_by_name, new_scene
+    from flows.contact_sheet import describe_scene
+    from flows.new_scene import exposure_times, frames_by_name, new_scene, untold_labels
 
     shown = fringe_model(options)
     listed, notes = frames_by_name(options, shown.code)
@@ -125,7 +126,8 @@ def run_new(options: argparse.Namespace) -> int:
     ).isoformat(timespec="seconds")
     key = (options.aircraft, options.panel, options.station, captured)
     times = exposure_times(options)
-    made = new_scene(options.folder, key, options.rig, shown, listed, not options.as_declared, times)
+    labels = untold_labels(options, shown.code)
+    made = new_scene(options.folder, key, options.rig, shown, listed, not options.as_declared, times, labels)
     for line in [*dict.fromkeys(notes), *made]:
         print(line)
     for line in describe_scene(options.folder, options.sheet or options.folder / "contact-sheet.png"):

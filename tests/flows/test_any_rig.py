@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from flows.cli import main
+from flows.contact_sheet import residuals
 from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import reconstruct
 from storage.rig import load_rig, save_rig
@@ -172,6 +173,54 @@ def test_wrong_declarations_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     assert run("scene", "new", folder, *pattern, "--counts", "7", "6", "5") == 2
     assert "count 6: found 3 steps, expected 4" in capsys.readouterr().err
     assert not (folder / "scene.json").exists()
+
+
+def test_names_that_tell_no_order_are_put_in_order_by_the_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [f"{{camera}}/{label}_{step * 90}.png" for label in ("high", "mid", "low") for step in range(4)]
+    folder = save(tmp_path, scan(FringeCode("x", 4, (7, 6, 1))), names)
+    arguments = ("--pattern", "{camera}/{count}_{step}.png", "--counts", "7", "6", "1", "--rig", "small")
+    assert run("scene", "new", folder, *arguments) == 2
+    assert "they agree with --labels high mid low" in capsys.readouterr().err
+    assert run("scene", "new", folder, *arguments, "--labels", "high", "mid", "low") == 0
+
+
+def test_periods_name_the_counts_and_are_over_what_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert small_rig().with_projector().width == 320
+    names = [f"p{period}/{{camera}}{step:02d}.png" for period in (48, 36, 32) for step in range(4)]
+    folder = save(tmp_path, scan(FringeCode("x", 4, (6, 8, 9), size_px=288)), names)
+    arguments = ("--pattern", "p{count}/{camera}{step}.png", "--rig", "small")
+    assert run("scene", "new", folder, *arguments, "--periods", "48", "36", "32", "--over", "288") == 0
+    assert "left: 'L', 12 frames from L00.png to L03.png" in capsys.readouterr().out
+    assert json.loads((folder / "scene.json").read_text())["fringe"]["counts"] == [6, 8, 9]
+    assert run("scene", "new", folder, *arguments, "--periods", "48", "--gray", "12") == 2
+    assert "found --over nowhere, expected a multiple of the periods" in capsys.readouterr().err
+
+
+def test_frames_too_many_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = save(tmp_path, scan(FringeCode("x", 4, (7, 6, 5))), [f"{{camera}}{i:03d}.png" for i in range(12)])
+    for camera in "LR":
+        cv2.imwrite(str(folder / f"{camera}012.png"), np.full((240, 320), 190, np.uint8))
+    arguments = ("--pattern", "{camera}{frame}.png", "--counts", "7", "6", "5", "--rig", "small")
+    assert run("scene", "new", folder, *arguments) == 2
+    assert "found 13 frames, from L000.png to L012.png, expected 12" in capsys.readouterr().err
+    assert run("scene", "new", folder, *arguments, "--sequence", "fringes", "white") == 0
+
+
+def test_a_contact_sheet_shows_where_frames_do_not_bear_out_what_was_decoded() -> None:
+    code, rng = FringeCode("x", 4, (7, 6, 5), GrayCode(64)), np.random.default_rng(2)
+    truth = 4 + np.arange(300.0) * np.ones((40, 1))
+    frames = (
+        100
+        + 80 * (2 * code.lines((truth.ravel() + 0.5) / 320).reshape(-1, 40, 300) - 1)
+        + rng.normal(0, 2, (code.frames, 40, 300))
+    )
+    frames[5, :, 100:120] = 100
+    off = residuals(frames, np.where(truth < 290, truth, np.nan), code, 320)
+    assert 0.015 < np.nanmedian(off) < 0.04
+    assert np.median(off[:, 100:120]) > 0.1
+    assert np.isnan(off[:, 288:]).all()
 
 
 def test_colour_becomes_grey_with_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from metrology.cloud import PixelFlag
+from metrology.edges import flag_neighbourhoods
+from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import decode
+from metrology.reconstruction_settings import ReconstructionSettings
 from tests.support.rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 SIZE = 1280
@@ -59,6 +64,27 @@ def test_brushed_skin_is_not_flagged(rng: np.random.Generator) -> None:
     reflectance = 1 + 0.05 * brushed / brushed.std()
     view = decode(seen(reflectance, ramp(200, 300, SIZE)[:, :300] * 0.2 + 300, rng), USUAL, SIZE)
     assert ((view.flags & PixelFlag.EDGE) != 0)[5:-5, 5:-5].mean() < 0.005
+
+
+def test_a_pixel_that_noise_lost_is_no_edge(rng: np.random.Generator) -> None:
+    view = decode(seen(np.ones((60, 80)), 300 + 0.72 * np.arange(80.0) * np.ones((60, 1)), rng), USUAL, SIZE)
+    lost = view.coordinate.copy()
+    lost[30, 40] = lost[20, 20] = lost[20, 21] = np.nan
+    lost[40:44, 60:64] = np.nan
+    flags = view.flags.copy()
+    flags[20, 20:22] |= np.uint16(PixelFlag.SATURATED)
+    marked = flag_neighbourhoods(replace(view, coordinate=lost, flags=flags), 12, ReconstructionSettings()).flags
+    edge = (marked & PixelFlag.EDGE) != 0
+    assert not edge[27:34, 37:44].any()
+    assert edge[20, 17:25].any()
+    assert edge[37:47, 57:67].any()
+
+
+def test_noise_at_little_light_is_no_edge(rng: np.random.Generator) -> None:
+    code = FringeCode("x", 4, (64,), GrayCode(64, True))
+    clean = clean_frames(ramp(120, 400, SIZE)[:, :400] * 0.2 + 300, code, SIZE, 12, 10)
+    view = decode(recorded(clean, rng, 1.0), code, SIZE)
+    assert ((view.flags & PixelFlag.EDGE) != 0)[8:-8, 8:-8].mean() < 0.01
 
 
 def test_small_heads_keep_their_middle(rng: np.random.Generator) -> None:

@@ -75,6 +75,29 @@ def test_undistorted_frames(rig: Rig, views: Views) -> None:
     assert "the right camera's lens distortion is left out" in said((views[0], right), bent)
 
 
+def test_a_right_camera_s_pose_in_another_convention(rig: Rig, views: Views) -> None:
+    device = rig.right
+    for other, words in (
+        (replace(device, R=device.R.T, t=-device.R.T @ device.t), "R and t are the inverse"),
+        (replace(device, t=-device.t), "t has the other sign"),
+        (replace(device, R=device.R.T), "R is transposed"),
+    ):
+        wrong = replace(rig, right=other, projector=None)
+        found = find_mix_up(triangulate(*views, wrong), "x", rig.projector.width)
+        assert found is not None
+        assert words in found.when
+
+
+def test_lenses_of_the_cameras_exchanged(rig: Rig, views: Views) -> None:
+    K = rig.right.K + np.array([[9.0, 0, 6], [0, 9, -7], [0, 0, 0]])
+    unlike = replace(rig, right=replace(rig.right, K=K))
+    [right] = seen_by(unlike, "right")
+    wrong = replace(unlike, left=replace(unlike.left, K=K), right=replace(unlike.right, K=rig.left.K), projector=None)
+    found = find_mix_up(triangulate(views[0], right, wrong), "x", rig.projector.width)
+    assert found is not None
+    assert found.when == "K and distortion of its cameras are exchanged"
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_knocked_rig_is_no_mix_up(rig: Rig, views: Views, axis: int) -> None:
     assert said(views, replace(rig, right=turned(rig.right, axis, 0.5))) == ""

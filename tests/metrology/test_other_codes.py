@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import coordinate_size, decode, triangulate
+from metrology.robust import MAD
 from tests.support.rendered_fringes import (
     PLANE_DISTANCE,
     PLANE_NORMAL,
@@ -35,7 +38,7 @@ def frames_of(
     lines = shown.patterns(size * fine, 1)[:, 0] if code.axis == "x" else shown.patterns(1, size * fine)[:, :, 0]
     places = np.clip(np.rint((coordinate + 0.5) * fine - 0.5).astype(int), 0, size * fine - 1)
     levels = 30 + 160 * lines[:, places]
-    return recorded(np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in levels]), rng, 1.5)
+    return recorded(np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in levels]), rng, sigma)
 
 
 @pytest.mark.parametrize(
@@ -101,6 +104,26 @@ def test_a_rig_without_a_projector_measures_the_same_plane(code: FringeCode, rng
     assert len(off) > 0.3 * found.flags.size
     assert abs(np.median(off)) < 0.1
     assert np.quantile(np.abs(off), 0.99) < (3.0 if not code.counts else 1.5)
+
+
+@pytest.mark.parametrize(
+    "gray", [GrayCode(80, True), GrayCode(320, True), GrayCode(160), GrayCode(160, False, True)], ids=str
+)
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_sigma_of_gray_code_alone_is_what_is_observed(gray: GrayCode, noise: float, rng: np.random.Generator) -> None:
+    """On a bent surface, with borders sharper than the camera's pixels: course and pixels must not count as noise."""
+    code = FringeCode("x", 0, (), gray)
+    u = np.arange(620.0) * np.ones((90, 1))
+    truth = 20 + 0.45 * u + 1.5e-4 * (u - 300) ** 2 + 0.02 * np.arange(90.0)[:, None]
+    lines = replace(code, size_px=320 * 32).patterns(320 * 32, 1)[:, 0]
+    blurred = cv2.GaussianBlur(lines, (0, 0), sigmaX=0.7 * 0.45 * 32, sigmaY=1e-6)  # by the lens, before pixels see it
+    places = np.rint((truth + 0.5) * 32 - 0.5).astype(int)
+    view = decode_phase(recorded(30 + 160 * blurred[:, places], rng, noise), code, 320)
+    normal = ((view.coordinate - truth) / view.sigma)[8:-8, 40:-40]
+    normal = normal[np.isfinite(normal)]
+    assert 0.75 < MAD * np.median(np.abs(normal)) < 1.25
+    assert view.noise is not None
+    assert view.noise.sigma(100) == pytest.approx(noise, rel=0.15)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.epipolar import check_axis, epipolar_geometry
 from metrology.errors import RigError
-from metrology.fringe import FringeCode
+from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import ReconstructionSettings, reconstruct
 from metrology.rig import Device, Rig
+from metrology.robust import MAD
 from tests.support.rendered_fringes import (
     PLANE_DISTANCE,
     PLANE_NORMAL,
@@ -209,6 +210,19 @@ def test_every_missing_point_says_why(rng: np.random.Generator) -> None:
     rig = small_rig()
     scan = reconstruct(*plane_scan(rig, USUAL, rng), rig, USUAL)
     assert ((scan.flags[~scan.valid] & ~np.uint16(PixelFlag.EDGE | PixelFlag.SATURATED_SAMPLES)) != 0).all()
+
+
+def test_coarse_fringes_in_noise_leave_no_holes(rng: np.random.Generator) -> None:
+    """Noise that moves coordinates by whole camera pixels makes points worse, and does not take them away."""
+    code, rig = FringeCode("x", 4, (4,), GrayCode(8, True)), small_rig()
+    scan = reconstruct(*plane_scan(rig, code, rng, 5.0), rig, code)
+    both = np.isfinite(scan.left.coordinate)
+    both[:, :40] = both[:, -40:] = both[:8] = both[-8:] = False
+    seen = both & (rig.right.inside(rig.right.project(plane_depth(rig.left, PLANE_NORMAL, PLANE_DISTANCE))))
+    slope = np.nanmedian(np.abs(np.diff(scan.left.coordinate[::4, ::20], axis=1))) / 20
+    assert np.nanmedian(scan.left.sigma) > 0.5 * slope
+    assert scan.valid[seen].mean() > 0.95
+    assert 0.8 < MAD * np.nanmedian(np.abs(depth_error(scan) / scan.sigma_z)) < 1.2
 
 
 def test_frames_that_do_not_fit_the_rig_are_refused() -> None:

@@ -13,12 +13,14 @@ import h5py
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from metrology.errors import RigError
 from metrology.rig import Rig
 from storage.opencv_rig import load_opencv_rig
+from tests.support.calibration_bench import bench_rig
 
 WHEN = "2026-11-02T00:00:00Z"
 
@@ -256,6 +258,121 @@ def as_file_storage_per_camera(rig: Rig, folder: Path) -> list[Path]:
     return [*paths, folder / "between.yml"]
 
 
+def as_matrix_files(ending: str) -> Callable[[Rig, Path], list[Path]]:
+    """Every matrix in a file of its own, in one folder, beside a text of what the image's size is."""
+
+    def write(rig: Rig, folder: Path) -> list[Path]:
+        for name, value in (("K_left", rig.left.K), ("dist_left", rig.left.distortion[None]), ("R", rig.right.R),
+                            ("K_right", rig.right.K), ("dist_right", rig.right.distortion[None]),
+                            ("T", rig.right.t[:, None]), ("image_size", np.array([[64.0, 48.0]]))):  # fmt: skip
+            if ending == "npy":
+                np.save(folder / f"{name}.npy", value)
+            else:
+                np.savetxt(folder / f"{name}.{ending}", value, delimiter="," if ending == "csv" else " ")
+        return [folder]
+
+    return write
+
+
+def rows_of(matrix: NDArray) -> str:
+    return "\n".join(" ".join(f"{value:.15g}" for value in row) for row in np.atleast_2d(matrix))
+
+
+def as_headed_text(rig: Rig, folder: Path) -> list[Path]:
+    parts = [(f"{side} camera {what}", getattr(device, name)) for side, device in (("Left", rig.left),
+             ("Right", rig.right)) for what, name in (("intrinsics", "K"), ("distortion", "distortion"))]  # fmt: skip
+    parts += [("Rotation matrix", rig.right.R), ("Translation vector", rig.right.t[:, None])]
+    parts += [("Image size", np.array([rig.left.width, rig.left.height]))]
+    (folder / "calibration.txt").write_text("\n\n".join(f"{name}:\n{rows_of(value)}" for name, value in parts))
+    return [folder / "calibration.txt"]
+
+
+def as_ini(rig: Rig, folder: Path) -> list[Path]:
+    lines = []
+    for name, device in (("left_camera", rig.left), ("right_camera", rig.right)):
+        lines += [f"[{name}]", *(f"{key}={device.K[place]!r}" for key, place in
+                                 (("fx", (0, 0)), ("fy", (1, 1)), ("cx", (0, 2)), ("cy", (1, 2))))]  # fmt: skip
+        lines += [
+            f"{key}={value!r}" for key, value in zip(("k1", "k2", "p1", "p2", "k3"), device.distortion, strict=True)
+        ]
+        lines += [f"width={device.width}", f"height={device.height}"]
+    lines += ["[extrinsics]", f"R = {rows_of(rig.right.R.reshape(1, 9))}", f"T = {rows_of(rig.right.t)}"]
+    (folder / "stereo.ini").write_text("\n".join(line.replace("np.float64(", "").replace(")", "") for line in lines))
+    return [folder / "stereo.ini"]
+
+
+def as_toml(rig: Rig, folder: Path) -> list[Path]:
+    """Aniposelib: cameras numbered from 0, each posed to one place by a rotation vector."""
+    turn, text = Rotation.from_euler("xyz", [5, -8, 3], degrees=True).as_matrix(), ""
+    for name, device in (("cam_0", rig.left), ("cam_1", rig.right)):
+        vector, shift = Rotation.from_matrix(device.R @ turn).as_rotvec(), device.R @ [1.0, 2.0, 3.0] + device.t
+        text += f"[{name}]\nname = '{name}'\nsize = [{device.width}, {device.height}]\nmatrix = {device.K.tolist()}\n"
+        text += f"distortions = {device.distortion.tolist()}\nrotation = {vector.tolist()}\n"
+        text += f"translation = {shift.tolist()}\n\n"
+    (folder / "calibration.toml").write_text(text + "[metadata]\nerror = 0.3\n")
+    return [folder / "calibration.toml"]
+
+
+def as_mc_calib(rig: Rig, folder: Path) -> list[Path]:
+    storage = cv2.FileStorage(str(folder / "calibrated_cameras_data.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("nb_camera", 2)
+    for number, device in enumerate((rig.left, rig.right)):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = device.R, device.t
+        storage.startWriteStruct(f"camera_{number}", cv2.FileNode_MAP)
+        for name, value in (("camera_matrix", device.K), ("distortion_vector", device.distortion[None]),
+                            ("distortion_type", 0), ("camera_group", 0), ("img_width", device.width),
+                            ("img_height", device.height), ("camera_pose_matrix", np.linalg.inv(pose))):  # fmt: skip
+            storage.write(name, value)
+        storage.endWriteStruct()
+    storage.release()
+    return [folder / "calibrated_cameras_data.yml"]
+
+
+def as_loose_matlab(rig: Rig, folder: Path) -> list[Path]:
+    """stereoParams taken apart, one variable for each property."""
+    nested, document = matlab(rig), {}
+    for number in "12":
+        document |= {f"{name}{number}": value for name, value in nested.pop(f"CameraParameters{number}").items()}
+    savemat(folder / "calibration.mat", nested | document)
+    return [folder / "calibration.mat"]
+
+
+def as_list_of_cameras(rig: Rig, folder: Path) -> list[Path]:
+    cameras = [{"name": name, "K": device.K.tolist(), "dist": device.distortion.tolist(), "R": device.R.tolist(),
+                "t": device.t.tolist(), "width": device.width, "height": device.height}
+               for name, device in rig.cameras.items()]  # fmt: skip
+    (folder / "rig.json").write_text(json.dumps({"cameras": cameras}))
+    return [folder / "rig.json"]
+
+
+def as_tables(rig: Rig, folder: Path) -> list[Path]:
+    sides = {name: {"camera_matrix": device.K.tolist(), "dist_coeff": [device.distortion.tolist()]}
+             for name, device in rig.cameras.items()}  # fmt: skip
+    pose = {"stereo": {"R": rig.right.R.tolist(), "T": rig.right.t.tolist()}}
+    (folder / "rig.json").write_text(json.dumps({**sides, **pose, "image_size": [rig.left.width, rig.left.height]}))
+    return [folder / "rig.json"]
+
+
+def as_files_posed_to_a_board(rig: Rig, folder: Path) -> list[Path]:
+    """One file per camera with K, D and its own pose to a board: two poses, neither of them between the cameras."""
+    turn, paths = Rotation.from_euler("xyz", [5, -8, 3], degrees=True).as_matrix(), []
+    for name, device in rig.cameras.items():
+        paths.append(folder / f"{name}.npz")
+        np.savez(paths[-1], K=device.K, dist=device.distortion, rvec=Rotation.from_matrix(device.R @ turn).as_rotvec(),
+                 tvec=device.R @ [1.0, 2.0, 3.0] + device.t, image_size=[device.width, device.height])  # fmt: skip
+    return paths
+
+
+def as_posed_to_a_board(rig: Rig, folder: Path) -> list[Path]:
+    turn, values = Rotation.from_euler("xyz", [5, -8, 3], degrees=True).as_matrix(), {}
+    for number, device in enumerate(rig.cameras.values(), start=1):
+        values |= {f"K{number}": device.K, f"D{number}": device.distortion, f"R{number}": device.R @ turn,
+                   f"T{number}": device.R @ [1.0, 2.0, 3.0] + device.t}  # fmt: skip
+    np.savez(folder / "rig.npz", image_size=[rig.left.width, rig.left.height], **values)
+    return [folder / "rig.npz"]
+
+
 @pytest.mark.parametrize(
     ("write", "terms"),
     [
@@ -272,6 +389,21 @@ def as_file_storage_per_camera(rig: Rig, folder: Path) -> list[Path]:
         (as_camera_info, 5),
         (as_nested, 5),
         (as_file_storage_per_camera, 5),
+        (as_matrix_files("txt"), 5),
+        (as_matrix_files("csv"), 5),
+        (as_matrix_files("npy"), 5),
+        (as_headed_text, 5),
+        (as_ini, 5),
+        (as_toml, 5),
+        (as_mc_calib, 5),
+        (as_loose_matlab, 5),
+        (as_list_of_cameras, 5),
+        (as_tables, 5),
+        (as_files_posed_to_a_board, 5),
+        (as_posed_to_a_board, 5),
+        (plain({"K1": "KK_left", "K2": "KK_right", "D1": "kc_left", "D2": "kc_right"}), 5),
+        (plain({"K1": "intrinsic_left", "K2": "intrinsic_right", "D1": "distort_left", "D2": "distort_right"}), 5),
+        (plain({"R": "R_LR", "T": "t_LR"}), 5),
         (plain({}), 5),
         (plain({"K1": "M1", "K2": "M2", "R": "Rlr", "T": "Tlr"}), 5),
         (plain({"K1": "Kl", "K2": "Kr", "D1": "Dl", "D2": "Dr"}), 5),
@@ -322,6 +454,42 @@ def test_each_program_s_rig_is_the_same(
         np.testing.assert_allclose(one.distortion8[:terms], other.distortion8[:terms], atol=1e-9)
         np.testing.assert_allclose(one.R, other.R, atol=1e-6)
         np.testing.assert_allclose(one.t, other.t, atol=1e-4)
+
+
+@pytest.mark.parametrize("names", [("P1.txt", "P2.txt"), ("camL_proj.csv", "camR_proj.csv"), ("left.npy", "right.npy")])
+def test_projection_matrices_tell_undistorted_cameras(cameras: Rig, tmp_path: Path, names: tuple[str, str]) -> None:
+    world = np.eye(4)
+    world[:3, :3], world[:3, 3] = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix(), [5.0, 6.0, 900.0]
+    for name, device, scale in zip(names, (cameras.left, cameras.right), (-0.37, 0.02), strict=True):
+        matrix = scale * device.K @ np.column_stack([device.R, device.t]) @ world
+        if name.endswith("npy"):
+            np.save(tmp_path / name, matrix)
+        else:
+            np.savetxt(tmp_path / name, matrix, delimiter="," if name.endswith("csv") else " ")
+    found = load_opencv_rig(
+        [tmp_path / name for name in names], "other", WHEN, (cameras.left.width, cameras.left.height)
+    )
+    for name in ("left", "right"):
+        one, other = found.devices[name], cameras.devices[name]
+        assert not one.distortion.any()
+        for value, wanted in ((one.K, other.K), (one.R, other.R), (one.t, other.t)):
+            np.testing.assert_allclose(value, wanted, atol=1e-6)
+
+
+def test_sl_studio_is_one_camera_and_a_projector(tmp_path: Path) -> None:
+    cameras = bench_rig()
+    storage = cv2.FileStorage(str(tmp_path / "calibration.xml"), cv2.FILE_STORAGE_WRITE)
+    projector = cameras.with_projector()
+    for name, value in (("frameWidth", cameras.left.width), ("frameHeight", cameras.left.height),
+                        ("screenResX", projector.width), ("screenResY", projector.height),
+                        ("Kc", cameras.left.K), ("kc", cameras.left.distortion), ("Kp", projector.K),
+                        ("kp", projector.distortion), ("Rp", projector.R), ("Tp", projector.t[:, None])):  # fmt: skip
+        storage.write(name, value)
+    storage.release()
+    found = load_opencv_rig([tmp_path / "calibration.xml"], "one", WHEN)
+    assert found.right is None
+    np.testing.assert_allclose(found.with_projector().t, projector.t)
+    np.testing.assert_allclose(found.with_projector().K, projector.K)
 
 
 def test_a_lens_that_is_no_pinhole_is_refused(cameras: Rig, tmp_path: Path) -> None:
