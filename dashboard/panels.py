@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
+import streamlit as st
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
+from dashboard.pictures import shrunk
 from dashboard.scenes import load_features, load_scene_row
+from metrology.assembly.picture import Stitched
 from metrology.kinds import BY_NAME, KINDS
+from storage.archive.bundle import MANIFEST
 from storage.archive.schema import (
     PANEL_COVERAGE,
     PANEL_FINDINGS,
@@ -22,8 +28,10 @@ from storage.archive.schema import (
     PANELS,
     Table,
 )
+from storage.panel_picture import read_pictures, webp
 from storage.review import Feature
 
+_PICTURE_PX = 1600
 _SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
 
 
@@ -111,6 +119,30 @@ def _drawable(rows: pd.DataFrame) -> pd.DataFrame:
         drawn = drawn.assign(major_px=drawn["diameter_mm"], minor_px=drawn["diameter_mm"])
         drawn["angle_deg"] = 0.0
     return drawn
+
+
+@dataclass(frozen=True)
+class PanelPicture:
+    """The stitched picture of a part, and the same small enough for a page, as a URI."""
+
+    stitched: Stitched
+    uri: str
+
+
+def stitched_pictures(archive: Archive, view: PanelView) -> dict[int, PanelPicture]:
+    """The pictures by the number of the part; none where the run is of a version that made none."""
+    return _stitched(f"{view.row.bundle_path}/{MANIFEST}", archive)
+
+
+@st.cache_resource(max_entries=4, show_spinner=False)
+def _stitched(manifest: str, _archive: Archive) -> dict[int, PanelPicture]:
+    return {part: _for_page(found) for part, found in read_pictures(_archive.file, manifest).items()}
+
+
+def _for_page(found: Stitched) -> PanelPicture:
+    grey = shrunk(found.grey, _PICTURE_PX)
+    seen = cv2.resize(found.seen.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_AREA) > 0
+    return PanelPicture(found, "data:image/webp;base64," + base64.b64encode(webp(grey, seen)).decode())
 
 
 def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str | None = None) -> InScan | None:

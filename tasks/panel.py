@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from metrology.assembly.assemble import assembled
 from metrology.assembly.coverage import coverage
 from metrology.assembly.panel import panel_features
+from metrology.assembly.picture import stitched
 from metrology.assembly.result import PanelResult
 from metrology.assembly.verdict import judgement
 from metrology.results import PanelKey
@@ -48,6 +49,7 @@ def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None
         spec_name=str(spec),
         warnings=tuple(warnings),
         versions=versions(),
+        pictures=tuple(stitched(assembly, {k: each.texture for k, each in enumerate(found)})),
     )
 
 

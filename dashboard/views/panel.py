@@ -14,7 +14,16 @@ from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
 from dashboard.figures.panel import panel_figure
 from dashboard.findings import feature_from_parameter, feature_parameter
 from dashboard.frame import PageContext, go, link, plain
-from dashboard.panels import InScan, PanelView, earlier_scans, in_scan, load_panel, of_stretch, panel_names
+from dashboard.panels import (
+    InScan,
+    PanelView,
+    earlier_scans,
+    in_scan,
+    load_panel,
+    of_stretch,
+    panel_names,
+    stitched_pictures,
+)
 from dashboard.picking import clickable_chart
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
@@ -34,6 +43,7 @@ _BADGES = {
     "incomplete": ("gray", ":material/pending:"),
     "no rules": ("gray", ":material/help:"),
 }
+_PICTURE, _DEVIATION, _PLAIN = "Picture", "Deviation", "Marks only"
 _CLOSE_UP, _FINDINGS, _RULES, _COVERAGE, _SCANS = "Close-up", "Findings", "Rules", "Coverage", "Scans"
 
 
@@ -136,13 +146,21 @@ def _number(view: PanelView, kind: Any) -> int:
 
 
 def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
+    number = 1
     if len(view.parts) > 1:
         parts = view.parts
         of_chosen = _part_of(view, chosen)
         part = st.segmented_control("Part", parts, label_visibility="collapsed",
                                     **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
-        view = view.of_part(parts.index(str(part or parts[0])) + 1)
-    fig = panel_figure(view, chosen, context.locale)
+        number = parts.index(str(part or parts[0])) + 1
+        view = view.of_part(number)
+    picture = stitched_pictures(context.archive, view).get(number)
+    shown = None
+    if picture is not None:
+        grounds = [_PICTURE, _DEVIATION, _PLAIN]
+        shown = st.segmented_control("Ground", grounds, label_visibility="collapsed", **one_of("map", grounds))
+        picture = None if shown == _PLAIN else picture
+    fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
     clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
     st.caption("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move.")
 

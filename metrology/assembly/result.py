@@ -10,6 +10,7 @@ from typing import Any
 from metrology.assembly.assemble import Assembly, place_u95
 from metrology.assembly.coverage import Coverage
 from metrology.assembly.panel import PanelFeatures
+from metrology.assembly.picture import Stitched
 from metrology.assembly.rows import DifferenceRow, StationRow
 from metrology.assembly.verdict import Judgement
 from metrology.results import PanelKey, SceneKey
@@ -35,6 +36,8 @@ class PanelResult:
     coverage : Coverage
     warnings : tuple of str
     versions : mapping
+    pictures : tuple of Stitched
+        Of each part.
     """
 
     key: PanelKey
@@ -47,6 +50,7 @@ class PanelResult:
     coverage: Coverage
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+    pictures: tuple[Stitched, ...] = ()
 
     @property
     def captured_at(self) -> datetime:

@@ -28,6 +28,7 @@ from storage.archive.schema import (
     PANELS,
 )
 from storage.documents import utc_text
+from storage.panel_picture import PICTURES, encoded
 
 Row = dict[str, Any]
 
@@ -49,6 +50,10 @@ class PanelDocument:
         The run of each scan that went in.
     warnings : tuple of str
     versions : mapping
+    pictures : sequence of mapping
+        What the manifest says of the stitched pictures.
+    files : mapping of str to bytes
+        Their files.
     """
 
     key: PanelKey
@@ -58,6 +63,8 @@ class PanelDocument:
     scenes: Mapping[str, str]
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+    pictures: Sequence[Mapping[str, Any]] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def write_panel_bundle(
@@ -69,6 +76,8 @@ def write_panel_bundle(
     tables = as_tables(PANEL_TABLES, {**document.rows, PANELS.name: [panel | run]})
     for name, table in tables.items():
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
+    for name, content in document.files.items():
+        (folder / name).write_bytes(content)
     manifest = {
         "format": PANEL_FORMAT,
         "run_id": run_id,
@@ -82,6 +91,7 @@ def write_panel_bundle(
         "scenes": document.scenes,
         "versions": document.versions,
         "warnings": list(document.warnings),
+        PICTURES: list(document.pictures),
         "rows": {name: table.num_rows for name, table in tables.items()},
     }
     seal(folder, manifest)
@@ -96,9 +106,10 @@ def panel_document(result: PanelResult, earlier: Sequence[Row] = ()) -> PanelDoc
         The panel's rows of `panel_verdicts` so far; they stay.
     """
     scenes = {key.scene_id: run for key, run in result.runs.items()}
+    files, pictures = encoded(result.pictures)
     return PanelDocument(
         result.key, result.captured_at, _panel_rows(result, earlier), result.panel_spec, scenes, result.warnings,
-        result.versions,
+        result.versions, pictures, files,
     )  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from storage.archive.schema import (
 )
 from storage.archive.store import Store
 from storage.documents import read_json
+from storage.panel_picture import PICTURES, listed_files
 from storage.panel_spec import PanelSpecification
 
 Row = dict[str, Any]
@@ -63,9 +64,11 @@ def judged_again(store: Store, key: PanelKey, spec: PanelSpecification) -> Panel
     bundle = store.root / panel["bundle_path"]
     store.bundles.bring(bundle)
     manifest = read_json(bundle / MANIFEST, StoreError)
+    pictures = manifest.get(PICTURES, [])
+    files = {name: (bundle / name).read_bytes() for name in listed_files(pictures)}
     return PanelDocument(
         key, panel["captured_at"], rows, spec.document, manifest["scenes"], tuple(warnings),
-        manifest["versions"],
+        manifest["versions"], pictures, files,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from metrology.assembly.picture import Stitched
 from metrology.errors import StoreError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
@@ -24,6 +25,7 @@ from storage.archive.schema import (
 )
 from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
+from storage.panel_picture import read_pictures
 from storage.panel_spec import judged_by
 from storage.review import Entry, ReviewLog
 
@@ -55,6 +57,8 @@ class AssembledRecord:
         How the findings of each scan stand.
     work : tuple of Entry
         Dispositions of its scans, earlier ones too, whose work is still open.
+    pictures : mapping of int to Stitched
+        By the number of the part; none of runs of versions that made none.
     sign_offs : mapping of str to Entry
     review_head : str
     """
@@ -73,6 +77,7 @@ class AssembledRecord:
     work: tuple[Entry, ...] = ()
     sign_offs: Mapping[str, Entry] = field(default_factory=dict)
     review_head: str = ""
+    pictures: Mapping[int, Stitched] = field(default_factory=dict)
 
 
 def is_assembled(store: Store, key: PanelKey) -> bool:
@@ -122,6 +127,7 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
         tuple({entry.number: entry for entry in work.values()}.values()),
         {scene: entry for scene, entry in review.sign_offs().items() if scene in used},
         str(ReviewLog(store.root).head()),
+        read_pictures(store.file, f"{panel['bundle_path']}/{MANIFEST}"),
     )  # fmt: skip
 
 

@@ -113,7 +113,7 @@ def _maps(record: AssembledRecord) -> list[Markup]:
     for part in range(1, record.panel["n_parts"] + 1):
         of_part = {name: [row for row in rows if row["part"] == part] for name, rows in record.of_kind.items()}
         gaps = [row for row in record.coverage if row["state"] == "not seen"] if part == 1 else []
-        if drawing := panel_map(of_part, gaps):
+        if drawing := panel_map(of_part, gaps, record.pictures.get(part)):
             frame = f"part {part}, " if record.panel["n_parts"] > 1 else ""
             maps.append(figure(drawing, f"The panel from outside, {frame}in its own frame. {KEY}; ? not seen."))
     return maps
