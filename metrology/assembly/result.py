@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Any
 
 from metrology.assembly.assemble import Assembly, place_u95
+from metrology.assembly.carried import Names
 from metrology.assembly.coverage import Coverage
 from metrology.assembly.panel import PanelFeatures
 from metrology.assembly.picture import Stitched
@@ -38,6 +39,8 @@ class PanelResult:
     versions : mapping
     pictures : tuple of Stitched
         Of each part.
+    remembered : mapping
+        Names of earlier assemblies that nothing in this one has.
     """
 
     key: PanelKey
@@ -51,6 +54,7 @@ class PanelResult:
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     pictures: tuple[Stitched, ...] = ()
+    remembered: Names = field(default_factory=dict)
 
     @property
     def captured_at(self) -> datetime:
@@ -72,6 +76,7 @@ class PanelResult:
                     y,
                     z,
                     place_u95(part, self.assembly.scans, index),
+                    frame_id=part.frame_id,
                 )
         for number, why in self.assembly.left_out.items():
             rows[number] = StationRow(*self._names(number), None, reason=why)

@@ -28,6 +28,9 @@ class StationRow:
         float | None, "expanded uncertainty (95 %) of the placement at its field's worst place, mm"
     ] = None
     reason: Annotated[str | None, "why the scan was left out"] = None
+    frame_id: Annotated[
+        str | None, "names the part's frame: places and names of assemblies with the same one are the same"
+    ] = None
 
 
 @dataclass(frozen=True)

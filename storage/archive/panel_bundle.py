@@ -10,6 +10,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
+from metrology.assembly.carried import Names
 from metrology.assembly.result import PanelResult
 from metrology.assembly.rows import VerdictRow
 from metrology.assembly.verdict import Judgement
@@ -31,6 +32,8 @@ from storage.documents import utc_text
 from storage.panel_picture import PICTURES, encoded
 
 Row = dict[str, Any]
+REMEMBERED = "remembered"
+"""Where a panel run's manifest has names of earlier assemblies."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,8 @@ class PanelDocument:
         The run of each scan that went in.
     warnings : tuple of str
     versions : mapping
+    remembered : mapping
+        Names of earlier assemblies that nothing in this one has, by kind: part, and places.
     pictures : sequence of mapping
         What the manifest says of the stitched pictures.
     files : mapping of str to bytes
@@ -63,6 +68,7 @@ class PanelDocument:
     scenes: Mapping[str, str]
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+    remembered: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     pictures: Sequence[Mapping[str, Any]] = ()
     files: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -91,6 +97,7 @@ def write_panel_bundle(
         "scenes": document.scenes,
         "versions": document.versions,
         "warnings": list(document.warnings),
+        REMEMBERED: document.remembered,
         PICTURES: list(document.pictures),
         "rows": {name: table.num_rows for name, table in tables.items()},
     }
@@ -109,8 +116,15 @@ def panel_document(result: PanelResult, earlier: Sequence[Row] = ()) -> PanelDoc
     files, pictures = encoded(result.pictures)
     return PanelDocument(
         result.key, result.captured_at, _panel_rows(result, earlier), result.panel_spec, scenes, result.warnings,
-        result.versions, pictures, files,
+        result.versions, _remembered(result.remembered), pictures, files,
     )  # fmt: skip
+
+
+def _remembered(names: Names) -> dict[str, dict[str, Any]]:
+    return {
+        kind: {name: {"part": known.part, "places": known.places.tolist()} for name, known in of_kind.items()}
+        for kind, of_kind in names.items()
+    }
 
 
 def key_columns(key: PanelKey, captured_at: datetime) -> Row:

@@ -72,6 +72,17 @@ def newest_scans(store: Store, key: PanelKey, layout: PanelLayout | None = None)
         )
 
 
+def scan_of(store: Store, scene_id: str) -> PanelScan | None:
+    """A scan as an assembly takes it; None where the archive has it no more."""
+    rows = store.query(
+        "SELECT aircraft_serial, panel, station, captured_at, run_id FROM scenes WHERE scene_id = ?", [scene_id]
+    ).to_pylist()
+    for row in rows:
+        run = row.pop("run_id")
+        return _loaded(store, SceneKey(**row), run, _features(store, [scene_id])[scene_id], None).scan
+    return None
+
+
 def _loaded(store: Store, key: SceneKey, run_id: str, features: Features, layout: PanelLayout | None) -> ScanOfPanel:
     paths = store.paths(key.scene_id)
     manifest = read_json(paths.bundle / MANIFEST, StoreError)
