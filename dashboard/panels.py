@@ -28,7 +28,7 @@ from storage.archive.schema import (
     PANELS,
     Table,
 )
-from storage.panel_picture import read_pictures, webp
+from storage.panel_picture import stored_pictures, webp
 from storage.review import Feature
 
 _PICTURE_PX = 1600
@@ -136,7 +136,7 @@ def stitched_pictures(archive: Archive, view: PanelView) -> dict[int, PanelPictu
 
 @st.cache_resource(max_entries=4, show_spinner=False)
 def _stitched(manifest: str, _archive: Archive) -> dict[int, PanelPicture]:
-    return {part: _for_page(found) for part, found in read_pictures(_archive.file, manifest).items()}
+    return {part: _for_page(found) for part, found in stored_pictures(_archive.file, manifest).items()}
 
 
 def _for_page(found: Stitched) -> PanelPicture:

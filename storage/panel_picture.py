@@ -41,8 +41,8 @@ def listed_files(listed: Sequence[Mapping[str, Any]]) -> list[str]:
     return [str(entry[kind]) for entry in listed for kind in ("picture", "deviation")]
 
 
-def read_pictures(file: Callable[[str], Path], manifest: str) -> dict[int, Stitched]:
-    """The pictures of a panel's run by the number of the part; none where it is of a version that made none.
+def stored_pictures(file: Callable[[str], Path], manifest: str) -> dict[int, Stitched]:
+    """The pictures of a stored run by the number of the part; none where it is of a version that made none.
 
     Parameters
     ----------
@@ -53,13 +53,24 @@ def read_pictures(file: Callable[[str], Path], manifest: str) -> dict[int, Stitc
     """
     folder = manifest.rpartition("/")[0]
     listed = read_json(file(manifest), StoreError).get(PICTURES) or []
-    return {int(entry["part"]): _stitched(lambda name: file(f"{folder}/{name}"), entry) for entry in listed}
+    return read_pictures(listed, lambda name: file(f"{folder}/{name}").read_bytes())
 
 
-def _stitched(file: Callable[[str], Path], entry: Mapping[str, Any]) -> Stitched:
-    image, steps = (_read(file(str(entry[kind]))) for kind in ("picture", "deviation"))
+def read_pictures(listed: Iterable[Mapping[str, Any]], read: Callable[[str], bytes]) -> dict[int, Stitched]:
+    """The pictures that a manifest lists, by the number of the part.
+
+    Parameters
+    ----------
+    read : callable
+        The content of a file of the run.
+    """
+    return {int(entry["part"]): _stitched(entry, read) for entry in listed}
+
+
+def _stitched(entry: Mapping[str, Any], read: Callable[[str], bytes]) -> Stitched:
+    image, steps = (_decoded(str(entry[kind]), read(str(entry[kind]))) for kind in ("picture", "deviation"))
     if image.ndim != 3 or image.shape[2] != 4 or steps.dtype != np.uint16:
-        raise StoreError(f"{file(str(entry['picture'])).parent}: found other pictures, expected WebP and 16 bit PNG")
+        raise StoreError(f"{entry['picture']}: found other pictures, expected WebP and 16 bit PNG")
     deviation = np.where(steps == 0, np.float32(np.nan), (steps.astype(np.float32) - _ZERO) * np.float32(_STEP_MM))
     return Stitched(
         int(entry["part"]), np.ascontiguousarray(image[..., 0]), image[..., 3] > 127, deviation,
@@ -85,8 +96,8 @@ def _encode(ending: str, image: NDArray[Any], options: list[int]) -> bytes:
     return data.tobytes()
 
 
-def _read(path: Path) -> NDArray[Any]:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+def _decoded(name: str, content: bytes) -> NDArray[Any]:
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
     if image is None:
-        raise StoreError(f"{path}: found no readable picture, expected one of a panel's run")
+        raise StoreError(f"{name}: found no readable picture, expected one of a panel's run")
     return image

@@ -64,6 +64,12 @@ class Stitched:
         height, width = self.grey.shape
         return width * self.mm_per_px, height * self.mm_per_px
 
+    def shows(self, x: float, y: float) -> bool:
+        """Whether the skin was seen at a place of the panel's frame."""
+        column, row = int((x - self.left_mm) // self.mm_per_px), int((self.top_mm - y) // self.mm_per_px)
+        height, width = self.seen.shape
+        return 0 <= column < width and 0 <= row < height and bool(self.seen[row, column])
+
 
 def stitched(assembly: Assembly, textures: Mapping[int, Texture]) -> list[Stitched]:
     """The picture of each part.

@@ -119,6 +119,7 @@ class PanelResult:
                 "n_scans": len(feature.seen_by),
                 "n_measured": len(feature.measured_by),
                 "seen_by": [ids[k].scene_id for k in feature.seen_by],
+                "seen_as": list(feature.seen_as),
                 "place_u95_mm": feature.place_u95_mm,
             }
             for feature in self.features[kind]

@@ -18,6 +18,7 @@ from metrology.kinds import KINDS, Count, Kind
 from metrology.results import PanelKey
 from storage.archive.bundle import PANEL_FORMAT, as_tables, document_hash, seal
 from storage.archive.schema import (
+    PANEL_CHANGES,
     PANEL_COVERAGE,
     PANEL_DIFFERENCES,
     PANEL_FINDINGS,
@@ -141,6 +142,7 @@ def _panel_rows(result: PanelResult, earlier: Sequence[Row]) -> dict[str, Sequen
         rows[PANEL_OF_KIND[kind.name].name] = [key | _of_feature(feature.row, names) | more for feature, more in found]
     rows[PANEL_STATIONS.name] = [key | plain_row(row) for row in result.station_rows()]
     rows[PANEL_DIFFERENCES.name] = [key | plain_row(row) for row in result.difference_rows()]
+    rows[PANEL_CHANGES.name] = []
     rows[PANEL_COVERAGE.name] = [key | plain_row(row) for row in result.coverage.rows]
     return rows | judgement_rows(key, result.judgement, result.spec_name, earlier)
 

@@ -49,7 +49,7 @@ def judged_again(store: Store, key: PanelKey, spec: PanelSpecification) -> Panel
     features: dict[str, Sequence[Feature]] = {}
     for kind in KINDS:
         table = PANEL_OF_KIND[kind.name].name
-        judged = judge(kind, [_measured(kind, row, spec) for row in rows[table]], spec.limits)
+        judged = judge(kind, [measured_row(kind, row, spec) for row in rows[table]], spec.limits)
         features[kind.name] = judged
         rows[table] = [_with(row, feature) for row, feature in zip(rows[table], judged, strict=True)]
     gaps = gaps_said([(row["feature_id"], row["state"]) for row in rows[PANEL_COVERAGE.name]])
@@ -72,7 +72,7 @@ def judged_again(store: Store, key: PanelKey, spec: PanelSpecification) -> Panel
     )  # fmt: skip
 
 
-def _measured(kind: Kind, row: Mapping[str, Any], spec: PanelSpecification) -> Feature:
+def measured_row(kind: Kind, row: Mapping[str, Any], spec: PanelSpecification) -> Feature:
     """A stored feature, not judged, in the zone that the specification puts it in."""
     feature = as_measured(kind, result_of(kind.row_type, row))
     zone = _zone(kind, row, spec.layout)

@@ -25,7 +25,7 @@ from storage.archive.schema import (
 )
 from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
-from storage.panel_picture import read_pictures
+from storage.panel_picture import stored_pictures
 from storage.panel_spec import judged_by
 from storage.review import Entry, ReviewLog
 
@@ -127,7 +127,7 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
         tuple({entry.number: entry for entry in work.values()}.values()),
         {scene: entry for scene, entry in review.sign_offs().items() if scene in used},
         str(ReviewLog(store.root).head()),
-        read_pictures(store.file, f"{panel['bundle_path']}/{MANIFEST}"),
+        stored_pictures(store.file, f"{panel['bundle_path']}/{MANIFEST}"),
     )  # fmt: skip
 
 

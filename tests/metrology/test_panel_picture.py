@@ -14,7 +14,7 @@ from metrology.assembly.assemble import Assembly, assembled
 from metrology.assembly.picture import FINER, Stitched, stitched
 from metrology.assembly.scan import PanelScan, Skin
 from metrology.assembly.smooth_skin import SmoothSkin
-from storage.panel_picture import encoded, read_pictures
+from storage.panel_picture import encoded, stored_pictures
 from tests.support.panel_scans import SIZE, SimulatedPanel, facing
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def test_pictures_come_back_as_they_were_stored(made: tuple[Assembly, Array, Sti
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     (tmp_path / "manifest.json").write_text(json.dumps({"pictures": listed}))
-    [back] = read_pictures(tmp_path.parent.joinpath, f"{tmp_path.name}/manifest.json").values()
+    [back] = stored_pictures(tmp_path.parent.joinpath, f"{tmp_path.name}/manifest.json").values()
     assert (back.seen == picture.seen).mean() > 0.999
     shown = back.seen & picture.seen
     assert np.abs(back.grey[shown].astype(int) - picture.grey[shown]).mean() < 2
