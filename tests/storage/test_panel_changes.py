@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,13 @@ from metrology.kinds import BY_NAME, RIVET
 from metrology.results import PanelKey, Rivet
 from metrology.tolerance import judge
 from storage.archive import Store
+from storage.archive.decisions import dispose, shown_finding
 from storage.archive.panel_changes import compared, runs_of_panel
 from storage.panel_spec import load_panel_spec
+from storage.review import Feature, ReviewLog
 from tests.support.panel_scans import SimulatedPanel, facing
 from tests.support.panel_store import published
+from tests.support.results import copied
 from tests.support.rows import rivet_at
 
 KEY_OF_PANEL = PanelKey("MSN-1", "P")
@@ -81,7 +85,10 @@ def nights(tmp_path_factory: pytest.TempPathFactory) -> Store:
         changed = replace(panel, heights=np.clip(panel.heights, -0.08, 0.08))
         for head, height in heights.items():
             changed.heights[head] = height
-        scans = [changed.seen(facing(x, 0.0, rng)[0], f"S{k}", rng) for k, x in enumerate((-220.0, 0.0, 220.0), 1)]
+        scans = [
+            changed.seen(facing(x, 0.0, rng)[0], f"S{k}", rng, listed=True)
+            for k, x in enumerate((-220.0, 0.0, 220.0), 1)
+        ]
         published(
             store, [replace(s, key=replace(s.key, captured_at=s.key.captured_at.replace(day=day))) for s in scans]
         )
@@ -105,7 +112,7 @@ def test_a_second_night_is_compared_with_the_first(nights: Store) -> None:
         worse["value"], abs=1e-4
     )
     assert len(names) == 30
-    assert {row["rivet_id"] for row in names} == {f"R{k:02d}" for k in range(1, 31)}
+    assert {row["rivet_id"] for row in names} == {f"N{k:02d}" for k in range(1, 31)}
     assert nights.query("SELECT count(DISTINCT frame_id) FROM panel_stations").column(0)[0].as_py() == 1
 
 
@@ -130,3 +137,24 @@ def test_without_an_earlier_assembly_there_is_nothing_to_compare(
     asked = ["panel", "changes", "--store", str(nights.root), "--aircraft", "MSN-1", "--panel", "Q"]
     assert main(asked) == EXIT_BAD_INPUT
     assert "found no assembled panel MSN-1 Q" in capsys.readouterr().err
+
+
+def test_work_on_a_head_is_cured_or_not_by_the_scan_after(
+    nights: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = copied(nights, tmp_path)
+    first, _ = runs_of_panel(store, KEY_OF_PANEL)
+    rows = {row["rivet_id"]: row for row in first.rows("panel_rivets")}
+    gone, worse = (row["feature_id"] for row in rivets(store))
+    with contextlib.closing(store.connect()) as connection:
+        for name in (gone, worse):
+            scene, own = rows[name]["seen_by"][0], rows[name]["seen_as"][0]
+            shown = shown_finding(connection, ReviewLog(store.root).read(), scene, Feature("rivet", own))
+            assert shown
+            dispose(store.root, "m.weber", [shown], "rework", "set anew")
+    asked = ["panel", "changes", "--store", str(store.root), "--aircraft", "MSN-1", "--panel", "P"]
+    assert main(asked) == EXIT_DONE
+    said = [line for line in capsys.readouterr().out.splitlines() if "rework of" in line]
+    assert [(line.split()[2].rstrip(","), line.rpartition(": ")[2]) for line in said] == [
+        (worse, "not cured"), (gone, "cured"),
+    ]  # fmt: skip
