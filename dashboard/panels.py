@@ -168,21 +168,16 @@ def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str |
     return InScan(scene, features, Feature(feature.kind, str(there["feature_id"].iloc[int(np.nanargmin(away))])))
 
 
-def of_stretch(view: PanelView, kind_name: str, feature_id: str) -> Feature:
-    """The feature that a finding is shown by: itself, or the worst position of a stretch."""
-    kind, rows = BY_NAME[kind_name], view.features[kind_name]
-    if not kind.is_course or rows.empty:
-        return Feature(kind_name, feature_id)
-    row = next(view.findings[view.findings["feature_id"] == feature_id].itertuples(), None)
-    if row is None or row.x_panel_mm is None:
-        return Feature(kind_name, feature_id)
+def of_finding(view: PanelView, finding: Any) -> Feature:
+    """The feature that a finding or a change is shown by: itself, or the worst position of a stretch."""
+    kind, feature_id = BY_NAME[finding.feature_kind], str(finding.feature_id)
+    rows = view.features[kind.name]
+    if not kind.is_course or rows.empty or pd.isna(finding.x_panel_mm):
+        return Feature(kind.name, feature_id)
     course = rows[rows[kind.id_columns[0]] == feature_id.split("@")[0]]
-    away = np.hypot(course["x_panel_mm"] - row.x_panel_mm, course["y_panel_mm"] - row.y_panel_mm)
-    return (
-        Feature(kind_name, str(course["feature_id"].loc[away.idxmin()]))
-        if away.notna().any()
-        else Feature(kind_name, feature_id)
-    )
+    away = np.hypot(course["x_panel_mm"] - finding.x_panel_mm, course["y_panel_mm"] - finding.y_panel_mm)
+    nearest = str(course["feature_id"].loc[away.idxmin()]) if away.notna().any() else feature_id
+    return Feature(kind.name, nearest)
 
 
 def earlier_scans(archive: Archive, scene: Any) -> pd.DataFrame:

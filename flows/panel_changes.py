@@ -87,5 +87,5 @@ def _rework(store: Store, key: PanelKey) -> list[dict[str, Any]]:
 def _rework_said(row: Row) -> str:
     comment = f" ({row['comment']})" if row["comment"] else ""
     where = row["panel_feature"] or f"{row['name']} of {row['station']}"
-    decided = f"decided by {row['who']} {utc_text(row['decided_at'])}"
+    decided = f"decided by {row['who']} {row['decided_at']:%Y-%m-%d}"
     return f"  {row['disposition']} of {where}, {decided}{comment}: {row['state']}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -120,9 +121,9 @@ def _snapshot(run: PanelRun, spec: PanelSpecification) -> Snapshot:
         rows = run.rows(PANEL_OF_KIND[kind.name].name)
         judged[kind.name] = judge(kind, [measured_row(kind, row, spec) for row in rows], spec.limits)
         features[kind.name] = list(zip([row["part"] for row in rows], judged[kind.name], strict=True))
-    pictures = read_pictures(run.manifest.get(PICTURES) or [], run.read)
+    pictures = cache(lambda: read_pictures(run.manifest.get(PICTURES) or [], run.read))  # few questions need them
 
     def shows(frame: str, x: float, y: float) -> bool:
-        return any(frames.get(part) == frame and picture.shows(x, y) for part, picture in pictures.items())
+        return any(frames.get(part) == frame and picture.shows(x, y) for part, picture in pictures().items())
 
     return Snapshot(frames, features, findings(judged, spec.limits), shows)
