@@ -91,16 +91,23 @@ def panel_names(archive: Archive) -> pd.DataFrame:
 def load_panel(archive: Archive, aircraft: str, panel: str) -> PanelView | None:
     """The newest assembly of a panel; None where it was never put together."""
 
-    def rows(table: Table, more: str = "", order: str = "ALL") -> pd.DataFrame:
-        columns = ", ".join(column.name for column in table.columns)
-        return archive.rows(
-            f"SELECT {columns}{more} FROM {table.name} WHERE aircraft_serial = ? AND panel = ? ORDER BY {order}",
-            [aircraft, panel],
-        )
+    def names(table: Table) -> str:
+        return ", ".join(column.name for column in table.columns)
 
-    whole = next(rows(PANELS).itertuples(), None)
+    found = archive.rows(
+        f"SELECT {names(PANELS)} FROM {PANELS.name} WHERE aircraft_serial = ? AND panel = ?", [aircraft, panel]
+    )
+    whole: Any = next(found.itertuples(), None)
     if whole is None:
         return None
+
+    def rows(table: Table, more: str = "", order: str = "ALL") -> pd.DataFrame:
+        # The time adds nothing but speed: rows lie about in its order, so most of a table need not be looked at.
+        return archive.rows(
+            f"SELECT {names(table)}{more} FROM {table.name} WHERE captured_at = ? AND scene_id = ? ORDER BY {order}",
+            [whole.captured_at.to_pydatetime(), str(whole.scene_id)],
+        )
+
     features = {
         kind.name: _drawable(rows(PANEL_OF_KIND[kind.name], f", {kind.id_sql} AS feature_id")) for kind in KINDS
     }
