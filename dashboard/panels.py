@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,6 +17,7 @@ from dashboard.figures.scene import SceneFeatures
 from dashboard.pictures import shrunk
 from dashboard.scenes import load_features, load_scene_row
 from metrology.assembly.picture import Stitched
+from metrology.errors import StoreError
 from metrology.kinds import BY_NAME, KINDS
 from storage.archive.bundle import MANIFEST
 from storage.archive.schema import (
@@ -28,7 +30,9 @@ from storage.archive.schema import (
     PANELS,
     Table,
 )
+from storage.documents import read_json
 from storage.panel_picture import stored_pictures, webp
+from storage.panel_spec import locations_of
 from storage.review import Feature
 
 _PICTURE_PX = 1600
@@ -134,6 +138,16 @@ class PanelPicture:
 
     stitched: Stitched
     uri: str
+
+
+def locations(archive: Archive, view: PanelView) -> dict[str, str]:
+    """Where features are on the aircraft (frame, stringer), by their names, where the specification says it."""
+    return _locations(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}")))
+
+
+@st.cache_data(max_entries=20, show_spinner=False)
+def _locations(manifest: str) -> dict[str, str]:
+    return locations_of(read_json(Path(manifest), StoreError).get("panel_spec") or {})
 
 
 def stitched_pictures(archive: Archive, view: PanelView) -> dict[int, PanelPicture]:

@@ -21,6 +21,7 @@ from dashboard.panels import (
     earlier_scans,
     in_scan,
     load_panel,
+    locations,
     of_finding,
     panel_names,
     stitched_pictures,
@@ -221,7 +222,9 @@ def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
     """The close-up of the scan that measured it best, and its station's other nights."""
     found = in_scan(context.archive, view, chosen)
     kind = BY_NAME[chosen.kind]
-    st.markdown(f"**{kind.subject.capitalize()} {plain(chosen.id)}** of the panel")
+    location = locations(context.archive, view).get(chosen.id.split("@")[0] if kind.is_course else chosen.id)
+    where = f" · {plain(location)}" if location else ""
+    st.markdown(f"**{kind.subject.capitalize()} {plain(chosen.id)}** of the panel{where}")
     if found is None:
         st.info("No scan in the panel has this feature at this place.")
         return

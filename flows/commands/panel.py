@@ -64,7 +64,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     importing.add_argument("--revision", required=True, metavar="REVISION")
     importing.add_argument(
         "--column", action="append", default=[], metavar="NAME=COLUMN",
-        help="what the list calls id, x, y, z, nx, ny, nz (normal), diameter, zone or row; may be given again",
+        help="what the list calls id, x, y, z, nx, ny, nz (normal), diameter, zone, row, location; may be given again",
     )  # fmt: skip
     importing.add_argument("--out", type=Path, required=True, metavar="FILE", help="specification (TOML) to complete")
 

@@ -26,7 +26,7 @@ from storage.archive.schema import (
 from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
 from storage.panel_picture import stored_pictures
-from storage.panel_spec import judged_by
+from storage.panel_spec import judged_by, locations_of
 from storage.review import Entry, ReviewLog
 
 if TYPE_CHECKING:
@@ -57,6 +57,8 @@ class AssembledRecord:
         How the findings of each scan stand.
     work : tuple of Entry
         Dispositions of its scans, earlier ones too, whose work is still open.
+    locations : mapping of str to str
+        Where features are on the aircraft, by their names.
     pictures : mapping of int to Stitched
         By the number of the part; none of runs of versions that made none.
     sign_offs : mapping of str to Entry
@@ -78,6 +80,7 @@ class AssembledRecord:
     sign_offs: Mapping[str, Entry] = field(default_factory=dict)
     review_head: str = ""
     pictures: Mapping[int, Stitched] = field(default_factory=dict)
+    locations: Mapping[str, str] = field(default_factory=dict)
 
 
 def is_assembled(store: Store, key: PanelKey) -> bool:
@@ -110,6 +113,7 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
     bundle = store.root / panel["bundle_path"]
     store.bundles.bring(bundle, tables_only=True)
     manifest = bundle / MANIFEST
+    document = read_json(manifest, StoreError)
     review = ReviewLog(store.root).of_scenes([str(row["scene_id"]) for row in scans])
     work = open_work(connection, review)
     return AssembledRecord(
@@ -122,12 +126,13 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
         rows(PANEL_VERDICTS.name, "judged_at"),
         {row["scene_id"]: row for row in newest if row["scene_id"] in used},
         tuple(row["station"] for row in newest if row["scene_id"] not in used),
-        judged_by(read_json(manifest, StoreError), manifest),
+        judged_by(document, manifest),
         {scene: standings(connection, review, scene) for scene in sorted(used)},
         tuple({entry.number: entry for entry in work.values()}.values()),
         {scene: entry for scene, entry in review.sign_offs().items() if scene in used},
         str(ReviewLog(store.root).head()),
         stored_pictures(store.file, f"{panel['bundle_path']}/{MANIFEST}"),
+        locations_of(document.get("panel_spec") or {}),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
@@ -48,7 +48,7 @@ def assembled_page(record: AssembledRecord, letterhead: Letterhead | None = None
         coverage=_coverage(record),
         maps=_maps(record),
         rules=_rules(record.rules),
-        findings=_findings(sorted(record.findings, key=_gravest_first)),
+        findings=_findings(sorted(record.findings, key=_gravest_first), record.locations),
         n_findings=len(record.findings),
         printed=_PRINTED,
         stations=_stations(record),
@@ -135,12 +135,14 @@ def _gravest_first(finding: Row) -> tuple[int, bool, str, float]:
     return gravity(finding["decision"]), finding["severity"] != "red", finding["feature_id"], finding["from_mm"] or 0.0
 
 
-def _findings(findings: Sequence[Row]) -> Markup:
+def _findings(findings: Sequence[Row], locations: Mapping[str, str]) -> Markup:
     rows = []
     for row in findings:
         quantity = next(q for q in BY_NAME[row["feature_kind"]].quantities if q.name == row["quantity"])
         value = with_u95(row["value"], row["value_u95"], 3, quantity.signed)
-        rows.append([row["feature_id"], quantity.said, value, quantity.unit, number(row["length_mm"], 0),
+        location = locations.get(row["feature_id"].split("@")[0])
+        name = row["feature_id"] + (f", {location}" if location else "")
+        rows.append([name, quantity.said, value, quantity.unit, number(row["length_mm"], 0),
                      badge(row["decision"]), why(row)])  # fmt: skip
     heads = ["feature", "quantity", "value", "unit", "length mm", "verdict", "why"]
     return section("long_table", table(heads, rows[:_PRINTED], [2, 4]),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,7 @@ from storage.archive.decisions import dispose, shown_finding
 from storage.archive.panel_changes import compared, runs_of_panel
 from storage.panel_spec import load_panel_spec
 from storage.review import Feature, ReviewLog
-from tests.support.panel_scans import SimulatedPanel, facing
-from tests.support.panel_store import published
+from tests.support.panel_store import two_nights
 from tests.support.results import copied
 from tests.support.rows import rivet_at
 
@@ -77,23 +75,7 @@ def test_a_head_that_is_not_found_any_more_is_not_cured() -> None:
 
 @pytest.fixture(scope="module")
 def nights(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    """A panel on two nights: a head that stood proud was set, another one stands prouder than before."""
-    rng = np.random.default_rng(0)
-    panel = SimulatedPanel.made(rng, 15, (-62.0, 74.0))
-    store = Store(tmp_path_factory.mktemp("nights") / "store")
-    for day, heights in ((20, {4: 0.2, 20: 0.15}), (21, {4: 0.0, 20: 0.19})):
-        changed = replace(panel, heights=np.clip(panel.heights, -0.08, 0.08))
-        for head, height in heights.items():
-            changed.heights[head] = height
-        scans = [
-            changed.seen(facing(x, 0.0, rng)[0], f"S{k}", rng, listed=True)
-            for k, x in enumerate((-220.0, 0.0, 220.0), 1)
-        ]
-        published(
-            store, [replace(s, key=replace(s.key, captured_at=s.key.captured_at.replace(day=day))) for s in scans]
-        )
-        assert main(["panel", "assemble", "--store", str(store.root)]) == EXIT_DONE
-    return store
+    return two_nights(tmp_path_factory.mktemp("nights") / "store")
 
 
 def rivets(store: Store) -> list[dict[str, Any]]:
