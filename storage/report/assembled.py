@@ -15,6 +15,7 @@ from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
 from storage.archive.schema import (
+    PANEL_CHANGES,
     PANEL_COVERAGE,
     PANEL_FINDINGS,
     PANEL_OF_KIND,
@@ -45,7 +46,7 @@ class AssembledRecord:
         Its row of the table panels.
     of_kind : mapping
         Its rows of the tables of features, by the names of the kinds.
-    rules, findings, coverage, stations, verdicts : tuple of mapping
+    rules, findings, coverage, stations, verdicts, changes : tuple of mapping
         Its rows of these tables.
     scenes : mapping of str to mapping
         The rows of `scenes` of the scans in it that the archive still has, by their ids.
@@ -81,6 +82,7 @@ class AssembledRecord:
     review_head: str = ""
     pictures: Mapping[int, Stitched] = field(default_factory=dict)
     locations: Mapping[str, str] = field(default_factory=dict)
+    changes: tuple[Row, ...] = ()
 
 
 def is_assembled(store: Store, key: PanelKey) -> bool:
@@ -133,6 +135,7 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
         str(ReviewLog(store.root).head()),
         stored_pictures(store.file, f"{panel['bundle_path']}/{MANIFEST}"),
         locations_of(document.get("panel_spec") or {}),
+        rows(PANEL_CHANGES.name, "feature_kind", "feature_id", "change"),
     )  # fmt: skip
 
 

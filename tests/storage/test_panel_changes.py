@@ -20,6 +20,7 @@ from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
 from storage.archive.panel_changes import compared, runs_of_panel
 from storage.panel_spec import load_panel_spec
+from storage.report import assembled_page, assembled_record
 from storage.review import Feature, ReviewLog
 from tests.support.panel_store import two_nights
 from tests.support.results import copied
@@ -140,3 +141,10 @@ def test_work_on_a_head_is_cured_or_not_by_the_scan_after(
     assert [(line.split()[2].rstrip(","), line.rpartition(": ")[2]) for line in said] == [
         (worse, "not cured"), (gone, "cured"),
     ]  # fmt: skip
+
+
+def test_the_report_says_what_changed(nights: Store, tmp_path: Path) -> None:
+    page = assembled_page(assembled_record(nights, KEY_OF_PANEL))
+    _, _, changed = page.partition("<h2>Changes since 2026-11-20 08:03:00 UTC</h2>")
+    assert changed.index("worse") < changed.index("gone") < changed.index("<h2>Stations</h2>")
+    assert page.count("<image href=") == 1
