@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
+import streamlit as st
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
+from dashboard.pictures import shrunk
 from dashboard.scenes import load_features, load_scene_row
+from metrology.assembly.picture import Stitched
+from metrology.errors import StoreError
 from metrology.kinds import BY_NAME, KINDS
+from storage.archive.bundle import MANIFEST
 from storage.archive.schema import (
     PANEL_COVERAGE,
     PANEL_FINDINGS,
@@ -22,8 +30,12 @@ from storage.archive.schema import (
     PANELS,
     Table,
 )
+from storage.documents import read_json
+from storage.panel_picture import stored_pictures, webp
+from storage.panel_spec import locations_of
 from storage.review import Feature
 
+_PICTURE_PX = 1600
 _SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
 
 
@@ -83,16 +95,23 @@ def panel_names(archive: Archive) -> pd.DataFrame:
 def load_panel(archive: Archive, aircraft: str, panel: str) -> PanelView | None:
     """The newest assembly of a panel; None where it was never put together."""
 
-    def rows(table: Table, more: str = "", order: str = "ALL") -> pd.DataFrame:
-        columns = ", ".join(column.name for column in table.columns)
-        return archive.rows(
-            f"SELECT {columns}{more} FROM {table.name} WHERE aircraft_serial = ? AND panel = ? ORDER BY {order}",
-            [aircraft, panel],
-        )
+    def names(table: Table) -> str:
+        return ", ".join(column.name for column in table.columns)
 
-    whole = next(rows(PANELS).itertuples(), None)
+    found = archive.rows(
+        f"SELECT {names(PANELS)} FROM {PANELS.name} WHERE aircraft_serial = ? AND panel = ?", [aircraft, panel]
+    )
+    whole: Any = next(found.itertuples(), None)
     if whole is None:
         return None
+
+    def rows(table: Table, more: str = "", order: str = "ALL") -> pd.DataFrame:
+        # The time adds nothing but speed: rows lie about in its order, so most of a table need not be looked at.
+        return archive.rows(
+            f"SELECT {names(table)}{more} FROM {table.name} WHERE captured_at = ? AND scene_id = ? ORDER BY {order}",
+            [whole.captured_at.to_pydatetime(), str(whole.scene_id)],
+        )
+
     features = {
         kind.name: _drawable(rows(PANEL_OF_KIND[kind.name], f", {kind.id_sql} AS feature_id")) for kind in KINDS
     }
@@ -111,6 +130,40 @@ def _drawable(rows: pd.DataFrame) -> pd.DataFrame:
         drawn = drawn.assign(major_px=drawn["diameter_mm"], minor_px=drawn["diameter_mm"])
         drawn["angle_deg"] = 0.0
     return drawn
+
+
+@dataclass(frozen=True)
+class PanelPicture:
+    """The stitched picture of a part, and the same small enough for a page, as a URI."""
+
+    stitched: Stitched
+    uri: str
+
+
+def locations(archive: Archive, view: PanelView) -> dict[str, str]:
+    """Where features are on the aircraft (frame, stringer), by their names, where the specification says it."""
+    return _locations(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}")))
+
+
+@st.cache_data(max_entries=20, show_spinner=False)
+def _locations(manifest: str) -> dict[str, str]:
+    return locations_of(read_json(Path(manifest), StoreError).get("panel_spec") or {})
+
+
+def stitched_pictures(archive: Archive, view: PanelView) -> dict[int, PanelPicture]:
+    """The pictures by the number of the part; none where the run is of a version that made none."""
+    return _stitched(f"{view.row.bundle_path}/{MANIFEST}", archive)
+
+
+@st.cache_resource(max_entries=4, show_spinner=False)
+def _stitched(manifest: str, _archive: Archive) -> dict[int, PanelPicture]:
+    return {part: _for_page(found) for part, found in stored_pictures(_archive.file, manifest).items()}
+
+
+def _for_page(found: Stitched) -> PanelPicture:
+    grey = shrunk(found.grey, _PICTURE_PX)
+    seen = cv2.resize(found.seen.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_AREA) > 0
+    return PanelPicture(found, "data:image/webp;base64," + base64.b64encode(webp(grey, seen)).decode())
 
 
 def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str | None = None) -> InScan | None:
@@ -136,21 +189,16 @@ def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str |
     return InScan(scene, features, Feature(feature.kind, str(there["feature_id"].iloc[int(np.nanargmin(away))])))
 
 
-def of_stretch(view: PanelView, kind_name: str, feature_id: str) -> Feature:
-    """The feature that a finding is shown by: itself, or the worst position of a stretch."""
-    kind, rows = BY_NAME[kind_name], view.features[kind_name]
-    if not kind.is_course or rows.empty:
-        return Feature(kind_name, feature_id)
-    row = next(view.findings[view.findings["feature_id"] == feature_id].itertuples(), None)
-    if row is None or row.x_panel_mm is None:
-        return Feature(kind_name, feature_id)
+def of_finding(view: PanelView, finding: Any) -> Feature:
+    """The feature that a finding or a change is shown by: itself, or the worst position of a stretch."""
+    kind, feature_id = BY_NAME[finding.feature_kind], str(finding.feature_id)
+    rows = view.features[kind.name]
+    if not kind.is_course or rows.empty or pd.isna(finding.x_panel_mm):
+        return Feature(kind.name, feature_id)
     course = rows[rows[kind.id_columns[0]] == feature_id.split("@")[0]]
-    away = np.hypot(course["x_panel_mm"] - row.x_panel_mm, course["y_panel_mm"] - row.y_panel_mm)
-    return (
-        Feature(kind_name, str(course["feature_id"].loc[away.idxmin()]))
-        if away.notna().any()
-        else Feature(kind_name, feature_id)
-    )
+    away = np.hypot(course["x_panel_mm"] - finding.x_panel_mm, course["y_panel_mm"] - finding.y_panel_mm)
+    nearest = str(course["feature_id"].loc[away.idxmin()]) if away.notna().any() else feature_id
+    return Feature(kind.name, nearest)
 
 
 def earlier_scans(archive: Archive, scene: Any) -> pd.DataFrame:

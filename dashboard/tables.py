@@ -16,6 +16,7 @@ from metrology.kinds import KINDS
 
 _SIGNED = (
     "value_mm",
+    "before_mm",
     "difference_mm",
     "margin",
     "deviation_mm",

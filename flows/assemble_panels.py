@@ -6,14 +6,16 @@ from collections import Counter
 from collections.abc import Iterable
 
 from flows.cli import counted, print_error
+from flows.panel_changes import counted_changes
 from metrology.assembly.result import PanelResult
 from metrology.errors import FlushlineError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
 from storage.archive import Store
 from storage.archive.panel_bundle import panel_document
+from storage.archive.panel_changes import with_changes
 from storage.archive.panel_judging import judged_again, stored_rows
-from storage.archive.schema import PANEL_VERDICTS
+from storage.archive.schema import PANEL_CHANGES, PANEL_VERDICTS
 from storage.panel_spec import PanelSpecification
 from tasks.panel import assemble
 
@@ -22,13 +24,14 @@ def assemble_and_publish(store: Store, keys: Iterable[PanelKey], spec: PanelSpec
     """Assemble panels one after the other, store them and say what they are."""
     for key in keys:
         result = assemble(store, key, spec)
-        store.publish_panel(panel_document(result, stored_rows(store, key, PANEL_VERDICTS.name)))
-        print(describe(result))
+        document = with_changes(store, panel_document(result, stored_rows(store, key, PANEL_VERDICTS.name)))
+        store.publish_panel(document)
+        print("\n".join([describe(result), *counted_changes(document.rows[PANEL_CHANGES.name])]))
 
 
 def judge_again(store: Store, key: PanelKey, spec: PanelSpecification) -> None:
     """Judge a stored panel by another specification, store it and say both verdicts."""
-    document = judged_again(store, key, spec)
+    document = with_changes(store, judged_again(store, key, spec))
     store.publish_panel(document)
     for row in document.rows[PANEL_VERDICTS.name][-2:]:
         print(f"panel {key} by {row['panel_spec']}: {row['verdict']}: {row['reason']}")

@@ -65,6 +65,8 @@ class NominalRivet:
         Outward direction of the skin there; helps where rivets stand in one row.
     row : str or None
         Row that acceptance rules count it in.
+    location : str or None
+        Where it is on the aircraft, as people there say it (frame, stringer); nothing follows from it.
     """
 
     rivet_id: str
@@ -73,6 +75,7 @@ class NominalRivet:
     zone: str = "default"
     normal: tuple[float, float, float] | None = None
     row: str | None = None
+    location: str | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

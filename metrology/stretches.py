@@ -15,7 +15,7 @@ import numpy as np
 from metrology.kinds import Kind, Quantity
 from metrology.limits import Limit, PanelSpec
 from metrology.requirements import downstream_of, limit_of
-from metrology.results import Course, Decision, Severity
+from metrology.results import Course, Decision, Feature, Severity
 from metrology.verdicts import DECISIONS, IN_ORDER, OUTSIDE, SEVERITIES
 
 Row = TypeVar("Row", bound=Course)
@@ -29,14 +29,14 @@ class Excess:
     Attributes
     ----------
     quantity : Quantity
-    row : Course
+    row : Feature
     limit : Limit
     beyond : float
         In the quantity's unit; negative inside.
     """
 
     quantity: Quantity
-    row: Course
+    row: Feature
     limit: Limit
     beyond: float
 
@@ -108,7 +108,7 @@ class Stretch:
         return min((row.severity for row in self.rows), key=list(SEVERITIES).index)
 
     @property
-    def worst(self) -> Course:
+    def worst(self) -> Feature:
         """The position that is farthest beyond a limit."""
         return self.excesses[0].row if self.excesses else self.rows[0]
 
@@ -128,7 +128,7 @@ class Stretch:
             f"expected {excess.limit}"
         )
 
-    def _at(self, row: Course) -> float:
+    def _at(self, row: Feature) -> float:
         return float(getattr(row, self.kind.id_columns[1]))
 
 
@@ -153,7 +153,7 @@ def with_stretches(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row
         replace(
             row,
             stretch=named.get(id(row)),
-            beyond_mm=max((excess.beyond for excess in _excesses(kind, row, spec)), default=None),
+            beyond_mm=max((excess.beyond for excess in excesses(kind, row, spec)), default=None),
         )
         for row in rows
     ]
@@ -184,7 +184,7 @@ def _reason_to_look(row: Course) -> Decision:
 def _worst(kind: Kind, rows: Sequence[Course], spec: PanelSpec) -> tuple[Excess, ...]:
     """The worst of each quantity that keeps rows from passing."""
     worst: dict[str, Excess] = {}
-    for excess in (excess for row in rows for excess in _excesses(kind, row, spec)):
+    for excess in (excess for row in rows for excess in excesses(kind, row, spec)):
         name = excess.quantity.name
         does_not_pass = excess.u95 is None or excess.beyond > -excess.u95
         if does_not_pass and (name not in worst or excess.beyond > worst[name].beyond):
@@ -192,7 +192,7 @@ def _worst(kind: Kind, rows: Sequence[Course], spec: PanelSpec) -> tuple[Excess,
     return tuple(sorted(worst.values(), key=lambda excess: -excess.beyond))
 
 
-def _excesses(kind: Kind, row: Course, spec: PanelSpec) -> Iterator[Excess]:
+def excesses(kind: Kind, row: Feature, spec: PanelSpec) -> Iterator[Excess]:
     """How far each quantity of a row that was measured lies beyond its limit."""
     for quantity in kind.quantities:
         limit = limit_of(spec.zone(row.zone), quantity, downstream_of(quantity, row))

@@ -10,7 +10,7 @@ from typing import Any
 from metrology.errors import SpecError
 from metrology.panel import NominalRivet, NominalSeam
 
-COLUMNS = ("id", "x", "y", "z", "nx", "ny", "nz", "diameter", "zone", "row")
+COLUMNS = ("id", "x", "y", "z", "nx", "ny", "nz", "diameter", "zone", "row", "location")
 """What a list may have; id, x, y and z it must have. Lengths in mm, in the panel's frame."""
 _NEEDED = ("id", "x", "y", "z")
 
@@ -51,7 +51,7 @@ def _rivet(place: str, row: Row) -> NominalRivet:
         diameter,
         str(row["zone"]).strip() if _given(row, "zone") else "default",
         _vector(place, row, ("nx", "ny", "nz")) if all(given) else None,
-        str(row["row"]).strip() if _given(row, "row") else None,
+        *(str(row[name]).strip() if _given(row, name) else None for name in ("row", "location")),
     )
 
 

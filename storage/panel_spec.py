@@ -70,6 +70,7 @@ class RivetModel(StrictModel):
     zone: str = DEFAULT_ZONE
     normal: Vector3 | None = None
     row: FeatureName | None = None
+    location: FeatureName | None = None
 
 
 class StretchModel(StrictModel):
@@ -88,6 +89,7 @@ class SeamModel(StrictModel):
     zone: str = DEFAULT_ZONE
     airflow: Vector3 | None = None
     stretches: tuple[StretchModel, ...] = ()
+    location: FeatureName | None = None
 
 
 class RuleModel(StrictModel):
@@ -196,6 +198,12 @@ def panel_spec_from(document: Mapping[str, Any], path: Path) -> PanelSpecificati
         raise SpecError(f"{path}: {problem}") from None
 
 
+def locations_of(document: Mapping[str, Any]) -> dict[str, str]:
+    """Where named features are on the aircraft, by their names, as far as a specification's document says it."""
+    named = [*(document.get("rivets") or ()), *(document.get("seams") or ())]
+    return {str(each["id"]): str(each["location"]) for each in named if each.get("location")}
+
+
 def judged_by(manifest: Mapping[str, Any], path: Path) -> PanelSpec | None:
     """The limits that a run was judged by, as its manifest keeps them; None where this version cannot read them."""
     with contextlib.suppress(SpecError, AttributeError):  # a run of an older version had another form
@@ -230,6 +238,7 @@ def pattern_toml(layout: PanelLayout, panel: str, revision: str, enrolled_from: 
         lines += [f"zone = {_toml(rivet.zone)}"] if rivet.zone != DEFAULT_ZONE else []
         lines += [f"normal = {_toml(rivet.normal, 6)}"] if rivet.normal is not None else []
         lines += [f"row = {_toml(rivet.row)}"] if rivet.row is not None else []
+        lines += [f"location = {_toml(rivet.location)}"] if rivet.location is not None else []
     for seam in layout.seams:
         lines += ["", "[[seams]]", f"id = {_toml(seam.seam_id)}", f"course_mm = {_toml(seam.course)}"]
         lines += [f"zone = {_toml(seam.zone)}"] if seam.zone != DEFAULT_ZONE else []
@@ -263,7 +272,9 @@ def _rules(model: PanelSpecModel) -> tuple[Rule, ...]:
 
 def _layout(model: PanelSpecModel) -> PanelLayout:
     return PanelLayout(
-        tuple(NominalRivet(r.id, r.position_mm, r.diameter_mm, r.zone, r.normal, r.row) for r in model.rivets),
+        tuple(
+            NominalRivet(r.id, r.position_mm, r.diameter_mm, r.zone, r.normal, r.row, r.location) for r in model.rivets
+        ),
         tuple(
             NominalSeam(s.id, s.course_mm, s.zone, s.airflow, tuple((p.from_mm, p.to_mm, p.zone) for p in s.stretches))
             for s in model.seams

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from metrology.assembly.assemble import assembled
+from metrology.assembly.carried import remembered, with_frames
 from metrology.assembly.coverage import coverage
 from metrology.assembly.panel import panel_features
+from metrology.assembly.picture import stitched
 from metrology.assembly.result import PanelResult
 from metrology.assembly.verdict import judgement
 from metrology.results import PanelKey
 from storage.archive import Store
+from storage.archive.panel_history import former_assembly
 from storage.archive.panel_scans import ScanOfPanel, newest_scans
 from storage.panel_spec import PanelSpecification, load_panel_spec, panel_spec_from
 from tasks.result import versions
@@ -27,11 +30,12 @@ def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None
     spec = spec or store.panels.in_force(key.panel)
     found = newest_scans(store, key, spec.layout if spec else None)
     spec = spec or _judged_by(store, found)
-    assembly = assembled([each.scan for each in found], spec.layout)
+    former = former_assembly(store, key)
+    assembly = with_frames(assembled([each.scan for each in found], spec.layout), spec.layout, former)
     warnings = list(assembly.warnings)
     if spec.example:
         warnings.append("judged by the example limits, which are nobody's requirement; put a specification in force")
-    features = panel_features(assembly, spec.limits, spec.layout)
+    features = panel_features(assembly, spec.limits, spec.layout, former)
     covered = coverage(assembly, features, spec.layout)
     gaps = [*covered.gaps]
     gaps += [f"in {len(assembly.parts)} parts"] if len(assembly.parts) > 1 else []
@@ -48,6 +52,8 @@ def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None
         spec_name=str(spec),
         warnings=tuple(warnings),
         versions=versions(),
+        remembered=remembered(assembly, features, former),
+        pictures=tuple(stitched(assembly, {k: each.texture for k, each in enumerate(found)})),
     )
 
 

@@ -1,53 +1,100 @@
-"""Map of an assembled panel in its own frame: fields of the scans, features, stretches, and what is not covered."""
+"""Map of an assembled panel in its own frame: its picture, features, stretches, and what is not covered."""
 
 from __future__ import annotations
 
-from typing import Any
-
+import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
 from dashboard.figures.base import escape, figure
 from dashboard.figures.scene import add_features, mark_chosen
 from dashboard.locale import Locale
-from dashboard.palette import INK, SEVERITY_COLOURS
-from dashboard.panels import PanelView
+from dashboard.palette import DIVERGING, INK, SEVERITY_COLOURS
+from dashboard.panels import PanelPicture, PanelView
+from metrology.assembly.picture import FINER, Stitched
 from metrology.kinds import BY_NAME, KINDS
 from metrology.verdicts import SEVERITIES
 from storage.review import Feature
 
 _MOST_NAMES = 150
 _WIDTH, _LOWEST, _TALLEST = 640, 250, 440  # px
+_SHADOW = "0 0 3px #000, 0 0 2px #000"
+_LABELLED = 0.03  # of the map's width: shorter stretches have no label
+_SCALE_PERCENT = 95  # of the deviations lie within the colours' range
+_MOST_CELLS = 150_000  # of the map of deviations: a browser draws them at once
 
 
-def panel_figure(view: PanelView, chosen: Feature | None, locale: Locale) -> go.Figure:
-    """A click on a feature comes back with its URL parameter as customdata; axes are mm of the panel, y upwards."""
-    x, y = _extent(view)
+def panel_figure(
+    view: PanelView, chosen: Feature | None, locale: Locale, picture: PanelPicture | None = None,
+    deviation: bool = False,
+) -> go.Figure:  # fmt: skip
+    """A click on a feature comes back with its URL parameter as customdata; axes are mm of the panel, y upwards.
+
+    Parameters
+    ----------
+    picture : PanelPicture, optional
+        What lies under the features.
+    deviation : bool
+        Whether that is the map of deviations rather than the picture.
+    """
+    x, y = _extent(view, picture.stitched if picture else None)
     fig = figure(locale, _height(x, y), dragmode="pan", clickmode="event+select")
-    for k, row in enumerate(view.findings[view.findings["from_mm"].notna()].itertuples()):
-        _add_stretch(fig, view, row, locale, above=k % 2 == 0)
+    if picture is not None and deviation:
+        _add_deviation(fig, picture.stitched)
+    elif picture is not None:
+        _add_picture(fig, picture)
+    fig.update_xaxes(title="x, mm", constrain="domain", range=x, showgrid=picture is None)
+    _add_stretches(fig, view, locale, _LABELLED * (x[1] - x[0]))
     for severity in reversed(SEVERITIES):
         for kind in reversed(KINDS):
             add_features(fig, kind, view.features[kind.name], severity, locale)
     _add_uncovered(fig, view.coverage)
-    _add_names(fig, view)
+    _add_names(fig, view, over_picture=picture is not None)
     mark_chosen(fig, view.features, chosen, INK)
-    fig.update_xaxes(title="x, mm", constrain="domain")
     ticks = _ticks(*y)
     fig.update_yaxes(
-        title="y, mm", scaleanchor="x", constrain="domain", autorange="reversed", tickvals=ticks,
-        ticktext=[f"{-tick}" for tick in ticks],
+        title="y, mm", scaleanchor="x", constrain="domain", range=y[::-1], tickvals=ticks,
+        ticktext=[f"{-tick}" for tick in ticks], showgrid=picture is None,
     )  # fmt: skip
     return fig
 
 
-def _extent(view: PanelView) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Least and most of x and of y downwards over all features and what is not covered, mm."""
+def _extent(view: PanelView, picture: Stitched | None) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and most of x and of y downwards over all features, what is not covered and the picture, mm."""
     x = pd.concat([*(rows["u_px"] for rows in view.features.values()), view.coverage["x_mm"]]).astype(float)
     y = pd.concat([*(rows["v_px"] for rows in view.features.values()), -view.coverage["y_mm"].astype(float)])
-    if not (x.notna() & y.notna()).any():
+    corners = []
+    if picture is not None:
+        width, height = picture.size_mm
+        corners = [(picture.left_mm, -picture.top_mm), (picture.left_mm + width, height - picture.top_mm)]
+    elif not (x.notna() & y.notna()).any():
         return (0.0, 1.0), (0.0, 1.0)
-    return (x.min(), x.max()), (y.min(), y.max())
+    places = np.array([*corners, (x.min(), y.min()), (x.max(), y.max())], float)
+    (left, upper), (right, lower) = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    air = 0.0 if corners else 0.04 * max(right - left, lower - upper)
+    return (left - air, right + air), (upper - air, lower + air)
+
+
+def _add_picture(fig: go.Figure, picture: PanelPicture) -> None:
+    width, height = picture.stitched.size_mm
+    fig.add_layout_image(
+        source=picture.uri, xref="x", yref="y", x=picture.stitched.left_mm, y=-picture.stitched.top_mm, sizex=width,
+        sizey=height, sizing="stretch", layer="below",
+    )  # fmt: skip
+
+
+def _add_deviation(fig: go.Figure, picture: Stitched) -> None:
+    shown = picture.deviation
+    every = int(np.ceil(np.sqrt(shown.size / _MOST_CELLS)))
+    shown = shown[every // 2 :: every, every // 2 :: every]
+    step = picture.mm_per_px * FINER * every
+    limit = max(0.02, float(np.nanpercentile(np.abs(shown), _SCALE_PERCENT))) if np.isfinite(shown).any() else 0.02
+    fig.add_heatmap(
+        z=np.round(shown, 4), x0=picture.left_mm + step / 2, dx=step, y0=-picture.top_mm + step / 2, dy=step,
+        colorscale=DIVERGING, zmin=-limit, zmax=limit, hoverongaps=False,
+        colorbar={"title": {"text": "mm"}, "thickness": 12, "tickformat": "+.2f"},
+        hovertemplate="%{z:+.3f} mm<extra></extra>",
+    )  # fmt: skip
 
 
 def _height(x: tuple[float, float], y: tuple[float, float]) -> int:
@@ -62,26 +109,31 @@ def _ticks(low: float, high: float) -> list[int]:
     return [k * step for k in range(int(low // step), int(high // step) + 2)]
 
 
-def _add_stretch(fig: go.Figure, view: PanelView, row: Any, locale: Locale, above: bool) -> None:
-    """A broad line behind the positions of a stretch, and what is beyond."""
-    kind = BY_NAME[row.feature_kind]
-    name, position = kind.id_columns
-    course = view.features[kind.name]
-    within = course[
-        (course[name] == str(row.feature_id).split("@")[0]) & course[position].between(row.from_mm, row.to_mm)
-    ].sort_values(position)
-    if within.empty:
-        return
-    fig.add_scatter(
-        x=within["u_px"], y=within["v_px"], mode="lines", opacity=0.45, showlegend=False, hoverinfo="skip",
-        line={"color": SEVERITY_COLOURS.get(row.severity, INK), "width": 14},
-    )  # fmt: skip
-    worst = locale.number(row.value, sign=True)
-    fig.add_annotation(
-        x=within["u_px"].iloc[len(within) // 2], y=within["v_px"].iloc[len(within) // 2], showarrow=False,
-        yshift=18 if above else -18,
-        text=escape(f"{row.quantity} {worst}, {locale.number(row.length_mm, 0)} mm"), font={"size": 11},
-    )  # fmt: skip
+def _add_stretches(fig: go.Figure, view: PanelView, locale: Locale, labelled_mm: float) -> None:
+    """A broad line behind the positions of each stretch and, where it is long enough, what is beyond."""
+    labelled = 0
+    for row in view.findings[view.findings["from_mm"].notna()].itertuples():
+        name, position = BY_NAME[str(row.feature_kind)].id_columns
+        course = view.features[str(row.feature_kind)]
+        within = course[
+            (course[name] == str(row.feature_id).split("@")[0]) & course[position].between(row.from_mm, row.to_mm)
+        ].sort_values(position)
+        if within.empty:
+            continue
+        fig.add_scatter(
+            x=within["u_px"], y=within["v_px"], mode="lines", opacity=0.45, showlegend=False, hoverinfo="skip",
+            line={"color": SEVERITY_COLOURS.get(row.severity, INK), "width": 14},
+        )  # fmt: skip
+        if row.length_mm < labelled_mm:
+            continue  # a name would cover its neighbours'
+        labelled += 1
+        middle = within.iloc[len(within) // 2]
+        worst = locale.number(row.value, sign=True)
+        fig.add_annotation(
+            x=middle["u_px"], y=middle["v_px"], showarrow=False, yshift=18 if labelled % 2 else -18,
+            text=escape(f"{row.quantity} {worst}, {locale.number(row.length_mm, 0)} mm"),
+            font={"size": 11, "color": "white"}, bgcolor="rgba(0,0,0,0.6)", borderpad=2,
+        )  # fmt: skip
 
 
 def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame) -> None:
@@ -96,8 +148,9 @@ def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame) -> None:
             )  # fmt: skip
 
 
-def _add_names(fig: go.Figure, view: PanelView) -> None:
+def _add_names(fig: go.Figure, view: PanelView, over_picture: bool) -> None:
     """Names of single features; of courses where they begin."""
+    font = {"size": 10, "color": "white", "shadow": _SHADOW} if over_picture else {"size": 10, "color": INK}
     for kind in KINDS:
         rows = view.features[kind.name]
         rows = rows[rows["u_px"].notna()]
@@ -107,5 +160,5 @@ def _add_names(fig: go.Figure, view: PanelView) -> None:
         if len(rows):
             fig.add_scatter(
                 x=rows["u_px"], y=rows["v_px"], mode="text", text=[escape(name) for name in rows[kind.id_columns[0]]],
-                textposition="top right", textfont={"size": 10, "color": INK}, hoverinfo="skip", showlegend=False,
+                textposition="top right", textfont=font, hoverinfo="skip", showlegend=False,
             )  # fmt: skip

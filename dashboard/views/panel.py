@@ -14,7 +14,18 @@ from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
 from dashboard.figures.panel import panel_figure
 from dashboard.findings import feature_from_parameter, feature_parameter
 from dashboard.frame import PageContext, go, link, plain
-from dashboard.panels import InScan, PanelView, earlier_scans, in_scan, load_panel, of_stretch, panel_names
+from dashboard.panel_changes import changes_since, earlier_nights, rework_of
+from dashboard.panels import (
+    InScan,
+    PanelView,
+    earlier_scans,
+    in_scan,
+    load_panel,
+    locations,
+    of_finding,
+    panel_names,
+    stitched_pictures,
+)
 from dashboard.picking import clickable_chart
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
@@ -34,7 +45,9 @@ _BADGES = {
     "incomplete": ("gray", ":material/pending:"),
     "no rules": ("gray", ":material/help:"),
 }
-_CLOSE_UP, _FINDINGS, _RULES, _COVERAGE, _SCANS = "Close-up", "Findings", "Rules", "Coverage", "Scans"
+_PICTURE, _DEVIATION, _PLAIN = "Picture", "Deviation", "Marks only"
+_CLOSE_UP, _FINDINGS, _CHANGES, _RULES = "Close-up", "Findings", "Changes", "Rules"
+_COVERAGE, _SCANS = "Coverage", "Scans"
 
 
 def render(context: PageContext) -> None:
@@ -136,13 +149,21 @@ def _number(view: PanelView, kind: Any) -> int:
 
 
 def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
+    number = 1
     if len(view.parts) > 1:
         parts = view.parts
         of_chosen = _part_of(view, chosen)
         part = st.segmented_control("Part", parts, label_visibility="collapsed",
                                     **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
-        view = view.of_part(parts.index(str(part or parts[0])) + 1)
-    fig = panel_figure(view, chosen, context.locale)
+        number = parts.index(str(part or parts[0])) + 1
+        view = view.of_part(number)
+    picture = stitched_pictures(context.archive, view).get(number)
+    shown = None
+    if picture is not None:
+        grounds = [_PICTURE, _DEVIATION, _PLAIN]
+        shown = st.segmented_control("Ground", grounds, label_visibility="collapsed", **one_of("map", grounds))
+        picture = None if shown == _PLAIN else picture
+    fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
     clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
     st.caption("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move.")
 
@@ -178,10 +199,13 @@ def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: st
 
 
 def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen: Feature | None) -> None:
-    names = [_CLOSE_UP, _FINDINGS, _RULES, _COVERAGE, _SCANS]
+    names = [_CLOSE_UP, _FINDINGS, _CHANGES, _RULES, _COVERAGE, _SCANS]
     shown = st.segmented_control("View", names, label_visibility="collapsed", **one_of("view", names))
     if shown == _FINDINGS:
         _findings(context, view)
+    elif shown == _CHANGES:
+        _changes(context, view)
+        _rework(context, view)
     elif shown == _RULES:
         _rules(context, view)
     elif shown == _COVERAGE:
@@ -198,7 +222,9 @@ def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
     """The close-up of the scan that measured it best, and its station's other nights."""
     found = in_scan(context.archive, view, chosen)
     kind = BY_NAME[chosen.kind]
-    st.markdown(f"**{kind.subject.capitalize()} {plain(chosen.id)}** of the panel")
+    location = locations(context.archive, view).get(chosen.id.split("@")[0] if kind.is_course else chosen.id)
+    where = f" · {plain(location)}" if location else ""
+    st.markdown(f"**{kind.subject.capitalize()} {plain(chosen.id)}** of the panel{where}")
     if found is None:
         st.info("No scan in the panel has this feature at this place.")
         return
@@ -231,16 +257,56 @@ def _findings(context: PageContext, view: PanelView) -> None:
     if rows.empty:
         st.success("Every feature of the panel is within its limits.", icon=":material/check:")
         return
-    names = [
-        feature_parameter(of_stretch(view, kind, feature))
-        for kind, feature in zip(rows["feature_kind"], rows["feature_id"], strict=True)
-    ]
+    names = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
     columns = {
         "feature_id": "Feature", "quantity": "Quantity", "value_mm": "Worst", "u95_mm": "± U95",
         "length_mm": "Length, mm", "decision": "Verdict", "reason": "Why",
     }  # fmt: skip
     show_table(rows, columns, context.locale, "panel-findings", 470, names, _look_at, st.query_params.get("feature"))
     st.caption("A stretch of a seam is one finding. Select one to see its worst place.")
+
+
+def _changes(context: PageContext, view: PanelView) -> None:
+    """What changed since one of the nights before."""
+    nights = {run: context.locale.time(at) for run, at in earlier_nights(context.archive, view).items()}
+    if not nights:
+        st.info("This is the first assembly of the panel: there is no other to compare it with.")
+        return
+    names = list(nights)
+    since = names[-1]
+    if len(names) > 1:
+        since = st.select_slider("Since", names, names[-1], format_func=nights.__getitem__, key=f"since-{names[-1]}")
+    else:
+        st.caption(f"since {nights[since]}")
+    rows = changes_since(context.archive, view, since)
+    if rows.empty:
+        st.success("Neither then nor now is anything beyond its limits.", icon=":material/check:")
+        return
+    columns = {
+        "change": "Change", "feature_id": "Feature", "value_mm": "Now", "before_mm": "Then",
+        "difference_mm": "Difference", "difference_u95_mm": "± U95", "decision": "Verdict", "reason": "Why",
+    }  # fmt: skip
+    keys = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
+    show_table(rows, columns, context.locale, "panel-changes", 330, keys, _look_at, st.query_params.get("feature"))
+    st.caption(
+        "Both nights judged by today's limits. Worse and better: by more than the U95 of the difference. New: in order "
+        "then, or not seen. Select one to look at it."
+    )
+
+
+def _rework(context: PageContext, view: PanelView) -> None:
+    rows = rework_of(context.archive, view)
+    if rows.empty:
+        return
+    st.markdown("**Rework, repair and re-scan**")
+    rows["feature"] = rows["panel_feature"].fillna(rows["name"])
+    columns = {"feature": "Feature", "disposition": "Decided", "who": "By", "decided_at": "When", "state": "Outcome",
+               "comment": "Comment"}  # fmt: skip
+    keys = [
+        feature_parameter(Feature(kind, str(name)))
+        for kind, name in zip(rows["feature_kind"], rows["feature"], strict=True)
+    ]
+    show_table(rows, columns, context.locale, "panel-rework", 220, keys, _look_at, st.query_params.get("feature"))
 
 
 def _rules(context: PageContext, view: PanelView) -> None:

@@ -47,6 +47,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     listing = add("list", list_aircraft, "an aircraft's panels: done, partly or not inspected, and where to stand next")
     listing.add_argument("--store", type=Path, required=True, metavar="DIR")
     listing.add_argument("--aircraft", required=True, metavar="SERIAL")
+    changing = add("changes", show_changes, "what changed since an earlier assembly, and what became of rework")
+    changing.add_argument("--store", type=Path, required=True, metavar="DIR")
+    changing.add_argument("--aircraft", required=True, metavar="SERIAL")
+    changing.add_argument("--panel", required=True, metavar="PANEL")
+    changing.add_argument("--since", metavar="TIME", help="as the assembly before names it; the last one by default")
     judging = add("judge", judge, "judge an assembled panel by another specification, without measuring again")
     judging.add_argument("--store", type=Path, required=True, metavar="DIR")
     judging.add_argument("--aircraft", required=True, metavar="SERIAL")
@@ -59,7 +64,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     importing.add_argument("--revision", required=True, metavar="REVISION")
     importing.add_argument(
         "--column", action="append", default=[], metavar="NAME=COLUMN",
-        help="what the list calls id, x, y, z, nx, ny, nz (normal), diameter, zone or row; may be given again",
+        help="what the list calls id, x, y, z, nx, ny, nz (normal), diameter, zone, row, location; may be given again",
     )  # fmt: skip
     importing.add_argument("--out", type=Path, required=True, metavar="FILE", help="specification (TOML) to complete")
 
@@ -178,6 +183,16 @@ def list_aircraft(options: argparse.Namespace) -> int:
         said = [found.state, counted(found.n_scans, "station"), found.verdict or "", found.missing]
         said += [f"scan next: {found.next_station}"] if found.next_station else []
         print(f"panel {found.panel}: {'; '.join(part for part in said if part)}")
+    return 0
+
+
+def show_changes(options: argparse.Namespace) -> int:
+    """Say what changed on a panel."""
+    from flows.panel_changes import changes_lines
+    from metrology.results import PanelKey
+    from storage.archive import Store
+
+    print("\n".join(changes_lines(Store(options.store), PanelKey(options.aircraft, options.panel), options.since)))
     return 0
 
 

@@ -80,6 +80,12 @@ class Adjusted:
     covariance: Array = field(repr=False)
     scatter: float
 
+    def moved(self, motion: Placement) -> Adjusted:
+        """The same in another frame."""
+        placements = tuple(Placement(motion.R @ p.R, motion.R @ p.t + motion.t) for p in self.placements)
+        turn = np.kron(np.eye(2 * len(placements)), motion.R)
+        return replace(self, placements=placements, covariance=turn @ self.covariance @ turn.T)
+
     def place_covariance(self, scans: Sequence[PanelScan], number: int, point: Array) -> Array:
         """(3, 3) covariance of a point (3,) of the panel frame that a scan saw, from its placement alone."""
         middle = self.placements[number].to_panel(scans[number].skin.middle)

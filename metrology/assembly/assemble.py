@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -39,12 +39,18 @@ class Part:
         Whether the frame is the specification's.
     ties : int
         Overlaps that hold it together.
+    frame_id : str
+        Names its frame; parts of other assemblies with the same name lie in the same one.
+    former : int or None
+        The part of the assembly before whose frame it is in.
     """
 
     numbers: tuple[int, ...]
     fit: Adjusted
     nominal: bool = False
     ties: int = 0
+    frame_id: str = ""
+    former: int | None = None
 
 
 @dataclass(frozen=True)
@@ -198,7 +204,7 @@ def _part(
         )
     nominal = any(scan.nominal is not None for scan in members)
     if not nominal:
-        fit = replace(fit, placements=_in_own_frame(members, fit.placements))
+        fit = fit.moved(_to_own_frame(members, fit.placements))
     return Part(tuple(group), fit, nominal, len(ties))
 
 
@@ -266,8 +272,8 @@ def _is_torn(members: Sequence[PanelScan], placements: Sequence[Placement], tie:
     return float(np.median(np.linalg.norm(one - two, axis=1))) > _TORN_MM
 
 
-def _in_own_frame(members: Sequence[PanelScan], placements: Sequence[Placement]) -> tuple[Placement, ...]:
-    """A frame on the skin: origin in its middle, z outward, x along its length and to the right for the rigs."""
+def _to_own_frame(members: Sequence[PanelScan], placements: Sequence[Placement]) -> Placement:
+    """Into a frame on the skin: origin in its middle, z outward, x along its length and to the right for the rigs."""
     points = np.concatenate(
         [
             placement.to_panel(scan.skin.points[::8, ::8].reshape(-1, 3))
@@ -281,7 +287,7 @@ def _in_own_frame(members: Sequence[PanelScan], placements: Sequence[Placement])
     right = np.mean([placement.R[:, 0] for placement in placements], axis=0)
     x = axes[0] * (1.0 if axes[0] @ right >= 0 else -1.0)
     R = np.stack([x, np.cross(outward, x), outward])
-    return tuple(Placement(R @ placement.R, R @ (placement.t - origin)) for placement in placements)
+    return Placement(R, -R @ origin)
 
 
 def _apart(scans: Sequence[PanelScan], parts: Sequence[Part], pairs: dict[tuple[int, int], Neighbours]) -> str:

@@ -88,6 +88,8 @@ class PanelFeature:
         The scan that measured it best.
     seen_by, measured_by : tuple of int
         Scans that found it, and those whose values are in it.
+    seen_as : tuple of str
+        What the scans that found it call it.
     place_u95_mm : float or None
     differences : tuple of Difference
     """
@@ -100,6 +102,7 @@ class PanelFeature:
     measured_by: tuple[int, ...]
     place_u95_mm: float | None
     differences: tuple[Difference, ...] = ()
+    seen_as: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -150,16 +153,18 @@ def combined(kind: Kind, part: int, sightings: Sequence[Sighting]) -> PanelFeatu
             row = _with_mean(row, quantity, known)
             differences += _differences(quantity, best if best in known else known[0], known)
     place, u95 = _place(found)
+    names = {each.scan: kind.id_of(each.row) for each in found if not each.row.is_missing}
     x, y, z = place
     return PanelFeature(
         kind,
         part,
         replace(row, x_panel_mm=x, y_panel_mm=y, z_panel_mm=z),
         best.scan,
-        tuple(sorted({each.scan for each in found if not each.row.is_missing})),
+        tuple(sorted(names)),
         tuple(sorted(measured)),
         u95,
         tuple(differences),
+        tuple(names[scan] for scan in sorted(names)),
     )
 
 

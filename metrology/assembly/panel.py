@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.assembly.assemble import Assembly, Part
+from metrology.assembly.carried import Former, known_course, known_in, known_single
 from metrology.assembly.features import PanelFeature, Sighting, single_features
 from metrology.assembly.runs import Piece, course_features
 from metrology.assembly.scan import PanelScan
@@ -55,7 +56,9 @@ class _Seen:
         )
 
 
-def panel_features(assembly: Assembly, spec: PanelSpec, layout: PanelLayout | None = None) -> PanelFeatures:
+def panel_features(
+    assembly: Assembly, spec: PanelSpec, layout: PanelLayout | None = None, former: Former | None = None
+) -> PanelFeatures:
     """Every feature of an assembled panel once, by kind, named and judged.
 
     Parameters
@@ -65,22 +68,26 @@ def panel_features(assembly: Assembly, spec: PanelSpec, layout: PanelLayout | No
     spec : PanelSpec
     layout : PanelLayout, optional
         The specification's pattern, whose names stay.
+    former : Former, optional
+        The assembly before, whose names stay where its frame does.
     """
-    return {kind.name: _of_kind(kind, assembly, spec, layout) for kind in KINDS}
+    return {kind.name: _of_kind(kind, assembly, spec, layout, former) for kind in KINDS}
 
 
-def _of_kind(kind: Kind, assembly: Assembly, spec: PanelSpec, layout: PanelLayout | None) -> list[PanelFeature]:
+def _of_kind(
+    kind: Kind, assembly: Assembly, spec: PanelSpec, layout: PanelLayout | None, former: Former | None
+) -> list[PanelFeature]:
     listed = _listed(layout)
     found: list[list[PanelFeature]] = []  # those of one name together
     for number, part in enumerate(assembly.parts, 1):
         seen = _seen(assembly, part)
         if kind.is_course:
             pieces = [piece for each in seen for piece in _pieces(kind, each, listed)]
-            found += course_features(kind, number, pieces, layout)
+            found += course_features(kind, number, pieces, layout, known_in(former, kind, part))
         else:
             rows = [each.sighting(row) for each in seen for row in each.scan.features.get(kind.name, ())]
             found += [[feature] for feature in _in_order(single_features(kind, number, rows))]
-    features = [feature for group in _named(kind, found, assembly, listed) for feature in group]
+    features = [feature for group in _named(kind, found, assembly, listed, former) for feature in group]
     judged = judge(kind, [feature.row for feature in features], spec)
     return [replace(feature, row=row) for feature, row in zip(features, judged, strict=True)]
 
@@ -125,20 +132,38 @@ def _in_order(features: Iterable[PanelFeature]) -> list[PanelFeature]:
 
 
 def _named(
-    kind: Kind, groups: Sequence[Sequence[PanelFeature]], assembly: Assembly, listed: set[str]
+    kind: Kind, groups: Sequence[Sequence[PanelFeature]], assembly: Assembly, listed: set[str], former: Former | None
 ) -> list[list[PanelFeature]]:
-    """Names of the specification stay; others are numbered anew, behind the letters that the scans gave them."""
-    taken = set(listed)
+    """Names of the specification and of the assembly before stay; others get the next number behind their letters."""
+    known = {number: known_in(former, kind, part) for number, part in enumerate(assembly.parts, 1)}
+    # A name that stood for something else would be taken for it: none of the assembly before is given anew.
+    carried = any(part.former for part in assembly.parts)
+    taken = listed.union(former.names.get(kind.name, {}) if former and carried else ())
+    given: set[str] = set()
     numbers: dict[str, Iterable[int]] = {}
     named = []
     for group in groups:
         first = group[0]
         name = first.name
-        if not (name in listed and assembly.scans[first.best].nominal is not None):
+        before = _name_before(kind, group, known[first.part])
+        if name in listed and assembly.scans[first.best].nominal is not None:
+            pass
+        elif before and before not in given:
+            name = before
+        else:
             letters = re.match(r"[^\d]*", name)[0]  # type: ignore[index]
             free = numbers.setdefault(letters, count(1))
             name = next(label for k in free if (label := f"{letters}{k:02d}") not in taken)
             taken.add(name)
+        given.add(name)
         changed: dict[str, Any] = {kind.id_columns[0]: name}
         named.append([replace(feature, row=replace(feature.row, **changed)) for feature in group])
     return named
+
+
+def _name_before(kind: Kind, group: Sequence[PanelFeature], known: Mapping[str, Array]) -> str | None:
+    """What the assembly before called it."""
+    if not kind.is_course:
+        return known_single(group[0], known)
+    places = [(f.row.x_panel_mm, f.row.y_panel_mm, f.row.z_panel_mm) for f in group if f.row.x_panel_mm is not None]
+    return known_course(np.array(places, float).reshape(-1, 3), known)

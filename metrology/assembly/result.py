@@ -8,8 +8,10 @@ from datetime import datetime
 from typing import Any
 
 from metrology.assembly.assemble import Assembly, place_u95
+from metrology.assembly.carried import Names
 from metrology.assembly.coverage import Coverage
 from metrology.assembly.panel import PanelFeatures
+from metrology.assembly.picture import Stitched
 from metrology.assembly.rows import DifferenceRow, StationRow
 from metrology.assembly.verdict import Judgement
 from metrology.results import PanelKey, SceneKey
@@ -35,6 +37,10 @@ class PanelResult:
     coverage : Coverage
     warnings : tuple of str
     versions : mapping
+    pictures : tuple of Stitched
+        Of each part.
+    remembered : mapping
+        Names of earlier assemblies that nothing in this one has.
     """
 
     key: PanelKey
@@ -47,6 +53,8 @@ class PanelResult:
     coverage: Coverage
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+    pictures: tuple[Stitched, ...] = ()
+    remembered: Names = field(default_factory=dict)
 
     @property
     def captured_at(self) -> datetime:
@@ -68,6 +76,7 @@ class PanelResult:
                     y,
                     z,
                     place_u95(part, self.assembly.scans, index),
+                    frame_id=part.frame_id,
                 )
         for number, why in self.assembly.left_out.items():
             rows[number] = StationRow(*self._names(number), None, reason=why)
@@ -110,6 +119,7 @@ class PanelResult:
                 "n_scans": len(feature.seen_by),
                 "n_measured": len(feature.measured_by),
                 "seen_by": [ids[k].scene_id for k in feature.seen_by],
+                "seen_as": list(feature.seen_as),
                 "place_u95_mm": feature.place_u95_mm,
             }
             for feature in self.features[kind]

@@ -7,6 +7,8 @@ from datetime import datetime
 from typing import Annotated, Literal
 
 State = Literal["measured", "not measured", "not seen"]
+Change = Literal["new", "worse", "better", "unchanged", "gone", "not seen"]
+CHANGES: tuple[Change, ...] = ("new", "worse", "better", "gone", "unchanged", "not seen")
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,9 @@ class StationRow:
         float | None, "expanded uncertainty (95 %) of the placement at its field's worst place, mm"
     ] = None
     reason: Annotated[str | None, "why the scan was left out"] = None
+    frame_id: Annotated[
+        str | None, "names the part's frame: places and names of assemblies with the same one are the same"
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,36 @@ class FindingRow:
     severity: Annotated[str | None, "green, blue or red, as in the tables of features"]
     decision: Annotated[str, "the gravest decision"]
     reason: Annotated[str | None, "what was found, and the limit"]
+
+
+@dataclass(frozen=True)
+class ChangeRow:
+    """One row of `panel_changes`: a finding of an assembly or of the one with other scans before it."""
+
+    feature_kind: Annotated[str, "kind of the feature"]
+    feature_id: Annotated[str, "its name; of a stretch: COURSE@FROM-TO"]
+    change: Annotated[
+        Change,
+        "new (in order or not seen before), worse or better (by more than the difference's U95), unchanged, gone, "
+        "not seen (a finding before, and nothing says what it is now)",
+    ]
+    quantity: Annotated[str, "what is compared"]
+    value: Annotated[float | None, "of the feature, or the worst of the stretch; of what is gone the value now"]
+    value_u95: Annotated[float | None, "expanded uncertainty (95 %) of value"]
+    before_value: Annotated[float | None, "the same in the assembly before"]
+    before_u95: Annotated[float | None, "expanded uncertainty (95 %) of before_value"]
+    difference: Annotated[float | None, "value minus before_value"]
+    difference_u95: Annotated[float | None, "expanded uncertainty (95 %) of the difference"]
+    from_mm: Annotated[float | None, "where the stretch begins along the course, mm"]
+    to_mm: Annotated[float | None, "where it ends, mm"]
+    x_panel_mm: Annotated[float | None, "place, or the worst place, in the panel's frame, mm"]
+    y_panel_mm: Annotated[float | None, "the same, mm"]
+    z_panel_mm: Annotated[float | None, "the same, mm"]
+    decision: Annotated[str | None, "the gravest decision now"]
+    before_decision: Annotated[str | None, "the gravest decision before, by the limits of now"]
+    reason: Annotated[str | None, "why it cannot be compared"]
+    before_run_id: Annotated[str, "the run of the assembly before"] = ""
+    before_captured_at: Annotated[datetime | None, "when the newest scan in it was taken (UTC)"] = None
 
 
 @dataclass(frozen=True)

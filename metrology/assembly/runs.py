@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.assembly.carried import known_course
 from metrology.assembly.features import PanelFeature, Sighting, combined
 from metrology.kinds import Kind
 from metrology.panel import PanelLayout, course_length, foot_on
@@ -57,11 +58,18 @@ class Piece:
 
 
 def course_features(
-    kind: Kind, part: int, pieces: Iterable[Piece], layout: PanelLayout | None = None
-) -> list[list[PanelFeature]]:
-    """The courses of a kind, each once: its positions in order, with s from one end."""
+    kind: Kind, part: int, pieces: Iterable[Piece], layout: PanelLayout | None = None,
+    known: Mapping[str, Array] | None = None,
+) -> list[list[PanelFeature]]:  # fmt: skip
+    """The courses of a kind, each once: its positions in order, with s from one end.
+
+    Parameters
+    ----------
+    known : mapping of str to (n, 4) ndarray, optional
+        s, x, y, z along courses of the assembly before: these go on as they were counted.
+    """
     sound = [piece for piece in pieces if len(piece.placed) > 1]
-    return [_one_course(kind, part, group, layout) for group in _groups(sound)]
+    return [_one_course(kind, part, group, layout, known or {}) for group in _groups(sound)]
 
 
 def _groups(pieces: Sequence[Piece]) -> list[list[Piece]]:
@@ -83,11 +91,16 @@ def _is_same(piece: Piece, other: Piece) -> bool:
     return bool(beside.sum() >= _FEWEST_BESIDE and np.median(foot.distance[beside]) < _SAME_COURSE_MM)
 
 
-def _one_course(kind: Kind, part: int, pieces: Sequence[Piece], layout: PanelLayout | None) -> list[PanelFeature]:
+def _one_course(
+    kind: Kind, part: int, pieces: Sequence[Piece], layout: PanelLayout | None, known: Mapping[str, Array]
+) -> list[PanelFeature]:
     course = _course(pieces)
-    if _is_backwards(course, pieces, layout):
+    guide = _nominal(pieces, layout)
+    if guide is None and (earlier := known_course(course, known)):
+        guide = known[earlier]
+    if _is_backwards(course, guide):
         course = course[::-1]
-    start = _nominal_start(course, pieces, layout)
+    start = 0.0 if guide is None else float(guide[0, 0] + foot_on(guide[:, 1:], course[:1]).s[0])
     along = [_along(kind, piece, course, start) for piece in _with_same_sides(pieces, course)]
     name = next((piece.name for piece in pieces if piece.listed), pieces[0].name)
     rows = []
@@ -125,26 +138,20 @@ def _gap(course: Array, places: Array) -> float:
     return float(np.maximum(np.maximum(-s, s - length), 0).min())
 
 
-def _is_backwards(course: Array, pieces: Sequence[Piece], layout: PanelLayout | None) -> bool:
-    """Whether a course runs against its nominal one or, without one, to the left (or up and down, upwards)."""
-    nominal = _nominal(pieces, layout)
-    if nominal is not None:
-        s = foot_on(nominal, course[[0, -1]]).s
+def _is_backwards(course: Array, guide: Array | None) -> bool:
+    """Whether a course runs against its guide or, without one, to the left (or up and down, upwards)."""
+    if guide is not None:
+        s = foot_on(guide[:, 1:], course[[0, -1]]).s
         return bool(s[0] > s[1])
     x, y, _ = course[-1] - course[0]
     return bool(x < 0 if abs(x) >= abs(y) else y > 0)
 
 
 def _nominal(pieces: Sequence[Piece], layout: PanelLayout | None) -> Array | None:
+    """(n, 4) s of the start (0) and x, y, z of the corners."""
     names = {piece.name for piece in pieces if piece.listed}
     seams = [seam for seam in layout.seams if seam.seam_id in names] if layout else []
-    return np.array(seams[0].course, float) if seams else None
-
-
-def _nominal_start(course: Array, pieces: Sequence[Piece], layout: PanelLayout | None) -> float:
-    """s of the course's first point."""
-    nominal = _nominal(pieces, layout)
-    return 0.0 if nominal is None else float(foot_on(nominal, course[:1]).s[0])
+    return np.insert(np.array(seams[0].course, float), 0, 0.0, axis=1) if seams else None
 
 
 def _with_same_sides(pieces: Sequence[Piece], course: Array) -> list[Piece]:

@@ -60,11 +60,15 @@ def judgement(
         )
         for each in outcomes
     )  # fmt: skip
-    found = [row for name, rows in features.items() for row in _findings(BY_NAME[name], rows, spec)]
-    return Judgement(verdict, reason, rows, tuple(found))
+    return Judgement(verdict, reason, rows, tuple(findings(features, spec)))
 
 
-def _findings(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[FindingRow]:
+def findings(features: Mapping[str, Sequence[Feature]], spec: PanelSpec) -> list[FindingRow]:
+    """Judged features by the names of their kinds, and stretches of courses, that do not simply pass."""
+    return [row for name, rows in features.items() for row in _of_kind(BY_NAME[name], rows, spec)]
+
+
+def _of_kind(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[FindingRow]:
     if kind.is_course:
         return [_of_stretch(each) for each in stretches(kind, rows, spec)]  # type: ignore[arg-type]
     first = kind.quantities[0]

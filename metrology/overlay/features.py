@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -98,17 +98,19 @@ def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
         places = projector.project(np.array([(row.x_mm, row.y_mm, row.z_mm) for row in course], float))
         if not projector.inside(places).all():
             canvas.outside.append(name)
-        for run in _runs(course):
+        for run in _runs([row.severity for row in course]):
             severity = course[run.start].severity
             reach = BAR_END_MM[severity] * canvas.px_per_mm
             marks = seam_marks(places[run], severity, canvas.px_per_mm, canvas.line_width)
             canvas.strokes.extend(replace(mark, feature=name) for mark in marks)
             for place in places[run][projector.inside(places[run])]:
                 layout.occupy(place[None], reach)
-            along = np.array([getattr(row, position) for row in course])
-            for k in _labelled(_sizes(kind, course), along, run, canvas.label_every_mm):
-                if projector.inside(places[k]):
-                    canvas.wishes.append(Wish(name, _text(kind, course[k]), places[k], np.full(2, reach), severity))
+        along = np.array([getattr(row, position) for row in course])
+        for k, text in _values(kind, course, along, canvas.label_every_mm):
+            severity = course[k].severity
+            if projector.inside(places[k]):
+                reach = BAR_END_MM[severity] * canvas.px_per_mm
+                canvas.wishes.append(Wish(name, text, places[k], np.full(2, reach), severity))
 
 
 def _is_long(kind: Kind, row: Any) -> bool:
@@ -163,10 +165,26 @@ def _said(value: float | None, signed: bool) -> str:
     return f"{round(value, 2) + 0.0:+.2f}" if signed else f"{value:.2f}"
 
 
-def _runs(rows: Sequence[Feature]) -> list[slice]:
-    """Slices of consecutive rows with the same severity."""
-    cuts = [k for k in range(1, len(rows)) if rows[k].severity != rows[k - 1].severity]
-    edges = [0, *cuts, len(rows)]
+def _values(kind: Kind, course: Sequence[Any], along: Array, every_mm: float) -> Iterator[tuple[int, str]]:
+    """Where values are written along a course: once for a stretch, at its worst position and with its length."""
+    sizes = _sizes(kind, course)
+    for run in _runs([row.stretch or row.severity for row in course]):
+        if course[run.start].stretch is None:
+            yield from ((k, _text(kind, course[k])) for k in _labelled(sizes, along, run, every_mm))
+            continue
+        worst = max(range(run.start, run.stop), key=lambda k: (_beyond(course[k]), sizes[k]))
+        length = (along[run.stop - 1] - along[run.start]) * (n := run.stop - run.start) / (n - 1)
+        yield worst, f"{_text(kind, course[worst])} ({length:.0f} mm)"
+
+
+def _beyond(row: Any) -> float:
+    return -np.inf if row.beyond_mm is None else float(row.beyond_mm)
+
+
+def _runs(values: Sequence[Any]) -> list[slice]:
+    """Slices of consecutive values that are the same."""
+    cuts = [k for k in range(1, len(values)) if values[k] != values[k - 1]]
+    edges = [0, *cuts, len(values)]
     return [slice(a, b) for a, b in pairwise(edges)]
 
 

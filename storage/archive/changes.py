@@ -1,9 +1,9 @@
 """What changed at each place since the scan before: findings that are new, worse, better or cured, and what drifts.
 
-A finding is a feature that does not simply pass; neighbouring positions of a course that do not are one, by the name of
-their worst stretch. A scan is compared with the one before it of the same aircraft, panel and station; features are the
-same by their names, positions of a course by where they lie along it. A scan whose panel was not recognised has names
-of its own, and so has a rivet that is in no pattern (X01): nothing there is compared.
+A finding is a feature that does not simply pass, or a stretch of a course as its run names it. A scan is compared with
+the one before it of the same aircraft, panel and station; features are the same by their names, positions of a course
+by where they lie along it. A scan whose panel was not recognised has names of its own, and so has a rivet that is in
+no pattern (X01): nothing there is compared.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ NEW, WORSE, BETTER, SAME, CURED = "new", "worse", "better", "unchanged", "cured"
 CHANGES = (NEW, WORSE, SAME, BETTER, CURED)
 
 _SLACK_MM = 5.0  # a course is not found to begin at the same place on every scan
+_HALF_STEP_MM = 1.0  # between two positions
 WATCHED = 30
 """Scans of a place that a drift is looked for in, the newest ones."""
 _DRIFTING = (RIVET, SEAM_STATION)
@@ -52,7 +53,9 @@ def changes_sql(since: str) -> str:
         A condition on a row of `latest_scenes` with `taken_at`: which of the newest scans are meant.
     """
     worst = ", ".join(f"arg_min({name}, worse_first) AS {name}" for name in _VALUES)
-    worst = f"arg_min(coalesce(stretch, feature_id), worse_first) AS feature_id, {worst}"
+    # Positions beside a finding are of another one, unless there is nothing else.
+    beside = f"(o.position < f.from_mm - {_HALF_STEP_MM} OR o.position > f.to_mm + {_HALF_STEP_MM})"
+    nearby = f"({beside}, o.rank, -coalesce(abs(o.value_mm), 0))"
     return f"""WITH fresh AS (
     SELECT * FROM (SELECT *, {TAKEN_AT} AS taken_at FROM latest_scenes) WHERE {since}
 ), before AS (
@@ -63,19 +66,15 @@ def changes_sql(since: str) -> str:
     SELECT scene_id AS now_id, scene_id, true AS now, registration, n_unlisted FROM fresh
     UNION ALL SELECT now_id, scene_id, false, registration, n_unlisted FROM before
 ), rows AS MATERIALIZED ({" UNION ALL ".join(_rows(kind) for kind in KINDS)}
-), numbered AS (
-    SELECT *, (rank, -coalesce(abs(value_mm), 0)) AS worse_first,
-        row_number() OVER (PARTITION BY now_id, now, feature_kind, name ORDER BY position)
-        - row_number() OVER (PARTITION BY now_id, now, feature_kind, name, bad ORDER BY position) AS run
-    FROM rows
 ), found AS (
-    SELECT now_id, now, feature_kind, name, min(position) AS from_mm, max(position) AS to_mm, count(*) AS positions,
-        min(rank) AS rank, bool_and(kept_name) AS kept_name, {worst}
-    FROM numbered WHERE bad GROUP BY now_id, now, feature_kind, name, run
+    SELECT now_id, now, feature_kind, name, coalesce(stretch, feature_id) AS feature_id, min(position) AS from_mm,
+        max(position) AS to_mm, count(*) AS positions, min(rank) AS rank, bool_and(kept_name) AS kept_name, {worst}
+    FROM (SELECT *, (rank, -coalesce(abs(value_mm), 0)) AS worse_first FROM rows) r WHERE bad
+    GROUP BY now_id, now, feature_kind, name, coalesce(r.stretch, r.feature_id)
 ), other AS (
     SELECT f.now_id, f.now, f.feature_kind, f.name, f.from_mm, count(o.name) AS seen, bool_or(o.bad) AS bad,
-        min(o.rank) AS rank, arg_min(o.value_mm, (o.rank, -coalesce(abs(o.value_mm), 0))) AS value_mm,
-        arg_min(o.u95_mm, (o.rank, -coalesce(abs(o.value_mm), 0))) AS u95_mm
+        arg_min(o.rank, {nearby}) AS rank, arg_min(o.value_mm, {nearby}) AS value_mm,
+        arg_min(o.u95_mm, {nearby}) AS u95_mm
     FROM found f LEFT JOIN rows o ON o.now_id = f.now_id AND o.now <> f.now AND o.feature_kind = f.feature_kind
         AND o.name = f.name AND o.position BETWEEN f.from_mm - {_SLACK_MM} AND f.to_mm + {_SLACK_MM}
         AND o.kept_name AND f.kept_name

@@ -10,6 +10,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
+from metrology.assembly.carried import Names
 from metrology.assembly.result import PanelResult
 from metrology.assembly.rows import VerdictRow
 from metrology.assembly.verdict import Judgement
@@ -17,6 +18,7 @@ from metrology.kinds import KINDS, Count, Kind
 from metrology.results import PanelKey
 from storage.archive.bundle import PANEL_FORMAT, as_tables, document_hash, seal
 from storage.archive.schema import (
+    PANEL_CHANGES,
     PANEL_COVERAGE,
     PANEL_DIFFERENCES,
     PANEL_FINDINGS,
@@ -28,8 +30,11 @@ from storage.archive.schema import (
     PANELS,
 )
 from storage.documents import utc_text
+from storage.panel_picture import PICTURES, encoded
 
 Row = dict[str, Any]
+REMEMBERED = "remembered"
+"""Where a panel run's manifest has names of earlier assemblies."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,12 @@ class PanelDocument:
         The run of each scan that went in.
     warnings : tuple of str
     versions : mapping
+    remembered : mapping
+        Names of earlier assemblies that nothing in this one has, by kind: part, and places.
+    pictures : sequence of mapping
+        What the manifest says of the stitched pictures.
+    files : mapping of str to bytes
+        Their files.
     """
 
     key: PanelKey
@@ -58,6 +69,9 @@ class PanelDocument:
     scenes: Mapping[str, str]
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+    remembered: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    pictures: Sequence[Mapping[str, Any]] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def write_panel_bundle(
@@ -69,6 +83,8 @@ def write_panel_bundle(
     tables = as_tables(PANEL_TABLES, {**document.rows, PANELS.name: [panel | run]})
     for name, table in tables.items():
         pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
+    for name, content in document.files.items():
+        (folder / name).write_bytes(content)
     manifest = {
         "format": PANEL_FORMAT,
         "run_id": run_id,
@@ -82,6 +98,8 @@ def write_panel_bundle(
         "scenes": document.scenes,
         "versions": document.versions,
         "warnings": list(document.warnings),
+        REMEMBERED: document.remembered,
+        PICTURES: list(document.pictures),
         "rows": {name: table.num_rows for name, table in tables.items()},
     }
     seal(folder, manifest)
@@ -96,10 +114,18 @@ def panel_document(result: PanelResult, earlier: Sequence[Row] = ()) -> PanelDoc
         The panel's rows of `panel_verdicts` so far; they stay.
     """
     scenes = {key.scene_id: run for key, run in result.runs.items()}
+    files, pictures = encoded(result.pictures)
     return PanelDocument(
         result.key, result.captured_at, _panel_rows(result, earlier), result.panel_spec, scenes, result.warnings,
-        result.versions,
+        result.versions, _remembered(result.remembered), pictures, files,
     )  # fmt: skip
+
+
+def _remembered(names: Names) -> dict[str, dict[str, Any]]:
+    return {
+        kind: {name: {"part": known.part, "places": known.places.tolist()} for name, known in of_kind.items()}
+        for kind, of_kind in names.items()
+    }
 
 
 def key_columns(key: PanelKey, captured_at: datetime) -> Row:
@@ -116,6 +142,7 @@ def _panel_rows(result: PanelResult, earlier: Sequence[Row]) -> dict[str, Sequen
         rows[PANEL_OF_KIND[kind.name].name] = [key | _of_feature(feature.row, names) | more for feature, more in found]
     rows[PANEL_STATIONS.name] = [key | plain_row(row) for row in result.station_rows()]
     rows[PANEL_DIFFERENCES.name] = [key | plain_row(row) for row in result.difference_rows()]
+    rows[PANEL_CHANGES.name] = []
     rows[PANEL_COVERAGE.name] = [key | plain_row(row) for row in result.coverage.rows]
     return rows | judgement_rows(key, result.judgement, result.spec_name, earlier)
 

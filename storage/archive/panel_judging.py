@@ -14,7 +14,7 @@ from metrology.panel import PanelLayout
 from metrology.results import Feature, PanelKey
 from metrology.tolerance import as_measured, judge
 from storage.archive.bundle import MANIFEST
-from storage.archive.panel_bundle import PanelDocument, judgement_rows, key_columns
+from storage.archive.panel_bundle import REMEMBERED, PanelDocument, judgement_rows, key_columns
 from storage.archive.rows import result_of
 from storage.archive.schema import (
     PANEL_COVERAGE,
@@ -25,6 +25,7 @@ from storage.archive.schema import (
 )
 from storage.archive.store import Store
 from storage.documents import read_json
+from storage.panel_picture import PICTURES, listed_files
 from storage.panel_spec import PanelSpecification
 
 Row = dict[str, Any]
@@ -48,7 +49,7 @@ def judged_again(store: Store, key: PanelKey, spec: PanelSpecification) -> Panel
     features: dict[str, Sequence[Feature]] = {}
     for kind in KINDS:
         table = PANEL_OF_KIND[kind.name].name
-        judged = judge(kind, [_measured(kind, row, spec) for row in rows[table]], spec.limits)
+        judged = judge(kind, [measured_row(kind, row, spec) for row in rows[table]], spec.limits)
         features[kind.name] = judged
         rows[table] = [_with(row, feature) for row, feature in zip(rows[table], judged, strict=True)]
     gaps = gaps_said([(row["feature_id"], row["state"]) for row in rows[PANEL_COVERAGE.name]])
@@ -63,13 +64,15 @@ def judged_again(store: Store, key: PanelKey, spec: PanelSpecification) -> Panel
     bundle = store.root / panel["bundle_path"]
     store.bundles.bring(bundle)
     manifest = read_json(bundle / MANIFEST, StoreError)
+    pictures = manifest.get(PICTURES, [])
+    files = {name: (bundle / name).read_bytes() for name in listed_files(pictures)}
     return PanelDocument(
         key, panel["captured_at"], rows, spec.document, manifest["scenes"], tuple(warnings),
-        manifest["versions"],
+        manifest["versions"], manifest.get(REMEMBERED, {}), pictures, files,
     )  # fmt: skip
 
 
-def _measured(kind: Kind, row: Mapping[str, Any], spec: PanelSpecification) -> Feature:
+def measured_row(kind: Kind, row: Mapping[str, Any], spec: PanelSpecification) -> Feature:
     """A stored feature, not judged, in the zone that the specification puts it in."""
     feature = as_measured(kind, result_of(kind.row_type, row))
     zone = _zone(kind, row, spec.layout)

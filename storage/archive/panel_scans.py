@@ -24,6 +24,7 @@ from storage.archive.store import Store
 from storage.cloud import read_cloud
 from storage.documents import read_json
 from storage.fits import read_fits
+from storage.frames import read_preview
 from storage.panel_spec import panel_spec_from
 from storage.rig import load_rig
 
@@ -32,11 +33,12 @@ Features = dict[str, list[Any]]
 
 @dataclass(frozen=True)
 class ScanOfPanel:
-    """A scan, the run that it is taken from, and what that run was judged by."""
+    """A scan, the run that it is taken from, what that run was judged by, and what its left camera saw."""
 
     scan: PanelScan
     run_id: str
     panel_spec: Mapping[str, Any]
+    texture: NDArray[np.uint8]
 
 
 def panels_of(store: Store) -> list[PanelKey]:
@@ -70,6 +72,17 @@ def newest_scans(store: Store, key: PanelKey, layout: PanelLayout | None = None)
         )
 
 
+def scan_of(store: Store, scene_id: str) -> PanelScan | None:
+    """A scan as an assembly takes it; None where the archive has it no more."""
+    rows = store.query(
+        "SELECT aircraft_serial, panel, station, captured_at, run_id FROM scenes WHERE scene_id = ?", [scene_id]
+    ).to_pylist()
+    for row in rows:
+        run = row.pop("run_id")
+        return _loaded(store, SceneKey(**row), run, _features(store, [scene_id])[scene_id], None).scan
+    return None
+
+
 def _loaded(store: Store, key: SceneKey, run_id: str, features: Features, layout: PanelLayout | None) -> ScanOfPanel:
     paths = store.paths(key.scene_id)
     manifest = read_json(paths.bundle / MANIFEST, StoreError)
@@ -82,7 +95,7 @@ def _loaded(store: Store, key: SceneKey, run_id: str, features: Features, layout
         _across(paths.bundle / FITS),
         _nominal(manifest, paths.bundle / MANIFEST, layout),
     )
-    return ScanOfPanel(scan, run_id, manifest.get("panel_spec") or {})
+    return ScanOfPanel(scan, run_id, manifest.get("panel_spec") or {}, read_preview(paths.preview))
 
 
 def _features(store: Store, scenes: Sequence[str]) -> dict[str, Features]:

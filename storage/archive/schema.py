@@ -7,7 +7,7 @@ from dataclasses import MISSING, dataclass, fields
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-from metrology.assembly.rows import CoverageRow, DifferenceRow, FindingRow, RuleRow, StationRow, VerdictRow
+from metrology.assembly.rows import ChangeRow, CoverageRow, DifferenceRow, FindingRow, RuleRow, StationRow, VerdictRow
 from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
 from metrology.steps import TIMED
@@ -194,6 +194,7 @@ best_scene_id VARCHAR the scan that measured it best
 n_scans INTEGER scans that found it
 n_measured INTEGER scans whose values are in it
 seen_by VARCHAR[] scans that found it
+seen_as VARCHAR[] what these scans call it
 place_u95_mm DOUBLE expanded uncertainty (95 %) of its place in the panel's frame, mm
 """)
 PANELS = Table(
@@ -251,6 +252,11 @@ PANEL_FINDINGS = _plain_table(
     FindingRow,
 )
 PANEL_VERDICTS = _plain_table("panel_verdicts", "One row per judgement of each panel, the last one last", VerdictRow)
+PANEL_CHANGES = _plain_table(
+    "panel_changes",
+    "One row per finding of an assembled panel, or of the assembly before: what became of it",
+    ChangeRow,
+)
 PANEL_TABLES = (
     PANELS,
     *PANEL_OF_KIND.values(),
@@ -260,6 +266,7 @@ PANEL_TABLES = (
     PANEL_RULES,
     PANEL_FINDINGS,
     PANEL_VERDICTS,
+    PANEL_CHANGES,
 )
 TABLES = (*SCENE_TABLES, *PANEL_TABLES)
 

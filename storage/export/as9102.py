@@ -59,7 +59,11 @@ def _source(c: Characteristic) -> str:
 
 FORM_3 = (
     Field("5 Char. No.", lambda c: c.number, "number on the ballooned map"),
-    Field("6 Reference Location", _place, "station, kind and id of the feature, its place in the panel's frame"),
+    Field(
+        "6 Reference Location",
+        _place,
+        "station, kind and id of the feature or stretch, its (worst) place in the panel's frame",
+    ),
     Field("7 Characteristic Designator", lambda c: c.quantity.title, "the quantity"),
     Field("8 Requirement", lambda c: requirement(c.limit, c.quantity.unit), "the limit that it was judged by"),
     Field("Lower", lambda c: c.limit.lower if c.limit else None, "lower limit, a number"),
@@ -113,7 +117,7 @@ def _scan(scene: ExportedScene) -> str:
 
 
 def _rows(subject: Subject) -> Iterator[list[object]]:
-    for _, group in groupby(subject.characteristics, key=lambda c: (c.scene.scene_id, c.kind.name, c.feature)):
+    for _, group in groupby(subject.lines, key=lambda c: (c.scene.scene_id, c.kind.name, c.feature)):
         feature = list(group)
         outside = [c.decision in OUTSIDE for c in feature]
         # What fails as a whole (another fastener than the pattern's) fails by none of its quantities.

@@ -26,7 +26,7 @@ def ballooned_map(subject: Subject, store: Store) -> str:
     """One SVG that needs nothing else: a picture for each station, one above the other."""
     pictures, height = [], 0
     for scene in subject.scenes:
-        own = [c for c in subject.characteristics if c.scene is scene]
+        own = [c for c in subject.lines if c.scene is scene]
         drawn, tall = _station(scene, own, store, height)
         pictures.append(drawn)
         height += tall
@@ -59,8 +59,8 @@ def _station(scene: ExportedScene, own: Sequence[Characteristic], store: Store, 
 
 
 def _groups(own: Sequence[Characteristic]) -> Iterator[list[Characteristic]]:
-    """Characteristics that share a balloon: all of a rivet, all along a seam."""
-    for _, group in groupby(own, key=lambda c: (c.kind.name, c.row[c.kind.id_columns[0]])):
+    """Characteristics that share a balloon: all of a rivet, of a stretch of a seam, of what of it passes."""
+    for _, group in groupby(own, key=lambda c: (c.kind.name, c.feature)):
         yield list(group)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 from uuid import UUID, uuid5
@@ -15,7 +15,7 @@ from metrology.limits import Limit, PanelSpec
 from metrology.panel import Placement
 from metrology.requirements import downstream_of, limit_of
 from metrology.results import Decision
-from metrology.verdicts import DECISIONS, gravity
+from metrology.verdicts import DECISIONS, IN_ORDER, gravity
 from storage.archive.bundle import MANIFEST
 from storage.archive.store import Store
 from storage.documents import read_json
@@ -126,6 +126,22 @@ class Subject:
         numbered = enumerate((c for scene in self.scenes for c in _measured(scene)), 1)
         return tuple(Characteristic(number, *parts) for number, parts in numbered)
 
+    @cached_property
+    def lines(self) -> tuple[Characteristic, ...]:
+        """The same for a person: of each stretch of a course one line for a quantity, with its worst value.
+
+        Positions that simply pass are one line together. Lines are numbered anew.
+        """
+        groups: dict[tuple[str, str, str, str], list[Characteristic]] = {}
+        for c in self.characteristics:
+            groups.setdefault((c.scene.scene_id, c.kind.name, _line_of(c), c.quantity.name), []).append(c)
+        found = []
+        for number, ((_, _, name, _), group) in enumerate(groups.items(), 1):
+            decision = min((c.row["decision"] for c in group), key=gravity)
+            worst = max(group, key=_beyond)
+            found.append(replace(worst, number=number, feature=name, row={**worst.row, "decision": decision}))
+        return tuple(found)
+
     @property
     def features(self) -> Iterator[Row]:
         """The rows of all features."""
@@ -214,6 +230,21 @@ def _measured(scene: ExportedScene) -> Iterator[tuple[Any, ...]]:
                 limit = limit_of(zone, quantity, downstream_of(quantity, row))
                 decision = _decision(value, u95, limit)
                 yield kind, quantity, kind.id_of(row), row, scene, value, u95, limit, decision
+
+
+def _line_of(c: Characteristic) -> str:
+    """The name of what a characteristic is listed with."""
+    if not c.kind.is_course:
+        return c.feature
+    passes = c.row["decision"] in IN_ORDER
+    return str(c.row[c.kind.id_columns[0]] if passes else c.row.get("stretch") or c.feature)
+
+
+def _beyond(c: Characteristic) -> tuple[bool, float]:
+    """How far a value lies beyond its limit or, without one, its amount; what was not measured is never the worst."""
+    if c.value is None:
+        return False, 0.0
+    return True, abs(c.value) if c.limit is None else -c.limit.margin(c.value)
 
 
 def _decision(value: float | None, u95: float | None, limit: Limit | None) -> Decision:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from metrology.assembly.picture import Stitched
 from metrology.errors import StoreError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
@@ -14,6 +15,7 @@ from metrology.tolerance import PanelSpec
 from storage.archive import Store
 from storage.archive.bundle import MANIFEST
 from storage.archive.schema import (
+    PANEL_CHANGES,
     PANEL_COVERAGE,
     PANEL_FINDINGS,
     PANEL_OF_KIND,
@@ -24,7 +26,8 @@ from storage.archive.schema import (
 )
 from storage.archive.work import Standing, open_work, standings
 from storage.documents import read_json
-from storage.panel_spec import judged_by
+from storage.panel_picture import stored_pictures
+from storage.panel_spec import judged_by, locations_of
 from storage.review import Entry, ReviewLog
 
 if TYPE_CHECKING:
@@ -43,7 +46,7 @@ class AssembledRecord:
         Its row of the table panels.
     of_kind : mapping
         Its rows of the tables of features, by the names of the kinds.
-    rules, findings, coverage, stations, verdicts : tuple of mapping
+    rules, findings, coverage, stations, verdicts, changes : tuple of mapping
         Its rows of these tables.
     scenes : mapping of str to mapping
         The rows of `scenes` of the scans in it that the archive still has, by their ids.
@@ -55,6 +58,10 @@ class AssembledRecord:
         How the findings of each scan stand.
     work : tuple of Entry
         Dispositions of its scans, earlier ones too, whose work is still open.
+    locations : mapping of str to str
+        Where features are on the aircraft, by their names.
+    pictures : mapping of int to Stitched
+        By the number of the part; none of runs of versions that made none.
     sign_offs : mapping of str to Entry
     review_head : str
     """
@@ -73,6 +80,9 @@ class AssembledRecord:
     work: tuple[Entry, ...] = ()
     sign_offs: Mapping[str, Entry] = field(default_factory=dict)
     review_head: str = ""
+    pictures: Mapping[int, Stitched] = field(default_factory=dict)
+    locations: Mapping[str, str] = field(default_factory=dict)
+    changes: tuple[Row, ...] = ()
 
 
 def is_assembled(store: Store, key: PanelKey) -> bool:
@@ -105,6 +115,7 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
     bundle = store.root / panel["bundle_path"]
     store.bundles.bring(bundle, tables_only=True)
     manifest = bundle / MANIFEST
+    document = read_json(manifest, StoreError)
     review = ReviewLog(store.root).of_scenes([str(row["scene_id"]) for row in scans])
     work = open_work(connection, review)
     return AssembledRecord(
@@ -117,11 +128,14 @@ def _record(connection: duckdb.DuckDBPyConnection, store: Store, key: PanelKey) 
         rows(PANEL_VERDICTS.name, "judged_at"),
         {row["scene_id"]: row for row in newest if row["scene_id"] in used},
         tuple(row["station"] for row in newest if row["scene_id"] not in used),
-        judged_by(read_json(manifest, StoreError), manifest),
+        judged_by(document, manifest),
         {scene: standings(connection, review, scene) for scene in sorted(used)},
         tuple({entry.number: entry for entry in work.values()}.values()),
         {scene: entry for scene, entry in review.sign_offs().items() if scene in used},
         str(ReviewLog(store.root).head()),
+        stored_pictures(store.file, f"{panel['bundle_path']}/{MANIFEST}"),
+        locations_of(document.get("panel_spec") or {}),
+        rows(PANEL_CHANGES.name, "feature_kind", "feature_id", "change"),
     )  # fmt: skip
 
 

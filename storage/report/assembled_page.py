@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
+from metrology.assembly.rows import CHANGES
 from metrology.kinds import BY_NAME, KINDS
 from metrology.verdicts import gravity
 from storage.archive.work import said
@@ -17,6 +18,7 @@ from storage.report.markup import badge, code, facts, figure, moment, number, pa
 from storage.report.sections import entries_table, limits_table, why
 from storage.report.verdicts import CLASSES, KEY, SIGNS, counted
 
+_PRINTED_CHANGES = 30
 _PRINTED = 60  # findings on paper, the gravest; the page on the screen has all
 _LIKE = {
     "accepted": "pass",
@@ -48,7 +50,9 @@ def assembled_page(record: AssembledRecord, letterhead: Letterhead | None = None
         coverage=_coverage(record),
         maps=_maps(record),
         rules=_rules(record.rules),
-        findings=_findings(sorted(record.findings, key=_gravest_first)),
+        findings=_findings(sorted(record.findings, key=_gravest_first), record.locations),
+        changes=_changes(record.changes),
+        changes_since=moment(record.changes[0]["before_captured_at"]) if record.changes else "",
         n_findings=len(record.findings),
         printed=_PRINTED,
         stations=_stations(record),
@@ -113,7 +117,7 @@ def _maps(record: AssembledRecord) -> list[Markup]:
     for part in range(1, record.panel["n_parts"] + 1):
         of_part = {name: [row for row in rows if row["part"] == part] for name, rows in record.of_kind.items()}
         gaps = [row for row in record.coverage if row["state"] == "not seen"] if part == 1 else []
-        if drawing := panel_map(of_part, gaps):
+        if drawing := panel_map(of_part, gaps, record.pictures.get(part)):
             frame = f"part {part}, " if record.panel["n_parts"] > 1 else ""
             maps.append(figure(drawing, f"The panel from outside, {frame}in its own frame. {KEY}; ? not seen."))
     return maps
@@ -135,16 +139,35 @@ def _gravest_first(finding: Row) -> tuple[int, bool, str, float]:
     return gravity(finding["decision"]), finding["severity"] != "red", finding["feature_id"], finding["from_mm"] or 0.0
 
 
-def _findings(findings: Sequence[Row]) -> Markup:
+def _findings(findings: Sequence[Row], locations: Mapping[str, str]) -> Markup:
     rows = []
     for row in findings:
         quantity = next(q for q in BY_NAME[row["feature_kind"]].quantities if q.name == row["quantity"])
         value = with_u95(row["value"], row["value_u95"], 3, quantity.signed)
-        rows.append([row["feature_id"], quantity.said, value, quantity.unit, number(row["length_mm"], 0),
+        location = locations.get(row["feature_id"].split("@")[0])
+        name = row["feature_id"] + (f", {location}" if location else "")
+        rows.append([name, quantity.said, value, quantity.unit, number(row["length_mm"], 0),
                      badge(row["decision"]), why(row)])  # fmt: skip
     heads = ["feature", "quantity", "value", "unit", "length mm", "verdict", "why"]
     return section("long_table", table(heads, rows[:_PRINTED], [2, 4]),
                    table(heads, rows[_PRINTED:], [2, 4]) if rows[_PRINTED:] else "")  # fmt: skip
+
+
+def _changes(changes: Sequence[Row]) -> Markup:
+    """What became of each finding since the assembly before, what is new first."""
+    if not changes:
+        return Markup()
+    rows = []
+    for row in sorted(changes, key=lambda row: CHANGES.index(row["change"])):
+        quantity = next(q for q in BY_NAME[row["feature_kind"]].quantities if q.name == row["quantity"])
+        values = [
+            with_u95(row[value], row[u95], 3, quantity.signed)
+            for value, u95 in (("value", "value_u95"), ("before_value", "before_u95"), ("difference", "difference_u95"))
+        ]
+        rows.append([row["change"], row["feature_id"], quantity.said, *values, quantity.unit, row["reason"] or ""])
+    heads = ["change", "feature", "quantity", "now", "then", "difference", "unit", "why"]
+    return section("long_table", table(heads, rows[:_PRINTED_CHANGES], [3, 4, 5]),
+                   table(heads, rows[_PRINTED_CHANGES:], [3, 4, 5]) if rows[_PRINTED_CHANGES:] else "")  # fmt: skip
 
 
 def _stations(record: AssembledRecord) -> Markup:

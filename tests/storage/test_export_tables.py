@@ -24,6 +24,7 @@ from storage.export.qif import FAMILY, NAMESPACE
 from storage.export.subject import Subject
 from tests.support.exported import AIRCRAFT, HOSTILE, OPERATOR, PANEL, exported, publish_hostile
 from tests.support.results import small_key, small_result
+from tests.support.synthetic_scene import Recipe, synthetic_result
 
 Q = f"{{{NAMESPACE}}}"
 
@@ -39,10 +40,10 @@ def test_form_3_has_every_characteristic_as_numbers_and_texts_as_they_are(store:
     lines = [[cell.value for cell in row] for row in sheet.iter_rows()]
     heads = next(i for i, line in enumerate(lines) if line[0] == FORM_3[0].head)
     rows = [dict(zip(lines[heads], line, strict=True)) for line in lines[heads + 1 :]]
-    assert len(rows) == len(subject.characteristics)
+    assert len(rows) == len(subject.lines)
     assert any(OPERATOR in str(cell) for line in lines[:heads] for cell in line)
     assert not any(cell.data_type == "f" for row in sheet.iter_rows() for cell in row)
-    for row, c in zip(rows, subject.characteristics, strict=True):
+    for row, c in zip(rows, subject.lines, strict=True):
         assert row["5 Char. No."] == c.number
         assert row["9 Results"] == c.value
         assert row["U95"] == c.u95
@@ -66,15 +67,32 @@ def test_a_wrong_fastener_is_a_nonconformance_although_its_quantities_pass(tmp_p
     assert (rows["Feature Verdict"][:2] == "fail").all()
 
 
+def test_a_stretch_of_a_seam_is_one_line_of_the_form(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    store.publish(synthetic_result(Recipe(small_key("S1", AIRCRAFT, PANEL), (0.0,) * 12, step_mm=0.15)))
+    subject, files = exported(store, tmp_path, "as9102")
+    steps = [c for c in subject.characteristics if c.quantity.name == "step"]
+    lines = [c for c in subject.lines if c.quantity.name == "step"]
+    assert [c.number for c in subject.lines] == list(range(1, len(subject.lines) + 1))
+    stretches = {c.row["stretch"] for c in steps} - {None}
+    assert stretches
+    assert {c.feature for c in lines} >= stretches | {"M1"}
+    assert len(lines) < 5 < len(steps)
+    for name in stretches:
+        [line] = [c for c in lines if c.feature == name]
+        worst = max((c for c in steps if c.row["stretch"] == name), key=lambda c: c.value)
+        assert (line.value, line.row["x_mm"]) == (worst.value, worst.row["x_mm"])
+    rows = pd.read_csv(files["-as9102.csv"])
+    assert rows["6 Reference Location"].str.contains(f"seam station {min(stretches)}", regex=False).sum() == 2
+
+
 @pytest.mark.parametrize(("decimal", "separator", "mark"), [("point", ",", "."), ("comma", ";", ",")])
 def test_numbers_of_csv_are_numbers_where_it_is_opened(
     store: Store, tmp_path: Path, decimal: str, separator: str, mark: str
 ) -> None:
     subject, files = exported(store, tmp_path, "as9102", "csv", decimal=decimal)
     form = pd.read_csv(files["-as9102.csv"], sep=separator, decimal=mark, encoding="utf-8-sig")
-    np.testing.assert_array_equal(
-        form["9 Results"], [math.nan if c.value is None else c.value for c in subject.characteristics]
-    )
+    np.testing.assert_array_equal(form["9 Results"], [math.nan if c.value is None else c.value for c in subject.lines])
     rivets = pd.read_csv(files["-rivets.csv"], sep=separator, decimal=mark)
     assert all(rivets[name].dtype == float for name in ("height_mean_mm", "x_mm", "tilt_u95_deg"))
     assert {name.lstrip("'") for name in rivets["rivet_id"]} == set(HOSTILE)

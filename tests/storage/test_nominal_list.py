@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,9 @@ from openpyxl import Workbook
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
 from metrology.errors import SpecError
+from metrology.panel import PanelLayout
 from storage.nominal_list import read_rivets
-from storage.panel_spec import load_panel_spec
+from storage.panel_spec import load_panel_spec, locations_of, pattern_toml
 
 CSV = "id;X (mm);Y;z;diameter;zone;row\nR01;-10,5;20;0;6,4;nose;upper\nR02;40;20;0;;;\n"
 
@@ -63,3 +65,13 @@ def test_a_file_that_is_no_list_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert main(asked) == EXIT_BAD_INPUT
     assert "expected an XLSX file" in capsys.readouterr().err
     assert not (tmp_path / "out.toml").exists()
+
+
+def test_where_a_rivet_is_on_the_aircraft_stays_beside_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "list.csv"
+    path.write_text("id,x,y,z,location\nR01,1,2,3,FR47 / STR12\nR02,4,5,6,\n")
+    rivets = read_rivets(path)
+    assert rivets[0] == replace(rivets[0], location=None)  # the pattern is the same, whatever it is called
+    spec = tmp_path / "panel.toml"
+    spec.write_text(pattern_toml(PanelLayout(rivets), "P", "A"))
+    assert locations_of(load_panel_spec(spec).document) == {"R01": "FR47 / STR12"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -12,22 +11,16 @@ import plyfile
 import pytest
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, main
-from metrology.assembly.scan import STRIDE, PanelScan
-from metrology.cloud import DecodedView, Reconstruction
-from metrology.inspection import InspectionResult
-from metrology.kinds import BY_NAME
 from metrology.results import PanelKey
-from metrology.tolerance import judge
 from storage.archive import Store, maintenance
 from storage.archive.aircraft import _panel
 from storage.archive.bundle import check_bundle
 from storage.archive.panel_scans import newest_scans
 from storage.archive.schema import PANEL_TABLES
 from storage.export.panel_cloud import CELL_MM
-from storage.panel_spec import load_panel_spec
 from storage.report import assembled_page, assembled_record
-from storage.rig import rig_document
-from tests.support.panel_scans import RIG, SimulatedPanel, facing
+from tests.support.panel_scans import SimulatedPanel, facing
+from tests.support.panel_store import published, result_of
 from tests.support.results import copied, small_key, small_result
 
 KEY = PanelKey("MSN-1", "P")
@@ -54,28 +47,6 @@ most = 0.1
 source = "DS-1"
 revision = "{revision}"
 """
-
-
-def result_of(scan: PanelScan) -> InspectionResult:
-    """A scan as the inspection leaves it, its features judged by the example limits."""
-    points = scan.skin.points.repeat(STRIDE, 0).repeat(STRIDE, 1)
-    sigma = scan.skin.sigma.repeat(STRIDE, 0).repeat(STRIDE, 1)
-    grey = np.full(sigma.shape, 90, np.float32)
-    flags = np.zeros(sigma.shape, np.uint16)
-    view = DecodedView(grey, grey, grey, grey, flags)
-    spec = load_panel_spec()
-    features = {name: tuple(judge(BY_NAME[name], rows, spec.limits)) for name, rows in scan.features.items()}
-    return replace(
-        small_result(scan.key), reconstruction=Reconstruction(RIG, view, view, points, sigma, flags),
-        features=features, preview=np.full(sigma.shape, 90, np.uint8), rig_document=rig_document(RIG),
-        panel_spec=spec.document,
-    )  # fmt: skip
-
-
-def published(store: Store, scans: Sequence[PanelScan]) -> Store:
-    for scan in scans:
-        store.publish(result_of(scan))
-    return store
 
 
 @pytest.fixture(scope="module")

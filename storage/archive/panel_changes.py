@@ -1,0 +1,129 @@
+"""What changed between assemblies of a panel, from the runs that the store has of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from metrology.assembly.changes import Snapshot, changes
+from metrology.assembly.rows import ChangeRow
+from metrology.assembly.verdict import findings
+from metrology.errors import StoreError
+from metrology.kinds import KINDS
+from metrology.results import PanelKey
+from metrology.tolerance import judge
+from storage.archive.bundle import MANIFEST
+from storage.archive.panel_bundle import PanelDocument, key_columns, plain_row
+from storage.archive.panel_history import frames_of
+from storage.archive.panel_judging import measured_row
+from storage.archive.schema import PANEL_CHANGES, PANEL_OF_KIND, PANEL_STATIONS
+from storage.archive.store import Store
+from storage.documents import read_json
+from storage.panel_picture import PICTURES, read_pictures
+from storage.panel_spec import PanelSpecification, panel_spec_from
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class PanelRun:
+    """A run of a panel's assembly, or one in the making.
+
+    Attributes
+    ----------
+    run_id : str
+    captured_at : datetime
+    scenes : frozenset of str
+    manifest : mapping
+    rows : callable
+        The rows of a table.
+    read : callable
+        The content of one of its files.
+    """
+
+    run_id: str
+    captured_at: datetime
+    scenes: frozenset[str]
+    manifest: Row
+    rows: Callable[[str], Sequence[Row]]
+    read: Callable[[str], bytes]
+
+    @property
+    def spec(self) -> PanelSpecification:
+        """What it was judged by."""
+        return panel_spec_from(self.manifest["panel_spec"], Path(self.run_id))
+
+
+def runs_of_panel(store: Store, key: PanelKey) -> list[PanelRun]:
+    """The newest run of each set of scans that was put together, the oldest first."""
+    found: dict[frozenset[str], PanelRun] = {}
+    for run in store.bundles.runs_of(store.layout.scene_folder(key.panel_id)):
+        each = _stored(store, run)
+        found.pop(each.scenes, None)
+        found[each.scenes] = each
+    return sorted(found.values(), key=lambda run: (run.captured_at, run.run_id))
+
+
+def _stored(store: Store, run: Path) -> PanelRun:
+    store.bundles.bring_file(run / MANIFEST)
+    manifest = read_json(run / MANIFEST, StoreError)
+
+    def content(name: str) -> Path:
+        store.bundles.bring_file(run / name)
+        return run / name
+
+    def rows(table: str) -> Sequence[Row]:
+        found: Sequence[Row] = (
+            pq.read_table(content(f"{table}.parquet")).to_pylist() if table in manifest["rows"] else []
+        )
+        return found
+
+    at = datetime.fromisoformat(manifest["captured_at"]).astimezone(UTC)
+    return PanelRun(
+        run.name, at, frozenset(manifest["scenes"]), manifest, rows, lambda name: content(name).read_bytes()
+    )
+
+
+def with_changes(store: Store, document: PanelDocument) -> PanelDocument:
+    """A panel as it is to be stored, compared with the last assembly of other scans."""
+    manifest = {"panel_spec": document.panel_spec, PICTURES: document.pictures}
+    now = PanelRun(
+        "", document.captured_at, frozenset(document.scenes), manifest, document.rows.__getitem__,
+        document.files.__getitem__,
+    )  # fmt: skip
+    earlier = [
+        run
+        for run in runs_of_panel(store, document.key)
+        if run.scenes != now.scenes and run.captured_at <= now.captured_at
+    ]
+    found = compared(now, earlier[-1]) if earlier else []
+    key = key_columns(document.key, document.captured_at)
+    return replace(document, rows={**document.rows, PANEL_CHANGES.name: [key | plain_row(row) for row in found]})
+
+
+def compared(now: PanelRun, before: PanelRun) -> list[ChangeRow]:
+    """What became of the findings of one run in a later one, both judged by the later one's limits."""
+    spec = now.spec
+    found = changes(_snapshot(now, spec), _snapshot(before, spec), spec.limits)
+    return [replace(row, before_run_id=before.run_id, before_captured_at=before.captured_at) for row in found]
+
+
+def _snapshot(run: PanelRun, spec: PanelSpecification) -> Snapshot:
+    frames = frames_of(run.rows(PANEL_STATIONS.name), run.manifest)
+    features, judged = {}, {}
+    for kind in KINDS:
+        rows = run.rows(PANEL_OF_KIND[kind.name].name)
+        judged[kind.name] = judge(kind, [measured_row(kind, row, spec) for row in rows], spec.limits)
+        features[kind.name] = list(zip([row["part"] for row in rows], judged[kind.name], strict=True))
+    pictures = cache(lambda: read_pictures(run.manifest.get(PICTURES) or [], run.read))  # few questions need them
+
+    def shows(frame: str, x: float, y: float) -> bool:
+        return any(frames.get(part) == frame and picture.shows(x, y) for part, picture in pictures().items())
+
+    return Snapshot(frames, features, findings(judged, spec.limits), shows)
