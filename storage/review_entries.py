@@ -293,9 +293,13 @@ class Review:
         """The close of each feature whose work a person closed, and about which nothing was decided since."""
         return {key: held[-1] for key, held in self._held.items() if held[-1].action == "close"}
 
+    def held(self, scene_id: str, feature: Feature) -> tuple[Entry, ...]:
+        """Dispositions and closes of a feature that nobody undid, the last one last."""
+        return self._held.get((scene_id, feature), ())
+
     def undoable(self, scene_id: str, *features: Feature) -> Entry | None:
         """The disposition or close that an undo would take back: the last that holds, of all these features alike."""
-        held = [self._held.get((scene_id, feature)) for feature in features]
+        held = [self.held(scene_id, feature) for feature in features]
         last = {entries[-1].number: entries[-1] for entries in held if entries}
         return next(iter(last.values())) if len(last) == 1 and all(held) else None
 
