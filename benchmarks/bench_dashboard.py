@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.support.browser import browser, new_page, served
 
 START = "SQL"
-PAGES = ("Overview", "Archive", "Scene", "Tolerance review", "Trends", "Runs and rigs")
+PAGES = ("Overview", "Archive", "Scan", "Tolerance review", "Trends", "Runs and rigs")
 FILTERED = ("Overview", "Archive", "Tolerance review")
 FIRST = ", ".join(
     f'[data-testid="{name}"]'

@@ -25,6 +25,9 @@ _STYLE = """<style>
 .stMainBlockContainer {padding: 3.4rem 1.6rem 1rem 1.6rem;}
 [data-testid="stMetricValue"] {font-size: 1.5rem;}
 [data-testid="stVerticalBlock"] {gap: 0.6rem;}
+.st-key-finding {max-height: max(230px, calc(100vh - 490px)); overflow-y: auto;}
+.st-key-decisions {gap: 0.4rem;}
+.st-key-decisions button {padding: 0.25rem 0.5rem;}
 </style>"""
 
 

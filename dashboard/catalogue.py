@@ -73,9 +73,15 @@ def texts() -> dict[str, list[tuple[str, int]]]:
 
 def updated(language: str) -> Catalog:
     """The catalogue of a language as it is, with the texts of now."""
-    catalogue = Catalog(locale=language, project="Flushline", charset="utf-8")
-    path = po_file(language)
-    known = read_po(path.open("rb"), locale=language) if path.exists() else Catalog()
+    known, path = Catalog(), po_file(language)
+    if path.exists():
+        with path.open("rb") as file:
+            known = read_po(file, locale=language)
+    catalogue = Catalog(
+        language, project="Flushline", version="0", charset="utf-8", fuzzy=False, creation_date=known.creation_date,
+        header_comment=f"# Flushline's pages in {LANGUAGES[language]}.", msgid_bugs_address="none",
+        last_translator="Flushline", language_team=language,
+    )  # fmt: skip
     for text in texts():
         message = known.get(text)
         catalogue.add(text, message.string if message else "", flags=["python-brace-format"] if "{" in text else ())

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dashboard.palette import quantity_words
 from dashboard.words import N_, _
 from metrology.cloud import MISSING, PixelFlag
 from metrology.fits import HeadFit, SectionFit
@@ -219,9 +220,9 @@ def _differs(name: str, here: float, stored: float) -> str:
     return _(
         "this version gets a {name} of {here} mm from the run's own fit, the table says {stored} mm; "
         "inspect the scan again to see how it is measured now",
-        name=_(name),
-        here=f"{here:+.4f}",
-        stored=f"{stored:+.4f}",
+        name=quantity_words(name),
+        here=format(here, "+.4f"),
+        stored=format(stored, "+.4f"),
     )
 
 

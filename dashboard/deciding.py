@@ -130,12 +130,14 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
         ask_who(context)
     with right, st.form(f"decide-{key}", border=False):
         concession_key = f"concession-{key}"
+        boxes: list[Any] = [st]
         if disposition in ACCEPTS and context.settings.concessions:
-            number = _("Concession or NCR number")
-            st.text_input(
-                number, key=concession_key, max_chars=80, placeholder=number, label_visibility="collapsed"
+            number, *boxes = st.columns([2, 3])
+            number.text_input(
+                _("Concession or NCR number"), key=concession_key, max_chars=80,
+                placeholder=_("Concession or NCR number"), label_visibility="collapsed",
             )  # fmt: skip
-        st.text_input(
+        boxes[0].text_input(
             _("Comment"), key=comment_key, max_chars=MAX_COMMENT, placeholder=_("Comment: what and why"),
             label_visibility="collapsed",
         )  # fmt: skip
@@ -157,7 +159,7 @@ def _choose_disposition(context: PageContext, key: str) -> str | None:
     """Buttons with keys, of which one is chosen; those that this person may not choose are grey."""
     st.markdown(":small[" + _("Disposition") + "]")
     chosen: str | None = st.session_state.get(key)
-    with st.container(horizontal=True, gap="small"):
+    with st.container(horizontal=True, gap="small", key="decisions"):
         for disposition in DISPOSITIONS:
             allowed = context.person.may_accept or disposition not in ACCEPTS
             st.button(

@@ -37,9 +37,9 @@ class EntryModel(StrictModel):
     """The document of an entry, one line of JSON.
 
     `shown` holds what the person had before them: values, verdict, reason, revision of the limits, software version,
-    settings and rig. A close says, as its comment, why the work that a disposition asked for is done; an undo, why the last
-    disposition or close that holds does not hold any more, so that the one before it does. An entry about a
-    stretch of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them.
+    settings and rig. A close says, as its comment, why the work that a disposition asked for is done; an undo, why the
+    last disposition or close that holds does so no more, and the one before it does again. An entry about a stretch
+    of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them.
     """
 
     format: Literal["flushline-review/1", "flushline-review/2", "flushline-review/3", "flushline-review/4"]

@@ -35,7 +35,7 @@ def seconds_figure(nights: pd.DataFrame, locale: Locale, height: int = 400) -> g
     return fig
 
 
-def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 390) -> go.Figure:
+def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 380) -> go.Figure:
     """Fit of cameras and projector above, depth noise below, one colour and shape per rig calibration."""
     fig = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.07)
     fig.update_layout(figure(locale, height).layout)

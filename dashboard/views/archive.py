@@ -136,7 +136,7 @@ def _list(context: PageContext, scenes: pd.DataFrame) -> list[str]:
         shown,
         hide_index=True,
         row_height=76,
-        height=520,
+        height=480,
         key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
         on_select="rerun",
         selection_mode="multi-row",

@@ -75,7 +75,7 @@ def what_is_new(context: PageContext, beside: DeltaGenerator) -> None:
         )
         + f" · {_(_HELP[name])}"
     )
-    left, right = st.columns([13, 8])
+    left, right = st.columns([12, 9])
     with left:
         _show(context, name, lists[name])
     with right:

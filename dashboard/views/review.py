@@ -86,9 +86,9 @@ def render(context: PageContext) -> None:
         return
     left, right = st.columns([13, 9])
     with left:
+        say_outcome(context, at)  # here it moves no button
         ticked = _list(context, rows, names, at) if names else _empty(wanted)
     with right:
-        say_outcome(context, at)
         if ticked:
             _several(context, ticked)
         _one(context, names, at, alone=not ticked)
@@ -216,7 +216,7 @@ def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: N
     event = st.dataframe(
         styled,
         hide_index=True,
-        height=fitting(470, len(rows)),
+        height=fitting(430, len(rows)),
         column_config=config,
         key=key,
         placeholder=NOTHING,
@@ -284,7 +284,8 @@ def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> 
         st.info(_("This finding is not in the store any more; choose another one."))
         return
     features = load_features(context.archive, scene)
-    with st.container(border=True):
+    # What is long scrolls within the box (see the style of the pages): the buttons below stay on the screen.
+    with st.container(border=True, key="finding"):
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
             _steps(names, at)
             st.caption(

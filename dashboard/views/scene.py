@@ -357,7 +357,7 @@ def _values(context: PageContext, row: Any, measured: Any, chosen: Feature) -> N
         for column, wanted in zip(st.columns(2), required[start : start + 2], strict=False):
             with column:
                 value = locale.measured(wanted.value, wanted.u95, wanted.unit, wanted.signed)
-                st.markdown(f":small[{capital(quantity_words(wanted.name))}] **{plain(value)}**")
+                st.markdown(f":small[{capital(quantity_words(wanted.name))} **{plain(value)}**]")
                 if wanted.limit is None:
                     st.caption(_("no limit"))
                     continue
@@ -387,8 +387,8 @@ def _rivet(context: PageContext, row: Any, measured: Any, found: RivetCloseUp | 
     zone = None if _absent(measured.zone) else str(measured.zone)
     limit = limit_of(spec.zone(zone), RIVET.quantities[0]) if spec else None
     options = {"displaylogo": False}
-    st.plotly_chart(rivet_section(found, limit, context.locale, 215), key="section", config=options)
-    st.plotly_chart(rivet_map(found, context.locale, 205), key="rivet-map", config=options)
+    st.plotly_chart(rivet_section(found, limit, context.locale, 205), key="section", config=options)
+    st.plotly_chart(rivet_map(found, context.locale, 190), key="rivet-map", config=options)
 
 
 def _seam(context: PageContext, found: SeamSection | str) -> None:
