@@ -20,12 +20,14 @@ PAGES = {
     "sql": (sql.TITLE, ":material/database:", frame.guarded(sql.TITLE, sql.render)),
 }
 
-# Less air above the title and between blocks: the pages must do with 1366 × 768.
+# Less air above the title and between blocks: the pages must do with 1366 × 768. With touch a chart's tools would
+# always lie over its legend; fingers do what they do.
 _STYLE = """<style>
 .stMainBlockContainer {padding: 3.4rem 1.6rem 1rem 1.6rem;}
 [data-testid="stMetricValue"] {font-size: 1.5rem;}
 [data-testid="stVerticalBlock"] {gap: 0.6rem;}
 .st-key-finding {max-height: max(230px, calc(100vh - 490px)); overflow-y: auto;}
+@media (hover: none) {.modebar-container {display: none;}}
 .st-key-decisions {gap: 0.4rem;}
 .st-key-decisions button {padding: 0.25rem 0.5rem;}
 </style>"""

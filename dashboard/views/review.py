@@ -101,7 +101,7 @@ def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
 
 def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
-    first, second, third, fourth = st.columns([3, 2, 1, 1])
+    first, second, third, fourth = st.columns([7, 4, 2, 2])
     decisions = first.pills(
         _("Verdict"),
         OPEN_DECISIONS,
@@ -254,7 +254,7 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
                 on_click="ignore",
                 key="html",
             )
-        st.caption(found + " · " + _("click a row to look at it; tick several to decide on them at once"))
+        st.caption(found, help=_("Click a row to look at it; tick several to decide on them at once."))
 
 
 def _several(context: PageContext, ticked: Sequence[Name]) -> None:

@@ -98,7 +98,7 @@ def _counted(*columns: str) -> str:
 
 def _totals(context: PageContext, panels: pd.DataFrame) -> None:
     locale = context.locale
-    boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 1.8, 3.2], vertical_alignment="center")
+    boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 2.1, 2.9], vertical_alignment="center")
     boxes[0].metric(
         _("Waiting for a person"),
         locale.whole(panels["waiting"].sum()),
