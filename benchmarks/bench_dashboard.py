@@ -5,8 +5,8 @@
 
 Starts a server and opens the SQL page in headless Chromium, then every other one through the menu; nothing of the store
 is in the server's caches. First content: a number, table or figure of the page is visible; complete: the page is at
-rest. Then changes the period on the pages that have one (until the page is at rest again). The SQL page's own figures
-are those of loading the whole application by its address. Needs chromium and the extra `test`.
+rest. Then changes a filter of the pages that have one, from the click on its value until the page is at rest again. The
+SQL page's own figures are those of loading the whole application by its address. Needs chromium and the extra `test`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.support.browser import browser, new_page, served
 
 START = "SQL"
-PAGES = ("Overview", "Archive", "Scene", "Tolerance review", "Trends", "Runs and rigs")
-FILTERED = ("Overview", "Archive", "Tolerance review")
+PAGES = ("Overview", "Archive", "Scan", "Tolerance review", "Trends", "Runs and rigs")
+# What is changed on a page that is at rest: a field, its new value, and what the address then names.
+CHANGED = {
+    "Overview": ("New since", "New since last 7 days", "since"),
+    "Archive": ("Scanned", "last 7 days", "period"),
+    "Tolerance review": ("Scanned", "last 7 days", "period"),
+    "Trends": ("Scanned", "last 30 days", "period"),
+}
+WORK = "Where work waits"
 FIRST = ", ".join(
     f'[data-testid="{name}"]'
     for name in ("stMetricValue", "stDataFrame", "stPlotlyChart", "stImage", "stAlert", "stCode", "stTextArea")
@@ -40,17 +47,20 @@ def main() -> None:
     parser.add_argument("store", type=Path)
     parser.add_argument("--rounds", type=int, default=3, help="servers started, each with cold caches")
     arguments = parser.parse_args()
-    figures: dict[str, list[tuple[float, float, float | None]]] = {name: [] for name in (START, *PAGES)}
+    names = (START, *PAGES[:1], WORK, *PAGES[1:])
+    figures: dict[str, list[tuple[float, float, float | None]]] = {name: [] for name in names}
     with browser() as chromium:
         for _ in range(arguments.rounds):
             with served(arguments.store.resolve()) as address:
                 for name in PAGES:
-                    page = new_page(chromium)
+                    page = new_page(chromium, apart=True)
                     loading = time_loading(page, address)
                     figures[name].append(time_page(page, name))
+                    if name == PAGES[0]:
+                        figures[WORK].append(time_work(page))
                     page.context.close()
                 figures[START].append(loading)
-    print(f"{'page':18s} first content   complete   another period   (s, median of {arguments.rounds})")
+    print(f"{'page':18s} first content   complete   another filter   (s, median of {arguments.rounds})")
     for name, rows in figures.items():
         first, complete = (_median([row[i] for row in rows]) for i in (0, 1))
         changed = [row[2] for row in rows if row[2] is not None]
@@ -76,14 +86,27 @@ def time_page(page: Any, name: str) -> tuple[float, float, float | None]:
     page.wait_for_function(REST)
     complete = time.perf_counter() - start
     changed = None
-    if name in FILTERED:
+    if name in CHANGED:
+        field, value, named = CHANGED[name]
+        page.get_by_role("combobox", name=field).click()
+        option = page.get_by_role("option", name=value)
+        option.wait_for()
         start = time.perf_counter()
-        page.get_by_role("combobox", name="Scanned").click()
-        page.get_by_role("option", name="last 7 days").click()
-        page.wait_for_function("() => location.search.includes('period')")
+        option.click()
+        page.wait_for_function("(named) => location.search.includes(named)", arg=named)
         page.wait_for_function(REST)
         changed = time.perf_counter() - start
     return first, complete, changed
+
+
+def time_work(page: Any) -> tuple[float, float, None]:
+    """Seconds to the first content and to rest of the overview's other view."""
+    start = time.perf_counter()
+    page.get_by_text(WORK).first.click()
+    page.get_by_text("Waiting for a person").first.wait_for()
+    first = time.perf_counter() - start
+    page.wait_for_function(REST)
+    return first, time.perf_counter() - start, None
 
 
 def _median(values: list[float]) -> float:

@@ -6,6 +6,7 @@ import streamlit as st
 
 from dashboard import frame
 from dashboard.views import archive, overview, panel, review, runs, scene, sql, trends
+from dashboard.words import _
 
 # Title, icon and body of each page by its place in the URL.
 PAGES = {
@@ -19,11 +20,16 @@ PAGES = {
     "sql": (sql.TITLE, ":material/database:", frame.guarded(sql.TITLE, sql.render)),
 }
 
-# Less air above the title and between blocks: the pages must do with 1366 × 768.
+# Less air above the title and between blocks: the pages must do with 1366 × 768. With touch a chart's tools would
+# always lie over its legend; fingers do what they do.
 _STYLE = """<style>
 .stMainBlockContainer {padding: 3.4rem 1.6rem 1rem 1.6rem;}
 [data-testid="stMetricValue"] {font-size: 1.5rem;}
 [data-testid="stVerticalBlock"] {gap: 0.6rem;}
+.st-key-finding {max-height: max(230px, calc(100vh - 490px)); overflow-y: auto;}
+@media (hover: none) {.modebar-container {display: none;}}
+.st-key-decisions {gap: 0.4rem;}
+.st-key-decisions button {padding: 0.25rem 0.5rem;}
 </style>"""
 
 
@@ -55,16 +61,17 @@ _HOME = "overview"
 
 def main() -> None:
     """Build the pages and run the one that the URL names."""
+    frame.speak_their_language()
     st.set_page_config("Flushline", _ICON, layout="wide", initial_sidebar_state="collapsed")
     st.html(_STYLE)
     st.html(_ONE_STEP, unsafe_allow_javascript=True)
     pages = {
-        name: st.Page(body, title=title, icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)
+        name: st.Page(body, title=_(title), icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)
         for name, (title, icon, body) in PAGES.items()
     }
     frame.remember_pages(pages)
     # The home page's address is the server's; who types its name gets there, too.
-    typed = st.Page(_go_home, title=PAGES[_HOME][0], url_path=_HOME, visibility="hidden")
+    typed = st.Page(_go_home, title=_(PAGES[_HOME][0]), url_path=_HOME, visibility="hidden")
     st.navigation([*pages.values(), typed], position="top").run()
 
 

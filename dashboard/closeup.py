@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dashboard.palette import quantity_words
+from dashboard.words import N_, _
 from metrology.cloud import MISSING, PixelFlag
 from metrology.fits import HeadFit, SectionFit
 from metrology.surfaces import monomials, tangent_rows
@@ -27,7 +29,7 @@ _FEWEST = 40
 # Tables are rounded to 0.01 µm; what differs by more was not computed like this.
 _SAME_MM = 2e-5
 _SKIN_BAND_MM = 3.0
-NOT_KEPT = (
+NOT_KEPT = N_(
     "this run kept no fit of it (it is of an older version, or was not measured); inspect the scan again to see one"
 )
 
@@ -91,9 +93,9 @@ def rivet_close_up(cloud: StoredCloud, rivet: Any, fit: HeadFit | None) -> Rivet
 
     numbers = [rivet.u_px, rivet.v_px, rivet.major_px, rivet.height_mean_mm]
     if fit is None:
-        return NOT_KEPT
+        return _(NOT_KEPT)
     if not all(_is_number(value) for value in numbers):
-        return "the head was not measured"
+        return _("the head was not measured")
     u, v, major, stored = (float(value) for value in numbers)
     height = mean_height(fit.head, fit.skin, fit.x, fit.y, fit.radius)
     if abs(height - stored) > _SAME_MM:
@@ -101,13 +103,13 @@ def rivet_close_up(cloud: StoredCloud, rivet: Any, fit: HeadFit | None) -> Rivet
     reach = _AIR * fit.outer_mm[1]
     window = _window(cloud, u, v, reach * major / (2 * fit.radius) + 3)
     if window is None:
-        return "the head lies outside the picture"
+        return _("the head lies outside the picture")
     rows, columns = window
     local = fit.frame.local(cloud.points[rows, columns])
     near = (np.hypot(local[:, 0], local[:, 1]) < reach) & (np.abs(local[:, 2]) < _SKIN_BAND_MM)
     rows, columns, (x, y, h) = rows[near], columns[near], local[near].T
     if len(x) < _FEWEST:
-        return f"the stored cloud has {len(x)} points there"
+        return _("the stored cloud has {n} points there", n=len(x))
     usable = _usable(cloud, rows, columns)
     r = np.hypot(x, y)
     slopes = [tangent_rows(fit.x, fit.y, _order(c))[1:] @ c for c in (fit.head, fit.skin)]
@@ -167,9 +169,9 @@ def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> Se
 
     numbers = [station.u_px, station.v_px, station.step_mm]
     if fit is None:
-        return NOT_KEPT
+        return _(NOT_KEPT)
     if not all(_is_number(value) for value in numbers):
-        return "the station was not measured"
+        return _("this place was not measured")
     u, v, stored = (float(value) for value in numbers)
     step, width = step_height(fit, *fit.edges_mm), None
     inflection_a: Place | None = None
@@ -185,13 +187,13 @@ def seam_section(cloud: StoredCloud, station: Any, fit: SectionFit | None) -> Se
     scale = _pixels_per_mm(cloud, u, v)
     window = _window(cloud, u, v, 1.2 * fit.outer_mm * scale) if scale else None
     if window is None:
-        return "there are no points around the station"
+        return _("there are no points around this place")
     rows, columns = window
     local = fit.frame.local(cloud.points[rows, columns])
     near = (np.abs(local[:, 1]) < fit.half_length_mm) & (np.abs(local[:, 0]) < _AIR * fit.outer_mm)
-    rows, columns, (x, _, h) = rows[near], columns[near], local[near].T
+    rows, columns, (x, __, h) = rows[near], columns[near], local[near].T
     if len(x) < _FEWEST:
-        return f"the stored cloud has {len(x)} points there"
+        return _("the stored cloud has {n} points there", n=len(x))
     away = np.abs(x)
     skin = (away > fit.inner_mm) & (away < fit.outer_mm) & (np.abs(h) < _SKIN_BAND_MM)
     (start, end) = fit.edges_mm
@@ -215,9 +217,12 @@ def _place(point: Array) -> Place:
 
 
 def _differs(name: str, here: float, stored: float) -> str:
-    return (
-        f"this version gets a {name} of {here:+.4f} mm from the run's own fit, the table says {stored:+.4f} mm; "
-        "inspect the scan again to see how it is measured now"
+    return _(
+        "this version gets a {name} of {here} mm from the run's own fit, the table says {stored} mm; "
+        "inspect the scan again to see how it is measured now",
+        name=quantity_words(name),
+        here=format(here, "+.4f"),
+        stored=format(stored, "+.4f"),
     )
 
 

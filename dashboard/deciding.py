@@ -12,19 +12,21 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import streamlit as st
 
+from dashboard.findings import names_of, standings_words
 from dashboard.frame import PageContext, link, plain
+from dashboard.words import _
 from metrology.errors import FlushlineError, OutdatedError
-from storage.archive.decisions import close_work, dispose, sign_off_all
-from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, said
+from storage.archive.decisions import close_work, dispose, sign_off_all, undo
+from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED
 from storage.review import DISPOSITIONS, MAX_COMMENT, Disposition, Entry, Review, ShownFinding, ShownScene
 
 _OUTCOME = "review_outcome"
-_MOST_NAMED = 12
 ACCEPTS: tuple[Disposition, ...] = ("use as is", "repair")
 """What accepts a part that is not as drawn: where roles are configured, the design authority's to decide."""
 _KEYS: dict[Disposition, str] = {"use as is": "u", "rework": "w", "repair": "p", "scrap": "s", "re-scan": "n"}
@@ -41,27 +43,9 @@ class _Outcome:
     at: tuple[object] | None = None
 
 
-def name_of(shown: ShownFinding) -> str:
-    """A finding in full: rivet or position, aircraft, panel, station."""
-    return f"{shown.feature.id} ({place_of(shown)})"
-
-
-def place_of(shown: ShownFinding) -> str:
-    """Aircraft, panel and station of a finding."""
-    return " ".join(str(shown.values[name]) for name in ("aircraft_serial", "panel", "station"))
-
-
-def names_of(shown: Sequence[ShownFinding]) -> str:
-    """Several findings in a line; with their places where these differ."""
-    places = {place_of(finding) for finding in shown}
-    names = [finding.feature.id if len(places) == 1 else name_of(finding) for finding in shown[:_MOST_NAMED]]
-    more = f" and {len(shown) - _MOST_NAMED} more" if len(shown) > _MOST_NAMED else ""
-    return ", ".join(names) + more + (f" ({places.pop()})" if len(places) == 1 else "")
-
-
-def _named(shown: Sequence[ShownFinding]) -> str:
-    count = f"{len(shown)} findings: " if len(shown) > 1 else ""
-    return plain(f"{count}{names_of(shown)}")
+def _named(context: PageContext, shown: Sequence[ShownFinding]) -> str:
+    names = names_of(shown, context.locale)
+    return plain(_("{n} findings: {names}", n=len(shown), names=names) if len(shown) > 1 else names)
 
 
 def _checksum(shown: object) -> str:
@@ -95,7 +79,13 @@ def _offer_sign_off(context: PageContext, scene_id: str | None) -> None:
     if scene_id is None or scene_id in context.archive.review().sign_offs() or scene_id == st.query_params.get("scene"):
         return
     if not any(standing.state in UNRESOLVED for standing in context.archive.standings(scene_id)):
-        link("review", "All of that scan is decided: sign it off", ":material/lock:", scene=scene_id, state=DECIDED)
+        link(
+            "review",
+            _("Everything on that scan is decided: sign it off"),
+            ":material/lock:",
+            scene=scene_id,
+            state=DECIDED,
+        )
 
 
 def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> None:
@@ -110,18 +100,27 @@ def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> N
     if review.problem:
         st.error(plain(review.problem), icon=":material/error:")
         return
-    _close(context, review, shown, done)
     signed = next((entry for s in shown if (entry := review.sign_offs().get(s.scene_id))), None)
     if signed:
-        scan = "this scan" if len(shown) == 1 else plain(signed.scene_id)
-        st.info(
-            f"Signed off by {plain(signed.who)}, {context.locale.time(signed.at)}: {scan} is locked.",
-            icon=":material/lock:",
-        )
-        return
-    if not context.person.may_review:
-        st.caption("You may look; disposing and signing off needs the role reviewer.")
-        return
+        say_signed(context, signed)
+    elif not context.person.may_review:
+        st.caption(_("You may look. Deciding and signing off needs the role of a reviewer."))
+    else:
+        _form(context, shown, done)
+    _close(context, review, shown, done)
+    if not signed and context.person.may_review:
+        _undo(context, review, shown)
+
+
+def say_signed(context: PageContext, signed: Entry) -> None:
+    """That a scan is locked, by whom and since when."""
+    said = _(
+        "Signed off by {who}, {at}: this scan is locked.", who=plain(signed.who), at=context.locale.time(signed.at)
+    )
+    st.info(said, icon=":material/lock:")
+
+
+def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> None:
     key = _checksum(shown)
     # Kept where the same findings are shown anew; the disposition is not.
     comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
@@ -131,24 +130,22 @@ def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> N
         ask_who(context)
     with right, st.form(f"decide-{key}", border=False):
         concession_key = f"concession-{key}"
+        boxes: list[Any] = [st]
         if disposition in ACCEPTS and context.settings.concessions:
-            st.text_input(
-                "Concession or NCR number",
-                key=concession_key,
-                max_chars=80,
-                placeholder="concession or NCR number",
-                label_visibility="collapsed",
-            )
-        st.text_input(
-            "Comment",
-            key=comment_key,
-            max_chars=MAX_COMMENT,
-            placeholder="comment: what and why",
+            number, *boxes = st.columns([2, 3])
+            number.text_input(
+                _("Concession or NCR number"), key=concession_key, max_chars=80,
+                placeholder=_("Concession or NCR number"), label_visibility="collapsed",
+            )  # fmt: skip
+        boxes[0].text_input(
+            _("Comment"), key=comment_key, max_chars=MAX_COMMENT, placeholder=_("Comment: what and why"),
             label_visibility="collapsed",
-        )
-        chosen = f" *{disposition}*" if disposition else ""
+        )  # fmt: skip
+        named = _named(context, shown)
         st.form_submit_button(
-            f"Record{chosen} for {_named(shown)}",
+            _("Record *{decision}* for {named}", decision=_(disposition), named=named)
+            if disposition
+            else _("Record for {named}", named=named),
             type="primary",
             icon=":material/edit_note:",
             key=f"record-{key}",
@@ -160,18 +157,20 @@ def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> N
 
 def _choose_disposition(context: PageContext, key: str) -> str | None:
     """Buttons with keys, of which one is chosen; those that this person may not choose are grey."""
-    st.markdown(":small[Disposition]")
+    st.markdown(":small[" + _("Disposition") + "]")
     chosen: str | None = st.session_state.get(key)
-    with st.container(horizontal=True, gap="small"):
+    with st.container(horizontal=True, gap="small", key="decisions"):
         for disposition in DISPOSITIONS:
             allowed = context.person.may_accept or disposition not in ACCEPTS
             st.button(
-                disposition,
+                _(disposition),
                 key=f"{key}-{disposition}",
                 type="primary" if disposition == chosen else "secondary",
                 shortcut=_KEYS[disposition],
                 disabled=not allowed,
-                help=None if allowed else "Use as is and repair are the design authority's: see the dashboard's roles.",
+                help=None
+                if allowed
+                else _("Only the design authority decides this (roles in the dashboard's settings)."),
                 on_click=_choose,
                 args=(key, disposition),
             )
@@ -187,8 +186,8 @@ def ask_who(context: PageContext) -> None:
     """A field for the name, where nobody logs in."""
     if not context.person.verified:
         st.text_input(
-            "Your name", key="who", max_chars=120, placeholder="your name", label_visibility="collapsed",
-            help="Nobody logs in here, so the log keeps the name you give.",
+            _("Your name"), key="who", max_chars=120, placeholder=_("Your name"), label_visibility="collapsed",
+            help=_("Nobody logs in here, so the log keeps the name you give."),
         )  # fmt: skip
 
 
@@ -201,15 +200,17 @@ def _record(
 ) -> None:
     disposition, who = st.session_state.get(disposition_key), _who(context)
     if not disposition or not who:
-        st.session_state[_OUTCOME] = _Outcome("hint", "Choose a disposition and give your name.")
+        st.session_state[_OUTCOME] = _Outcome("hint", _("Choose a disposition and give your name."))
         return
     concession, comment = (str(st.session_state.get(key) or "").strip() for key in text_keys)
     if disposition in ACCEPTS and context.settings.concessions:
         if not concession:
-            st.session_state[_OUTCOME] = _Outcome("hint", f"*{disposition}* needs its concession or NCR number.")
+            st.session_state[_OUTCOME] = _Outcome(
+                "hint", _("*{decision}* needs its concession or NCR number.", decision=_(disposition))
+            )
             return
         comment = f"{concession}: {comment}" if comment else concession
-    text = f"Recorded *{disposition}* for {_named(shown)}."
+    text = _("Recorded *{decision}* for {named}.", decision=_(disposition), named=_named(context, shown))
     _try(lambda: dispose(context.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
 
 
@@ -218,23 +219,55 @@ def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], 
     work = [review.work().get((s.scene_id, feature)) for s in shown for feature in s.features]
     if not all(work) or not _is_open(context, shown):
         return
-    asked = " or ".join(sorted({str(entry.disposition) for entry in work if entry}))
-    st.warning(
-        f"Open work: {asked} of {_named(shown)}. It is done when a later scan of the station passes.",
-        icon=":material/construction:",
+    asked = _(" or ").join(sorted({_(str(entry.disposition)) for entry in work if entry}))
+    named = _named(context, shown)
+    st.caption(
+        ":material/construction: "
+        + _(
+            "Open work: {asked} of {named}. It is done when a later scan of the station passes.",
+            asked=asked,
+            named=named,
+        )
     )
-    if not context.person.may_review:
+    if context.person.may_review:
+        title = _("Close *{asked}* of {named}", asked=asked, named=named)
+        said = _("Closed *{asked}* of {named}.", asked=asked, named=named)
+        why = _("Why is the work done, or not needed any more?")
+        _with_reason(context, shown, _Act(title, why, said, close_work, ":material/task_alt:", done))
+
+
+def _undo(context: PageContext, review: Review, shown: Sequence[ShownFinding]) -> None:
+    """Undo the last decision about one finding with a reason, so that the one before it holds again."""
+    if len(shown) > 1 or (last := review.undoable(shown[0].scene_id, *shown[0].features)) is None:
         return
-    key = _checksum(("close", shown))
-    with st.popover(f"Close *{asked}* of {_named(shown)} …", icon=":material/task_alt:"), st.form(f"close-{key}"):
-        st.text_input("Why is the work done, or not needed any more?", key=f"reason-{key}", max_chars=MAX_COMMENT)
-        who = _who(context)
-        st.markdown(f"Closes: **{plain(who) or 'give your name first'}**")
+    before = [entry.disposition for entry in review.held(shown[0].scene_id, shown[0].features[0])[:-1]]
+    if set(before) & set(ACCEPTS) and not context.person.may_accept:
+        return
+    names = {"what": _(last.what), "named": _named(context, shown)}
+    title, said = _("Undo *{what}* of {named}", **names), _("Undone: *{what}* of {named}.", **names)
+    act = _Act(title, _("Why is it undone?"), said, undo, ":material/undo:", lambda: None)
+    _with_reason(context, shown, act)
+
+
+@dataclass(frozen=True)
+class _Act:
+    """Something that is recorded with a reason: its button, what is asked, what is said when it is done."""
+
+    title: str
+    why: str
+    said: str
+    record: Callable[[Path, str, Sequence[ShownFinding], str], object]
+    icon: str
+    done: Done
+
+
+def _with_reason(context: PageContext, shown: Sequence[ShownFinding], act: _Act) -> None:
+    key = _checksum((act.record.__name__, shown))
+    with st.popover(f"{act.title} …", icon=act.icon), st.form(f"form-{key}"):
+        st.text_input(act.why, key=f"reason-{key}", max_chars=MAX_COMMENT)
+        st.markdown(_("By **{who}**", who=plain(_who(context)) or _("give your name first")))
         st.form_submit_button(
-            f"Close *{asked}* of {_named(shown)}",
-            key=f"close-work-{key}",
-            on_click=_record_close,
-            args=(context, tuple(shown), asked, f"reason-{key}", done),
+            act.title, key=f"act-{key}", on_click=_record_reason, args=(context, tuple(shown), act, f"reason-{key}")
         )
 
 
@@ -247,15 +280,12 @@ def _is_open(context: PageContext, shown: Sequence[ShownFinding]) -> bool:
     return all(states.get((s.scene_id, s.feature)) == OPEN_WORK for s in shown)
 
 
-def _record_close(
-    context: PageContext, shown: tuple[ShownFinding, ...], asked: str, reason_key: str, done: Done
-) -> None:
+def _record_reason(context: PageContext, shown: tuple[ShownFinding, ...], act: _Act, reason_key: str) -> None:
     who, reason = _who(context), str(st.session_state.get(reason_key) or "")
     if not who or not reason.strip():
-        st.session_state[_OUTCOME] = _Outcome("hint", "Give your name, and the reason why the work is closed.")
+        st.session_state[_OUTCOME] = _Outcome("hint", _("Give your name and the reason."))
         return
-    text = f"Closed *{asked}* of {_named(shown)}."
-    _try(lambda: close_work(context.archive.root, who, shown, reason), text, shown[0].scene_id, done)
+    _try(lambda: act.record(context.archive.root, who, shown, reason), act.said, shown[0].scene_id, act.done)
 
 
 def offer_sign_off(context: PageContext, scene: Any) -> None:
@@ -283,24 +313,29 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
     left = any(standing.state in UNRESOLVED for standing in found)
     shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]
     key = _checksum(shown)
-    with st.popover(f"Sign off {place} …", icon=":material/lock:", disabled=left, key=f"signing-{key}"):
-        decided = {e.number: e for (scene_id, _), e in review.current().items() if scene_id in standings}
+    with st.popover(_("Sign off {place} …", place=place), icon=":material/lock:", disabled=left, key=f"signing-{key}"):
+        decided = {e.number: e for (scene_id, __), e in review.current().items() if scene_id in standings}
         taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
-        st.markdown(f"Scanned {taken}, {_counted(list(decided.values()))}.")
+        st.markdown(_("Scanned {taken}, {decisions}.", taken=taken, decisions=_counted(list(decided.values()))))
         if meaning:
-            st.markdown(f"Says: **{plain(meaning)}**")
-        st.caption("Its dispositions can not be changed afterwards.")
+            st.markdown(_("Says: **{meaning}**", meaning=plain(meaning)))
+        st.caption(_("Its dispositions cannot be changed afterwards."))
         who = _who(context)
-        st.markdown(f"Signs: **{plain(who) or 'give your name first'}**")
+        st.markdown(_("Signs: **{who}**", who=plain(who) or _("give your name first")))
         st.button(
-            f"Sign off {place}",
+            _("Sign off {place}", place=place),
             type="primary",
             disabled=not who,
             key=f"sign-off-{key}",
             on_click=partial(_record_sign_off, context, shown, place, meaning),
         )
     if left:
-        st.caption(f"It can be signed off when nothing waits and no work is open. Findings: {said(found)}.")
+        st.caption(
+            _(
+                "It can be signed off when nothing waits and no work is open. Findings: {found}.",
+                found=standings_words(found),
+            )
+        )
 
 
 def _shown_scene(review: Review, scene: Any, decided: int) -> ShownScene:
@@ -315,15 +350,15 @@ def _shown_scene(review: Review, scene: Any, decided: int) -> ShownScene:
 
 
 def _counted(decided: Sequence[Entry]) -> str:
-    counts = Counter(str(entry.disposition) for entry in decided)
+    counts = Counter(_(str(entry.disposition)) for entry in decided)
     text = ", ".join(f"{name}: {count}" for name, count in sorted(counts.items()))
-    return f"dispositions: {text}" if text else "nothing needed a disposition"
+    return _("dispositions: {text}", text=text) if text else _("nothing needed a disposition")
 
 
 def _record_sign_off(context: PageContext, shown: Sequence[ShownScene], place: str, meaning: str) -> None:
     _try(
         lambda: sign_off_all(context.archive.root, _who(context), shown, meaning),
-        f"Signed off {place}.",
+        _("Signed off {place}.", place=place),
         None,
         lambda: None,
     )
@@ -333,10 +368,13 @@ def _try(act: Callable[[], object], text: str, scene_id: str | None, done: Done)
     try:
         act()
     except OutdatedError as problem:
-        refusal = f"**Not recorded**, nothing was changed. {plain(problem)}. What is there now is shown below."
+        refusal = _(
+            "**Not recorded**, nothing was changed. {problem}. What is there now is shown below.",
+            problem=plain(problem),
+        )
         st.session_state[_OUTCOME] = _Outcome("refused", refusal)
     except FlushlineError as problem:
-        st.session_state[_OUTCOME] = _Outcome("refused", f"**Not recorded.** {plain(problem)}")
+        st.session_state[_OUTCOME] = _Outcome("refused", _("**Not recorded.** {problem}", problem=plain(problem)))
     else:
         st.session_state[_OUTCOME] = _Outcome("done", text, scene_id)
         done()

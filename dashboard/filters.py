@@ -10,6 +10,7 @@ import streamlit as st
 from dashboard.address import one_of, some_of
 from dashboard.data import Archive
 from dashboard.findings import PERIODS, Selection, start_of
+from dashboard.words import _
 from storage.archive.views import NEWEST_TIME
 
 
@@ -38,18 +39,19 @@ def scene_filters(archive: Archive, more: bool = False, period: str = "any time"
         Chosen at first.
     """
     columns = st.columns(5 if more else 3)
-    aircraft = _several(columns[0], archive, "Aircraft", "aircraft", "aircraft_serial")
-    panels = _several(columns[1], archive, "Panel", "panel", "panel")
+    aircraft = _several(columns[0], archive, _("Aircraft"), "aircraft", "aircraft_serial")
+    panels = _several(columns[1], archive, _("Panel"), "panel", "panel")
     chosen = columns[2].selectbox(
-        "Scanned",
+        _("Scanned"),
         list(PERIODS),
-        help="Counted back from the newest scan in the store.",
+        format_func=_,
+        help=_("Counted back from the newest scan in the store."),
         **one_of("period", list(PERIODS), period),
     )
     stations, rigs = [], []
     if more:
-        stations = _several(columns[3], archive, "Station", "station", "station")
-        rigs = _several(columns[4], archive, "Rig", "rig", "rig_id")
+        stations = _several(columns[3], archive, _("Station"), "station", "station")
+        rigs = _several(columns[4], archive, _("Rig"), "rig", "rig_id")
     since = start_of(chosen, newest_scan(archive))
     # A whole second, so that the same filter is the same query.
     since = since.replace(microsecond=0) - timedelta(seconds=1) if since else None
@@ -58,4 +60,4 @@ def scene_filters(archive: Archive, more: bool = False, period: str = "any time"
 
 def _several(box: Any, archive: Archive, title: str, name: str, column: str) -> list[str]:
     known = names(archive, column)
-    return list(box.multiselect(title, known, placeholder="all", **some_of(name, known)))
+    return list(box.multiselect(title, known, placeholder=_("all"), **some_of(name, known)))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -10,22 +12,26 @@ from typing import Any
 import pandas as pd
 
 from dashboard.data import Archive
+from dashboard.locale import Locale
 from dashboard.palette import OPEN_DECISIONS
+from dashboard.words import N_, _
 from metrology.kinds import BY_NAME, KINDS
 from metrology.verdicts import OUTSIDE
 from storage.archive.views import RANK_SQL
-from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, findings_sql
-from storage.review import Feature
+from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, Standing, findings_sql
+from storage.review import Feature, ShownFinding
 
 MOST_ROWS = 500
-LAST_NIGHT, LAST_WEEK = "last night", "last 7 days"
+_MOST_NAMED = 12
+_ALONG = re.compile(r"(.+)@(-?\d+\.\d)(?:-(-?\d+\.\d))?")  # a position along a course, or a stretch of it
+LAST_NIGHT, LAST_WEEK = N_("last night"), N_("last 7 days")
 PERIODS: dict[str, timedelta | None] = {
-    "any time": None,
+    N_("any time"): None,
     LAST_NIGHT: timedelta(hours=14),
     LAST_WEEK: timedelta(days=7),
-    "last 30 days": timedelta(days=30),
+    N_("last 30 days"): timedelta(days=30),
 }
-OPEN, ALL = "open", "all"
+OPEN, ALL = N_("open"), N_("all")
 STATES = (OPEN, OPEN_WORK, DECIDED, ALL)
 """What the list may be narrowed to; open is what waits and what has open work."""
 
@@ -105,6 +111,8 @@ def findings(archive: Archive, wanted: Wanted, most: int = MOST_ROWS) -> pd.Data
 
     Columns: those of `findings_sql`, and total: how many there are without the limit.
     """
+    if wanted.state == OPEN_WORK and not archive.review().work():
+        wanted, most = replace(wanted, kinds=()), 0  # nothing needs to be looked through
     candidates, parameters = _candidates(wanted)
     return archive.rows_with_review(
         f"WITH c AS MATERIALIZED ({candidates}) SELECT *, (SELECT count(*) FROM c) AS total FROM c "
@@ -131,7 +139,7 @@ def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
     chosen: list[tuple[str, Sequence[str]]] = [("state", states)] if states else []
     chosen += [] if every else [("decision", decisions)]
     conditions = " AND ".join(_among(name, values) for name, values in chosen) or "true"
-    parameters = [*selected, *of_kind * len(kinds), *(value for _, values in chosen for value in values)]
+    parameters = [*selected, *of_kind * len(kinds), *(value for __, values in chosen for value in values)]
     return f"FROM ({sql}) WHERE {conditions}", parameters
 
 
@@ -144,6 +152,44 @@ def feature_of(row: Any) -> Feature:
     return Feature(row.feature_kind, str(row.feature_id))
 
 
+def feature_words(feature_id: str, locale: Locale) -> str:
+    """A feature as people read it: R04, M1 at 8 mm, M1 136–200 mm."""
+    found = _ALONG.fullmatch(feature_id)
+    if found is None:
+        return feature_id
+    name, first, last = found.groups()
+    first, last = (locale.number(end, 0 if end and end.endswith(".0") else 1) for end in (first, last))
+    if found[3] is None:
+        return _("{name} at {place} mm", name=name, place=first)
+    return _("{name} {first}–{last} mm", name=name, first=first, last=last)
+
+
+def name_of(shown: ShownFinding, locale: Locale) -> str:
+    """A finding in full: rivet or position, aircraft, panel, station."""
+    return f"{feature_words(shown.feature.id, locale)} ({place_of(shown)})"
+
+
+def place_of(shown: ShownFinding) -> str:
+    """Aircraft, panel and station of a finding."""
+    return " ".join(str(shown.values[name]) for name in ("aircraft_serial", "panel", "station"))
+
+
+def names_of(shown: Sequence[ShownFinding], locale: Locale) -> str:
+    """Several findings in a line; with their places where these differ."""
+    places = {place_of(finding) for finding in shown}
+    alike = len(places) == 1
+    names = [feature_words(s.feature.id, locale) if alike else name_of(s, locale) for s in shown[:_MOST_NAMED]]
+    more = " " + _("and {n} more", n=len(shown) - _MOST_NAMED) if len(shown) > _MOST_NAMED else ""
+    return ", ".join(names) + more + (f" ({places.pop()})" if alike else "")
+
+
+def standings_words(standings: Iterable[Standing]) -> str:
+    """How many findings stand how: "18 waiting, 1 open work, 1 decided"."""
+    counts = Counter(standing.state for standing in standings)
+    said = [f"{counts[state]} {_(state)}" for state in (*UNRESOLVED, DECIDED) if counts[state]]
+    return ", ".join(said) or _("no findings")
+
+
 def feature_parameter(feature: Feature) -> str:
     """A feature as the URL has it."""
     return f"{BY_NAME[feature.kind].parameter}:{feature.id}"
@@ -151,6 +197,6 @@ def feature_parameter(feature: Feature) -> str:
 
 def feature_from_parameter(text: str | None) -> Feature | None:
     """The feature that a URL names; None where it names none."""
-    parameter, _, name = (text or "").partition(":")
+    parameter, __, name = (text or "").partition(":")
     kind = next((kind for kind in KINDS if kind.parameter == parameter), None)
     return Feature(kind.name, name) if kind and name else None

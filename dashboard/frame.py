@@ -1,4 +1,4 @@
-"""What every page shares: who asks, how they write numbers, and that no traceback ever reaches them."""
+"""What every page shares: who asks, their language and numbers, and that no traceback ever reaches them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from dashboard.address import one_of, unknown_values
 from dashboard.data import Archive
 from dashboard.locale import STYLE_NAMES, Locale, locale_of
 from dashboard.settings import SettingsModel, load_settings, store_root
+from dashboard.words import ENGLISH, KEPT, LANGUAGES, _, language, speak
 from metrology.errors import FlushlineError
 
 _LOG = logging.getLogger("flushline.dashboard")
@@ -45,14 +46,18 @@ def guarded(title: str, render: Callable[[PageContext], None], needs_results: bo
 
     def page() -> None:
         try:
+            speak_their_language()
             _page(title, render, needs_results)
         except FlushlineError as problem:
             st.error(plain(problem), icon=":material/error:")
         except Exception as problem:  # whatever is in the store or the URL
             _LOG.exception("page %s", title)
             st.error(
-                f"This page met something it did not expect ({plain(type(problem).__name__)}); the server's log says "
-                "more. The other pages are not affected.",
+                _(
+                    "This page met something it did not expect ({problem}); the server's log says more. "
+                    "The other pages are not affected.",
+                    problem=plain(type(problem).__name__),
+                ),
                 icon=":material/error:",
             )
 
@@ -65,7 +70,7 @@ def _page(title: str, render: Callable[[PageContext], None], needs_results: bool
     settings = load_settings(root)
     person = current_person(settings.roles, root)
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.markdown(f"##### {plain(settings.title)} · {plain(title)}")
+        st.markdown(f"##### {plain(settings.title)} · {plain(_(title))}")
         locale = _corner(settings, person, root)
     if person.role == "nobody":
         _ask_to_log_in(person, root)
@@ -80,7 +85,8 @@ def _page(title: str, render: Callable[[PageContext], None], needs_results: bool
     if unknown := unknown_values():
         said = "; ".join(plain(value) for value in unknown)
         place.warning(
-            f"The address asks for what is not here, and is shown without it: {said}.", icon=":material/link_off:"
+            _("The address asks for what is not here, and is shown without it: {said}.", said=said),
+            icon=":material/link_off:",
         )
 
 
@@ -89,41 +95,61 @@ def _corner(settings: SettingsModel, person: Person, root: Path) -> Locale:
     with st.container(horizontal=True, horizontal_alignment="right", vertical_alignment="center", gap="small"):
         if not login_configured():
             st.caption(
-                "This computer only · no log-in", help="docs/dashboard.md says how to set up a log-in and roles."
+                _("This computer only · no log-in"), help=_("docs/dashboard.md says how to set up a log-in and roles.")
             )
         elif person.name:
-            st.caption(f"{plain(person.name)} · {person.role}")
-        with st.popover("Settings", icon=":material/tune:", type="tertiary"):
-            guessed = locale_of(_context("locale"), _context("timezone"), settings.numbers)
+            st.caption(f"{plain(person.name)} · {_(person.role)}")
+        with st.popover(_("Settings"), icon=":material/tune:", type="tertiary"):
+            st.selectbox(
+                _("Language"), list(LANGUAGES), format_func=LANGUAGES.__getitem__,
+                **one_of("language", list(LANGUAGES), language()),
+            )  # fmt: skip
+            browser = _context("locale") or ""
+            tag = browser if browser.lower().startswith(language()) else language()
+            guessed = locale_of(tag, _context("timezone"), settings.numbers)
             named = {short: name for name, short in STYLE_NAMES.items()}
             first = st.session_state.get(_STYLE) or named[guessed.style]
-            style = st.selectbox("Numbers and dates", list(STYLE_NAMES), **one_of("numbers", list(STYLE_NAMES), first))
-            st.session_state[_STYLE] = style  # stays when a link leads to another page
+            style = st.selectbox(
+                _("Numbers and dates"), list(STYLE_NAMES), format_func=_, **one_of("numbers", list(STYLE_NAMES), first)
+            )
+            if "numbers" in st.query_params:
+                st.session_state[_STYLE] = style  # stays when a link leads to another page
             locale = Locale(STYLE_NAMES.get(style, guessed.style), guessed.zone)
             st.caption(f"{locale.number(1234.5, 1)} · {locale.time(datetime.now(UTC))}")
-            st.caption(f"Times: {guessed.zone}")
+            st.caption(_("Times: {zone}", zone=guessed.zone))
             if person.verified:
-                st.button("Log out", on_click=log_out, args=(root,))
+                st.button(_("Log out"), on_click=log_out, args=(root,))
     return locale
 
 
 def _ask_to_log_in(person: Person, root: Path) -> None:
     if person.name:
-        st.warning("You are logged in, but this dashboard's settings give you no role. Ask whoever runs it.")
-        st.button("Log out and in as someone else", on_click=log_out, args=(root,))
+        st.warning(_("You are logged in, but this dashboard's settings give you no role. Ask whoever runs it."))
+        st.button(_("Log out and in as someone else"), on_click=log_out, args=(root,))
         return
-    st.info("Please log in to see inspection results.")
-    st.button("Log in", on_click=st.login, type="primary")
+    st.info(_("Please log in to see inspection results."))
+    st.button(_("Log in"), on_click=st.login, type="primary")
+
+
+def speak_their_language() -> None:
+    """Word this run in the language that the address names, else the one of before, the settings', or the browser's."""
+    try:
+        preset = load_settings(store_root()).language
+    except FlushlineError:  # the page says what is wrong
+        preset = None
+    asked = (st.query_params.get("language"), st.session_state.get(KEPT), preset, str(_context("locale"))[:2].lower())
+    speak(next((name for name in asked if name in LANGUAGES), ENGLISH))
+    st.session_state[KEPT] = language()
 
 
 def say_how_to_begin(archive: Archive) -> None:
     """For a store without results: what to do next."""
-    st.info("No scene has been inspected into this store yet.", icon=":material/inbox:")
-    st.markdown("Inspect a scan with its rig, and come back:")
+    st.info(_("No scan has been inspected into this store yet."), icon=":material/inbox:")
+    st.markdown(_("Inspect a scan with its rig, and come back:"))
     st.code(f"flushline inspect SCENE --rig rig.json --store {archive.root}", language="sh")
-    st.markdown("Or look around first with a simulated panel:")
+    st.markdown(_("Or look around first with a simulated panel:"))
     st.code("flushline demo --out demo\nflushline dashboard --store demo/store", language="sh")
-    if st.button("Look again", icon=":material/refresh:"):
+    if st.button(_("Look again"), icon=":material/refresh:"):
         st.rerun()
 
 

@@ -11,11 +11,13 @@ from zoneinfo import ZoneInfo
 
 import pandas as pd
 
+from dashboard.reasons import worded
+from dashboard.words import N_, _
 from metrology.tolerance import RULE
 
 Style = Literal["us", "de", "iso"]
 STYLES: tuple[Style, ...] = get_args(Style)
-STYLE_NAMES: dict[str, Style] = {"US": "us", "German": "de", "ISO": "iso"}
+STYLE_NAMES: dict[str, Style] = {N_("US"): "us", N_("German"): "de", N_("ISO"): "iso"}
 NOTHING = "–"
 _MINUS, _THIN_SPACE, _NARROW_SPACE = "−", "\u202f", "\u00a0"
 
@@ -59,7 +61,7 @@ class Locale:
     def measured(self, value: object, u95: object, unit: str, sign: bool = True) -> str:
         """A value with its expanded uncertainty and unit."""
         if _finite(value) is None:
-            return "not measured"
+            return _("not measured")
         spread = f" ± {self.number(u95)}" if _finite(u95) is not None else ""
         return f"{self.number(value, sign=sign)}{spread}{_NARROW_SPACE}{unit}"
 
@@ -85,12 +87,12 @@ class Locale:
         return f"{local:{({'us': '%m/%d/%Y', 'de': '%d.%m.%Y', 'iso': '%Y-%m-%d'})[self.style]}}"
 
     def reason(self, text: object) -> str:
-        """A stored reason as the person writes numbers, without the rule of decision, which the pages say once.
+        """A stored reason in the person's language and numbers, without the rule of decision, which the pages say once.
 
         Numbers with a sign, an uncertainty, a bound or a unit are measurements; all else, such as a revision 1.2 or ISO
         14253-1, stays as it is.
         """
-        said = str(text).replace(f"; {RULE}", "")
+        said = worded(str(text).replace(f"; {RULE}", ""))
         written = _MEASURED.sub(lambda found: found[0].replace(".", self.separators[0]), said)
         return re.sub(r"(?<!\w)-(?=\d)", _MINUS, written)
 
@@ -112,7 +114,7 @@ class Locale:
 
 def locale_of(tag: str | None, timezone: str | None, style: str | None = None) -> Locale:
     """Locale for a browser's locale and time zone; `style` wins where it is given."""
-    language, _, region = (tag or "").replace("_", "-").partition("-")
+    language, __, region = (tag or "").replace("_", "-").partition("-")
     guessed: Style = "us" if region.upper() == "US" else "de" if language.lower() in ("de", "fr", "es", "it") else "iso"
     chosen = next((known for known in STYLES if known == style), guessed)
     try:

@@ -25,7 +25,7 @@ def with_margins(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
     for (bundle, kind_name), part in _bundles(archive, rows).groupby(["bundle_path", "feature_kind"], sort=False):
         spec = _specification(archive, bundle)
         if spec is not None:
-            found |= _of_scenes(archive, str(kind_name), list(part["scene_id"]), set(part["feature_id"]), spec)
+            found |= _of_findings(archive, str(kind_name), part, spec)
     keys = zip(rows["scene_id"], rows["feature_kind"], rows["feature_id"], strict=True)
     margins = [found.get(key, (float("nan"), "", float("nan"))) for key in keys]
     return rows.assign(**dict(zip(("margin", "margin_unit", "margin_share"), zip(*margins, strict=True), strict=True)))
@@ -46,25 +46,27 @@ def _specification(archive: Archive, bundle: object) -> PanelSpec | None:
         return None
 
 
-def _of_scenes(
-    archive: Archive, kind_name: str, scenes: Sequence[str], wanted: set[str], spec: PanelSpec
+def _of_findings(
+    archive: Archive, kind_name: str, findings: pd.DataFrame, spec: PanelSpec
 ) -> dict[tuple[str, str, str], tuple[float, str, float]]:
+    """Margins of findings of one kind; of a stretch that of the position that pages show it by (see `find_feature`)."""
     kind = BY_NAME[kind_name]
     columns = ", ".join(column.name for column in OF_KIND[kind_name].columns)
-    named = sorted(set(scenes))
+    same = "named = feature_id OR named = stretch" if kind.is_course else "named = feature_id"
+    worst = "PARTITION BY scene_id, named ORDER BY beyond_mm DESC NULLS LAST"
     rows = archive.rows(
-        f"SELECT {columns}, {kind.id_sql} AS feature_id FROM {kind.table} "
-        f"WHERE scene_id IN ({', '.join('?' * len(named))})",
-        named,
+        f"WITH wanted(scene_id, named) AS (VALUES {', '.join(['(?, ?)'] * len(findings))}) "
+        f"SELECT {columns}, feature_id, named "
+        f"FROM (SELECT *, {kind.id_sql} AS feature_id FROM {kind.table} SEMI JOIN wanted USING (scene_id)) "
+        f"JOIN wanted USING (scene_id) WHERE {same}"
+        + (f" QUALIFY row_number() OVER ({worst}) = 1" if kind.is_course else ""),
+        findings[["scene_id", "feature_id"]].astype(str).to_numpy().ravel().tolist(),
     )
-    found: dict[tuple[str, str, str], tuple[float, str, float]] = {}
-    for row in rows.itertuples():
-        for name in {row.feature_id, getattr(row, "stretch", None)} & wanted:
-            margin = _worst(required_by(Feature(kind_name, row.feature_id), row, spec))
-            key = (row.scene_id, kind_name, name)
-            if margin is not None and (key not in found or margin[2] < found[key][2]):
-                found[key] = margin
-    return found
+    margins = {
+        (row.scene_id, kind_name, row.named): _worst(required_by(Feature(kind_name, row.feature_id), row, spec))
+        for row in rows.itertuples()
+    }
+    return {key: margin for key, margin in margins.items() if margin is not None}
 
 
 def _worst(required: Sequence[Requirement]) -> tuple[float, str, float] | None:

@@ -14,6 +14,7 @@ from scipy import stats
 from dashboard.data import Archive
 from dashboard.findings import Selection
 from dashboard.quarantine import put_aside
+from dashboard.words import N_, _
 from storage.archive.changes import changes_sql, drift_sql
 from storage.export.events import rigs_due
 
@@ -79,11 +80,11 @@ def not_inspected(inboxes: Sequence[str], scans: pd.DataFrame, since: datetime |
     aside = put_aside(inboxes)
     if since is not None and len(aside):
         aside = aside[aside["at"] > since]
-    aside = aside.assign(what="put aside", scene_id=None)[["at", "scene", "what", "why", "scene_id"]]
+    aside = aside.assign(what=N_("put aside"), scene_id=None)[["at", "scene", "what", "why", "scene_id"]]
     doubtful = scans[scans["rig_verdict"] == "unjudged"]
     unjudged = pd.DataFrame(
-        {"at": row.captured_at, "scene": row.scene_id, "what": "rig unjudged", "scene_id": row.scene_id,
-         "why": "; ".join(map(str, row.warnings)) or "the scan cannot tell whether its rig fits"}
+        {"at": row.captured_at, "scene": row.scene_id, "what": N_("rig not judged"), "scene_id": row.scene_id,
+         "why": "; ".join(map(str, row.warnings)) or _("the scan cannot tell whether its rig fits")}
         for row in doubtful.itertuples()
     )  # fmt: skip
     return pd.concat([part for part in (aside, unjudged) if len(part)] or [aside], ignore_index=True)

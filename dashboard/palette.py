@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dashboard.words import _
 from metrology.results import Decision
 from metrology.verdicts import DECISIONS as LOOKS
 from metrology.verdicts import OPEN, SEVERITIES, Symbol
@@ -21,7 +22,6 @@ DECISIONS: tuple[Decision, ...] = tuple(LOOKS)
 OPEN_DECISIONS: tuple[Decision, ...] = OPEN
 """What a person must look at."""
 DECISION_SIGNS: dict[str, str] = {name: look.sign for name, look in LOOKS.items()}
-DECISION_MARKS: dict[str, str] = {name: f"{sign} {name}" for name, sign in DECISION_SIGNS.items()}
 _BADGES = {"bad": "red", "doubtful": "orange", "fair": "blue", "good": "green", "none": "gray"}
 DECISION_BADGES: dict[str, str] = {name: _BADGES[look.tone] for name, look in LOOKS.items()}
 _TONES = {"bad": RED, "doubtful": ORANGE, "fair": BLUE, "good": GREEN, "none": GREY}
@@ -33,3 +33,14 @@ SEQUENTIAL = "Cividis"
 COUNTS = [[0.0, "rgba(0,158,115,0.25)"], [1e-9, "#F0E442"], [0.4, "#E69F00"], [1.0, "#D55E00"]]
 """Nothing to do is green, then yellow to vermilion."""
 MISSING = "rgba(128,128,128,0.18)"
+
+
+def quantity_words(name: str) -> str:
+    """A quantity as people call it: what is stored as the width of a seam is its gap."""
+    return _("gap") if name == "width" else _(name)
+
+
+def decision_words(decision: object) -> str:
+    """A decision with its sign; a word of another version as it is."""
+    name = str(decision)
+    return f"{DECISION_SIGNS[name]} {_(name)}" if name in DECISION_SIGNS else name

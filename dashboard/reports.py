@@ -7,6 +7,7 @@ from functools import partial
 
 import streamlit as st
 
+from dashboard.words import _
 from storage.report import Report
 
 
@@ -20,8 +21,8 @@ def offer_report(name: str, made: Callable[[], Report]) -> None:
     """
     with st.container(horizontal=True, vertical_alignment="center"):
         for label, suffix, kind in (
-            ("Report (PDF)", ".pdf", "application/pdf"),
-            ("Report (HTML)", ".html", "text/html"),
+            (_("Report (PDF)"), ".pdf", "application/pdf"),
+            (_("Report (HTML)"), ".html", "text/html"),
         ):
             st.download_button(
                 label,

@@ -8,20 +8,25 @@ from typing import Any
 import pandas as pd
 
 from dashboard.data import Archive
-from dashboard.findings import feature_of
+from dashboard.findings import feature_of, feature_words, standings_words
 from dashboard.locale import Locale
-from dashboard.palette import DECISION_MARKS
+from dashboard.palette import decision_words
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
+from dashboard.words import N_, _, language
 from metrology.errors import FlushlineError
 from metrology.verdicts import SEVERITIES
-from storage.archive.work import Standing, said
+from storage.archive.work import Standing
 from storage.review import Feature, ReviewLog
 from storage.spreadsheet import ENCODING, harmless
 from storage.templates import rendered
 
 _CROP_PX = 60
 _MOST_PICTURES = 60
+_HEADS = (
+    N_("Aircraft"), N_("Panel"), N_("Station"), N_("Feature"), N_("Height / step, mm"), N_("± U95, mm"), N_("Verdict"),
+    N_("Why"), N_("State"), N_("Disposition"),
+)  # fmt: skip
 
 
 def csv_report(rows: pd.DataFrame, locale: Locale) -> bytes:
@@ -45,42 +50,50 @@ def html_report(rows: pd.DataFrame, archive: Archive, locale: Locale, title: str
     page = rendered(
         "dashboard",
         "review.html",
-        title=title,
+        title=title + ": " + _("Tolerance review"),
+        language=language(),
         colours={name: look.paper for name, look in SEVERITIES.items() if name},
         findings=findings,
-        standings=said(_standings(rows)),
-        made=f"{locale.time(datetime.now(UTC))} ({locale.zone})",
-        root=archive.root,
-        limits=_names(rows["panel_spec"]),
-        versions=_names(rows["software_version"]),
-        review_head=ReviewLog(archive.root).head(),
+        heads=[_(head) for head in _HEADS],
+        summary=_summary(rows, archive, locale),
     )
     return page.encode()
 
 
+def _summary(rows: pd.DataFrame, archive: Archive, locale: Locale) -> list[str]:
+    standings = standings_words(Standing(feature_of(row), row.state) for row in rows.itertuples())
+    made = f"{locale.time(datetime.now(UTC))} ({locale.zone})"
+    return [
+        _("{n} findings ({standings}) · made {made}", n=len(rows), standings=standings, made=made),
+        _(
+            "Limits: {limits} · Flushline {versions} · decided after ISO 14253-1 with the uncertainty U95",
+            limits=_names(rows["panel_spec"]), versions=_names(rows["software_version"]),
+        ),
+        _("The review log ends with {entry}", entry=ReviewLog(archive.root).head()),
+    ]  # fmt: skip
+
+
 def _names(values: pd.Series) -> str:
-    return ", ".join(sorted({str(name) for name in values.dropna()})) or "not stated"
-
-
-def _standings(rows: pd.DataFrame) -> list[Standing]:
-    return [Standing(feature_of(row), row.state) for row in rows.itertuples()]
+    return ", ".join(sorted({str(name) for name in values.dropna()})) or _("not stated")
 
 
 def _finding(row: dict[str, Any], archive: Archive, locale: Locale, picture: bool) -> dict[str, str]:
     """What the template says of one finding."""
     decided = ""
     if not pd.isna(row["disposition"]):
-        decided = f"{row['disposition']}, {row['who']}, {locale.time(row['decided_at'])}"
+        decided = f"{_(row['disposition'])}, {row['who']}, {locale.time(row['decided_at'])}"
     if not pd.isna(row["signed_by"]):
-        decided += f" (signed off by {row['signed_by']})"
+        decided += " (" + _("signed off by {who}", who=row["signed_by"]) + ")"
     if not pd.isna(row["closed_by"]):
-        decided += f"; work closed by {row['closed_by']}: {row['closed_because']}"
+        decided += "; " + _("work closed by {who}: {reason}", who=row["closed_by"], reason=row["closed_because"])
     return {
-        **{name: str(row[name]) for name in ("aircraft_serial", "panel", "station", "feature_id", "state")},
+        **{name: str(row[name]) for name in ("aircraft_serial", "panel", "station")},
+        "feature_id": feature_words(str(row["feature_id"]), locale),
+        "state": _(str(row["state"])),
         "picture": _picture(row, archive) if picture else "",
         "value": locale.number(row["value_mm"], sign=True),
         "u95": locale.number(row["u95_mm"]),
-        "verdict": DECISION_MARKS.get(row["decision"], row["decision"]),
+        "verdict": decision_words(row["decision"]),
         "reason": "" if pd.isna(row["reason"]) else locale.reason(row["reason"]),
         "decided": decided,
         "severity": row["severity"] if row["severity"] in SEVERITIES and row["severity"] else "",

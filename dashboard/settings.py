@@ -2,6 +2,7 @@
 
 title = "Hall 7"
 numbers = "de"                       # us, de, iso; by default the browser's
+language = "de"                      # en, de; by default the browser's
 not_aircraft = ["STD-*"]             # serial numbers of gauges and standard parts: the overview leaves them out
 concessions = true                   # "use as is" and "repair" ask for a concession or NCR number
 inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
@@ -55,6 +56,7 @@ class SettingsModel(StrictModel):
 
     title: str = "Flushline"
     numbers: str | None = None
+    language: str | None = None
     not_aircraft: tuple[str, ...] = ()
     concessions: bool = False
     inboxes: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dashboard.words import _
 from metrology.requirements import Downstream
 from metrology.tolerance import Limit
 
@@ -77,10 +78,10 @@ def standard_of(groups: Sequence[LimitGroup]) -> Standard:
     unreadable = sum(group.n for group in shown if not group.readable)
     if len({group.limit.bounds if group.limit else None for group in shown}) < 2 and not unreadable:
         limit = next((group.limit for group in shown), None)
-        return Standard(limit, note="" if limit else "The specification has no limit for this quantity.")
+        return Standard(limit, note="" if limit else _("The specification has no limit for this quantity."))
     limited = [group for group in shown if group.limit is not None]
     if not limited:
-        return Standard(None, note="The limits of these runs cannot be read by this version.")
+        return Standard(None, note=_("The limits of these runs cannot be read by this version."))
     scales = tuple(
         (g.config_hash, g.panel_spec, g.zone, g.downstream, *g.limit.scaling)
         for g in groups
@@ -94,22 +95,27 @@ def _common(limited: Sequence[LimitGroup]) -> Limit | None:
     lower, upper = (all(g.limit and g.limit.bounds[side] is not None for g in limited) for side in (0, 1))
     if not lower and not upper:
         return None
-    return Limit(-1.0 if lower else None, 1.0 if upper else None, source="each one's own limits")
+    return Limit(-1.0 if lower else None, 1.0 if upper else None, source=_("each one's own limits"))
 
 
 def _difference(shown: Sequence[LimitGroup], limited: Sequence[LimitGroup]) -> str:
     bounds = sorted({str(group.limit).split(" (")[0] for group in limited})
-    named = "; ".join(bounds[:4]) + (f" and {len(bounds) - 4} more" if len(bounds) > 4 else "")
+    named = "; ".join(bounds[:4]) + (" " + _("and {n} more", n=len(bounds) - 4) if len(bounds) > 4 else "")
     said = (
-        f"These values were judged by different limits ({named}), so each is shown relative to its own: "
-        "0 is in the middle of them, ±1 is at them (of a limit on one side: value over limit)."
+        _(
+            "These values were judged by different limits ({named}), so each is shown relative to its own: "
+            "0 is in the middle of them, ±1 is at them (of a limit on one side: value over limit).",
+            named=named,
+        )
         if len(bounds) > 1
-        else f"Values are shown relative to their limits ({named}): ±1 is at them."
+        else _("Values are shown relative to their limits ({named}): ±1 is at them.", named=named)
     )
     if not has_capability(shown):
-        said += " Some of the limits are on one side only: there is no capability over all of them."
+        said += " " + _("Some of the limits are on one side only: there is no capability over all of them.")
     left = sum(g.n for g in shown if g.limit is None or g.limit.scaling is None)
-    return said + (f" Values without a limit that can be read or divided by, left out: {left}." if left else "")
+    return said + (
+        " " + _("Values without a limit that can be read or divided by, left out: {n}.", n=left) if left else ""
+    )
 
 
 def has_capability(groups: Sequence[LimitGroup]) -> bool:

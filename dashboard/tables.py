@@ -9,9 +9,11 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
+from dashboard.findings import feature_words
 from dashboard.locale import NOTHING, Locale
-from dashboard.palette import DECISION_MARKS
+from dashboard.palette import decision_words
 from dashboard.picking import Picked, clicked_row, fresh_key
+from dashboard.words import N_, _
 from metrology.kinds import KINDS
 
 _SIGNED = (
@@ -73,7 +75,9 @@ def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale)
     formats = {heading: _writer(name, rows[name], locale) for name, heading in present.items()}
     styled = shown.style.format({h: f for h, f in formats.items() if f is not None}, na_rep=NOTHING)
     config = {
-        heading: st.column_config.Column(width="medium" if name == "reason" else "small", help=_HELP.get(name))
+        heading: st.column_config.Column(
+            width="medium" if name == "reason" else "small", help=_(_HELP[name]) if name in _HELP else None
+        )
         for name, heading in present.items()
         if name in _NARROW or name in _HELP
     }
@@ -81,13 +85,15 @@ def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale)
 
 
 _NARROW = ("reason",)
+_WORDS = ("state", "disposition", "rig_verdict", "status", "what", "kind")
+"""Columns of words that have a translation."""
 _HELP = {
-    "value_mm": "Height of a rivet head, + proud of the skin; step of a seam, side B above side A",
-    "u95_mm": "Expanded uncertainty, 95 %",
-    "margin": "Distance to the nearest limit, mm (tilt: °): negative beyond it",
-    "waiting": "Findings without a disposition, and those whose rework, repair or re-scan is not done",
-    "open_work": "Of those waiting: rework, repair or re-scan was asked for and is not done",
-    "worst_mm": "Largest |height| or |step| among what does not simply pass",
+    "value_mm": N_("Height of a rivet head, + proud of the skin; step of a seam, side B above side A"),
+    "u95_mm": N_("Uncertainty: in 95 of 100 cases the true value lies within ± this"),
+    "margin": N_("Distance to the nearest limit, mm (tilt: °): negative beyond it"),
+    "waiting": N_("Findings that nobody decided, and those whose rework, repair or re-scan is not done"),
+    "open_work": N_("Of those waiting: rework, repair or re-scan was decided and is not done yet"),
+    "worst_mm": N_("Largest |height| or |step| among what does not simply pass"),
 }
 
 
@@ -98,9 +104,13 @@ def fitting(height: int, rows: int) -> int:
 
 def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], str] | None:
     if name == "decision":
-        return lambda value: DECISION_MARKS.get(str(value), str(value))
+        return decision_words
     if name == "reason":
         return locale.reason
+    if name == "feature_id":
+        return lambda value: feature_words(str(value), locale)
+    if name in _WORDS:
+        return lambda value: _(str(value))
     if isinstance(values.dtype, pd.DatetimeTZDtype):
         return locale.time
     if pd.api.types.is_integer_dtype(values.dtype):

@@ -12,6 +12,7 @@ import pandas as pd
 from dashboard.data import Archive
 from dashboard.findings import Selection
 from dashboard.standard import PLAIN, SIGNS, LimitGroup, Standard
+from dashboard.words import N_, _
 from metrology import kinds
 from metrology.errors import FlushlineError
 from metrology.kinds import KINDS, RIVET, Kind
@@ -57,7 +58,11 @@ class Quantity:
 
     def against(self, standard: Standard) -> Quantity:
         """The quantity as a chart names it that holds it against a standard."""
-        return replace(self, title=f"{self.title} over its limits", unit="×") if standard.relative else self
+        return (
+            replace(self, title=_("{quantity} over its limits", quantity=_(self.title)), unit="×")
+            if standard.relative
+            else self
+        )
 
 
 QUANTITIES = {
@@ -65,12 +70,12 @@ QUANTITIES = {
     for kind in KINDS
     for quantity in kind.quantities
 }
-FASTENER_TYPE = "fastener type"
+FASTENER_TYPE = N_("fastener type")
 BY_SUBJECT = {kind.subject: kind for kind in KINDS}
 """The kinds whose values a trend follows name by name."""
 SUBJECTS = {
     **{subject: tuple(quantity.name for quantity in kind.quantities) for subject, kind in BY_SUBJECT.items()},
-    "panel": tuple(QUANTITIES),
+    N_("panel"): tuple(QUANTITIES),
     FASTENER_TYPE: tuple(quantity.name for quantity in RIVET.quantities),
 }
 """What a trend is about, and the quantities that fit."""
@@ -265,7 +270,7 @@ class Event:
 def events(rows: pd.DataFrame) -> list[Event]:
     """Changes of rig calibration and of software version along a series."""
     found = []
-    for column, word in (("rig_id", "rig"), ("software_version", "version")):
+    for column, word in (("rig_id", _("rig")), ("software_version", _("version"))):
         names = rows[column].astype("object").where(rows[column].notna(), None).tolist()
         for i in range(1, len(names)):
             if names[i] != names[i - 1] and names[i] is not None:

@@ -71,7 +71,7 @@ SEAM_STATION = Kind(
             signed=True, rests_on_it=("step_into_wind_mm",), into_wind="step_into_wind_mm",
         ),
         Quantity(
-            "width", "width_mm", "width_u95_mm", "mm", "Seam width",
+            "width", "width_mm", "width_u95_mm", "mm", "Seam gap",
             (LimitName("width_mm", "seam gap, mm"),), word="gap", not_of=(("joint", "lap"),),
         ),
     ),

@@ -135,6 +135,30 @@ class ReviewLog:
 
         return self._append(who, reason, wanted, check)
 
+    def undo(self, who: str, shown: Sequence[ShownFinding], reason: str) -> list[Entry]:
+        """Take back the last disposition or close of features, and say why: what was decided before it holds again.
+
+        Refused where the scene is signed off, where nothing that is about all positions of a stretch alike holds, or
+        where something was decided since it was shown.
+        """
+        if not reason.strip():
+            raise UsageError("undo: found no reason, expected why the decision is undone")
+        if not shown:
+            raise UsageError("undo: found no feature, expected at least one")
+        wanted = [_of_feature(s, "undo") for s in shown]
+
+        def check(review: Review) -> None:
+            for finding in shown:
+                _check_open(review, finding.scene_id)
+                _check_undecided_since(review, finding)
+                if review.undoable(finding.scene_id, *finding.features) is None:
+                    raise UsageError(
+                        f"{finding.scene_id} {finding.feature.id}: found no decision about it as a whole that holds, "
+                        "expected one to undo"
+                    )
+
+        return self._append(who, reason, wanted, check)
+
     def sign_off(self, who: str, shown: ShownScene, comment: str = "") -> Entry:
         """Close a scene; see `sign_off_all`."""
         return self.sign_off_all(who, [shown], comment)[0]

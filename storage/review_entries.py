@@ -19,7 +19,8 @@ from storage.review_file import checksum
 FORMAT = "flushline-review/1"
 FORMAT_OF_CLOSES = "flushline-review/2"
 FORMAT_OF_STRETCHES = "flushline-review/3"
-"""Of entries that versions before closes, and before stretches, cannot read; all others keep the format they know."""
+FORMAT_OF_UNDOS = "flushline-review/4"
+"""Of entries that versions before closes, stretches and undos cannot read; all others keep the format they know."""
 Disposition = Literal["use as is", "rework", "repair", "scrap", "re-scan"]
 DISPOSITIONS: tuple[Disposition, ...] = get_args(Disposition)
 ASKS_FOR_WORK: tuple[Disposition, ...] = ("rework", "repair", "re-scan")
@@ -36,15 +37,16 @@ class EntryModel(StrictModel):
     """The document of an entry, one line of JSON.
 
     `shown` holds what the person had before them: values, verdict, reason, revision of the limits, software version,
-    settings and rig. A close says, as its comment, why the work that a disposition asked for is done. An entry about a
-    stretch of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them.
+    settings and rig. A close says, as its comment, why the work that a disposition asked for is done; an undo, why the
+    last disposition or close that holds does so no more, and the one before it does again. An entry about a stretch
+    of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them.
     """
 
-    format: Literal["flushline-review/1", "flushline-review/2", "flushline-review/3"]
+    format: Literal["flushline-review/1", "flushline-review/2", "flushline-review/3", "flushline-review/4"]
     number: Annotated[int, Field(ge=1)]
     at: UtcTime
     who: str
-    action: Literal["disposition", "sign-off", "close"]
+    action: Literal["disposition", "sign-off", "close", "undo"]
     scene_id: str
     run_id: str
     feature_kind: str | None = None
@@ -69,6 +71,8 @@ class EntryModel(StrictModel):
 
 def format_of(action: str, stretch: bool) -> str:
     """Format of an entry: the oldest that has such entries."""
+    if action == "undo":
+        return FORMAT_OF_UNDOS
     return FORMAT_OF_STRETCHES if stretch else FORMAT_OF_CLOSES if action == "close" else FORMAT
 
 
@@ -140,7 +144,7 @@ class Entry(NamedTuple):
     @property
     def parts(self) -> tuple[Entry, ...]:
         """The entry of a stretch as one of each position that it is about; any other entry alone."""
-        if self.format != FORMAT_OF_STRETCHES:
+        if self.format not in (FORMAT_OF_STRETCHES, FORMAT_OF_UNDOS) or not (self.feature and self.feature.is_stretch):
             return (self,)
         return tuple(
             self._replace(
@@ -156,7 +160,8 @@ class Entry(NamedTuple):
     @property
     def what(self) -> str:
         """What was decided."""
-        return {"sign-off": "signed off", "close": "work closed"}.get(self.action, str(self.disposition))
+        done = {"sign-off": "signed off", "close": "work closed", "undo": "decision undone"}
+        return done.get(self.action, str(self.disposition))
 
     @property
     def said(self) -> str:
@@ -243,6 +248,9 @@ class ShownScene:
     last_entry: int = 0
 
 
+_Held = dict[tuple[str, Feature], tuple[Entry, ...]]
+
+
 @dataclass(frozen=True)
 class Review:
     """All that was decided so far.
@@ -262,13 +270,15 @@ class Review:
         """A review that goes on with further entries; what is known of the former ones is not looked for again."""
         more = Review(tuple(entries))
         longer = Review(self.entries + more.entries)
-        for name in ("_dispositions", "_sign_offs", "_last_by_feature", "_last_by_scene"):
+        for name in ("_sign_offs", "_last_by_feature", "_last_by_scene"):
             if name in self.__dict__:
                 longer.__dict__[name] = {**self.__dict__[name], **getattr(more, name)}
+        if "_held" in self.__dict__:
+            longer.__dict__["_held"] = _held_after(self._held, more.entries)
         return longer
 
     def current(self) -> dict[tuple[str, Feature], Entry]:
-        """The last disposition of each feature, by scene and feature: of a stretch, of each position."""
+        """The last disposition of each feature that holds, by scene and feature: of a stretch, of each position."""
         return self._dispositions
 
     def sign_offs(self) -> dict[str, Entry]:
@@ -281,7 +291,17 @@ class Review:
 
     def closes(self) -> dict[tuple[str, Feature], Entry]:
         """The close of each feature whose work a person closed, and about which nothing was decided since."""
-        return {key: entry for key, entry in self._last_by_feature.items() if entry.action == "close"}
+        return {key: held[-1] for key, held in self._held.items() if held[-1].action == "close"}
+
+    def held(self, scene_id: str, feature: Feature) -> tuple[Entry, ...]:
+        """Dispositions and closes of a feature that nobody undid, the last one last."""
+        return self._held.get((scene_id, feature), ())
+
+    def undoable(self, scene_id: str, *features: Feature) -> Entry | None:
+        """The disposition or close that an undo would take back: the last that holds, of all these features alike."""
+        held = [self.held(scene_id, feature) for feature in features]
+        last = {entries[-1].number: entries[-1] for entries in held if entries}
+        return next(iter(last.values())) if len(last) == 1 and all(held) else None
 
     def last_about(self, scene_id: str, *features: Feature) -> Entry | None:
         """The last entry about any of some features of a scene; of a stretch all positions are to be named."""
@@ -299,13 +319,16 @@ class Review:
 
     @cached_property
     def _dispositions(self) -> dict[tuple[str, Feature], Entry]:
-        return {
-            (part.scene_id, part.feature): part
-            for entry in self.entries
-            if entry.action == "disposition"
-            for part in entry.parts
-            if part.feature
+        last = {
+            key: next((entry for entry in reversed(held) if entry.action == "disposition"), None)
+            for key, held in self._held.items()
         }
+        return {key: entry for key, entry in last.items() if entry}
+
+    @cached_property
+    def _held(self) -> _Held:
+        """Dispositions and closes of each feature that nobody undid, the last one last."""
+        return _held_after({}, self.entries)
 
     @cached_property
     def _sign_offs(self) -> dict[str, Entry]:
@@ -314,9 +337,9 @@ class Review:
     @cached_property
     def _work(self) -> dict[tuple[str, Feature], Entry]:
         return {
-            key: entry
-            for key, entry in self._last_by_feature.items()
-            if entry.action == "disposition" and entry.disposition in ASKS_FOR_WORK
+            key: held[-1]
+            for key, held in self._held.items()
+            if held[-1].action == "disposition" and held[-1].disposition in ASKS_FOR_WORK
         }
 
     @cached_property
@@ -326,3 +349,16 @@ class Review:
     @cached_property
     def _last_by_scene(self) -> dict[str, Entry]:
         return {entry.scene_id: entry for entry in self.entries}
+
+
+def _held_after(held: _Held, entries: Sequence[Entry]) -> _Held:
+    """What holds of each feature after further entries: an undo takes the last one away."""
+    after = dict(held)
+    for part in (part for entry in entries for part in entry.parts):
+        if part.feature:
+            key = (part.scene_id, part.feature)
+            before = after.pop(key, ())
+            now = before[:-1] if part.action == "undo" else (*before, part)
+            if now:
+                after[key] = now
+    return after

@@ -9,6 +9,7 @@ from dashboard.closeup import RivetCloseUp, SeamSection
 from dashboard.figures.base import figure, limit_lines
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
+from dashboard.words import _
 from metrology.tolerance import Limit
 
 _MOST_POINTS = 3000
@@ -34,14 +35,14 @@ def rivet_map(closeup: RivetCloseUp, locale: Locale, height: int = 300) -> go.Fi
         zmin=-limit,
         zmax=limit,
         colorbar={"title": {"text": "mm"}, "thickness": 10, "tickformat": "+.2f"},
-        hovertemplate="%{z:+.3f} mm<extra>%{x:.1f}, %{y:.1f} mm from the centre</extra>",
+        hovertemplate="%{z:+.3f} mm<extra>%{x:.1f}, %{y:.1f} mm</extra>",
         hoverongaps=False,
     )
     fit = closeup.fit
     rings = [(fit.inner_mm, GREEN, "solid"), (fit.radius, INK, "dot")]
     rings += [(radius, PURPLE, "solid") for radius in fit.outer_mm]
     turn = np.linspace(0, 2 * np.pi, 90)
-    names = {0: "head points", 1: "rim", 2: "skin points"}
+    names = {0: _("head points"), 1: _("rim"), 2: _("skin points")}
     for i, (radius, colour, dash) in enumerate(rings):
         fig.add_scatter(
             x=radius * np.cos(turn),
@@ -64,9 +65,9 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
     position, deviation, inner, outer = closeup.section(half_width=max(0.6, 0.25 * closeup.fit.radius))
     other = ~(inner | outer)
     for members, colour, name, symbol in (
-        (other, INK, "not used", "circle-open"),
-        (outer, PURPLE, "skin", "circle"),
-        (inner, GREEN, "head", "square"),
+        (other, INK, _("not used"), "circle-open"),
+        (outer, PURPLE, _("skin"), "circle"),
+        (inner, GREEN, _("head"), "square"),
     ):
         fig.add_scattergl(
             x=np.round(position[members][:_MOST_POINTS], 3),
@@ -81,14 +82,14 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
     head = closeup.head(ends)
     reach = float(np.abs(position).max()) if position.size else 2 * r
     fig.add_scatter(
-        x=ends, y=head, mode="lines", line={"color": ORANGE, "width": 3}, name="head as fitted", hoverinfo="skip"
+        x=ends, y=head, mode="lines", line={"color": ORANGE, "width": 3}, name=_("head as fitted"), hoverinfo="skip"
     )
     fig.add_scatter(
         x=[-reach, reach],
         y=[0, 0],
         mode="lines",
         line={"color": BLUE, "width": 3},
-        name="skin as fitted",
+        name=_("skin as fitted"),
         hoverinfo="skip",
     )
     limit_lines(fig, limit)
@@ -96,8 +97,8 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
     used = deviation[inner | outer]
     marks = [value for value in (limit.bounds if limit else ()) if value is not None and abs(value) < 0.5]
     low, high = _range([*(used if used.size else [0.0]), *head, *marks])
-    fig.update_yaxes(range=[low, high], title="above the skin, mm", tickformat="+.2f")
-    fig.update_xaxes(title="along the steepest rise of the head, mm")
+    fig.update_yaxes(range=[low, high], title=_("above the skin, mm"), tickformat="+.2f")
+    fig.update_xaxes(title=_("along the steepest rise of the head, mm"))
     return fig
 
 
@@ -105,8 +106,8 @@ def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.F
     """The section across a seam as the paper's Fig. 8: points, L1, L2, D, G, D′, G′, step and width."""
     fig = figure(locale, height)
     for members, colour, name, symbol in (
-        (~section.used, INK, "not used", "circle-open"),
-        (section.used, PURPLE, "skin points", "circle"),
+        (~section.used, INK, _("not used"), "circle-open"),
+        (section.used, PURPLE, _("skin points"), "circle"),
     ):
         x, h = section.x[members], section.h[members]
         every = max(1, len(x) // _MOST_POINTS)
@@ -119,7 +120,7 @@ def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.F
             hovertemplate="%{y:+.3f} mm<extra></extra>",
         )
     reach = float(np.abs(section.x).max())
-    (start, _), (end, _) = section.edge_a, section.edge_b
+    (start, __), (end, __) = section.edge_a, section.edge_b
     for line, span, colour, name in (
         (section.line_a, np.linspace(-reach, end, 40), BLUE, "L1"),
         (section.line_b, np.linspace(start, reach, 40), ORANGE, "L2"),
@@ -146,8 +147,8 @@ def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.F
     _letters(fig, section)
     low, high = _section_range(section)
     _dimensions(fig, section, locale, low)
-    fig.update_xaxes(title="across the seam from side A to side B, mm")
-    fig.update_yaxes(title="along the skin's normal, mm", range=[low, high], tickformat="+.2f")
+    fig.update_xaxes(title=_("across the seam from side A to side B, mm"))
+    fig.update_yaxes(title=_("along the skin's normal, mm"), range=[low, high], tickformat="+.2f")
     return fig
 
 

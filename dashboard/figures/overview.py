@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,13 +12,14 @@ import plotly.graph_objects as go
 from dashboard.figures.base import escape, figure
 from dashboard.locale import Locale
 from dashboard.palette import COUNTS, DECISION_COLOURS, MISSING
+from dashboard.words import _
 from storage.templates import rendered
 
 _MOST_AIRCRAFT = 25
 
 
 def panel_matrix(
-    panels: pd.DataFrame, aircraft: Sequence[str], locale: Locale, height: int = 420
+    panels: pd.DataFrame, aircraft: Sequence[str], locale: Locale, height: int = 385
 ) -> tuple[go.Figure, int]:
     """What waits, by aircraft (newest above) and panel; returns how many aircraft fit too.
 
@@ -41,20 +43,14 @@ def panel_matrix(
         xgap=1,
         ygap=1,
         hoverinfo="skip",
-        colorbar={"title": {"text": "waiting"}, "thickness": 10},
+        colorbar={"title": {"text": _("waiting")}, "thickness": 10},
     )
     doubtful = part[part["unjudged"] > 0]
     fig.add_scatter(
         x=doubtful["panel"], y=doubtful["aircraft_serial"], mode="text", text="?", textfont={"color": "black"},
         hoverinfo="skip",
     )  # fmt: skip
-    text = [
-        f"<b>{escape(r.aircraft_serial)} {escape(r.panel)}</b><br>{locale.whole(r.waiting)} waiting, "
-        f"{locale.whole(r.open_work)} of them open work, {locale.whole(r.fail)} fail<br>"
-        + (f"scans with an unjudged rig: {locale.whole(r.unjudged)}<br>" if r.unjudged else "")
-        + f"last scan {locale.time(r.last_scan)}"
-        for r in part.itertuples()
-    ]
+    text = [_said(r, locale) for r in part.itertuples()]
     # Heat maps send no clicks; invisible markers on top of them do.
     fig.add_scatter(
         x=part["panel"],
@@ -73,6 +69,18 @@ def panel_matrix(
     return fig, len(rows)
 
 
+def _said(row: Any, locale: Locale) -> str:
+    """What a cell of the matrix says."""
+    lines = [
+        f"<b>{escape(row.aircraft_serial)} {escape(row.panel)}</b>",
+        _("{waiting} waiting, {work} of them open work, {fail} fail", waiting=locale.whole(row.waiting),
+          work=locale.whole(row.open_work), fail=locale.whole(row.fail)),
+        *([_("scans whose rig could not be judged: {n}", n=locale.whole(row.unjudged))] if row.unjudged else ()),
+        _("last scan {time}", time=locale.time(row.last_scan)),
+    ]  # fmt: skip
+    return "<br>".join(lines)
+
+
 def decision_bar(counts: Mapping[str, int], locale: Locale) -> str:
     """All findings in one bar of HTML, from grave to harmless; a chart of its own would cost the page a redraw."""
     total = max(1, sum(counts.values()))
@@ -80,7 +88,7 @@ def decision_bar(counts: Mapping[str, int], locale: Locale) -> str:
         {
             "count": count,
             "colour": DECISION_COLOURS[decision],
-            "words": f"{decision}: {locale.whole(count)} ({locale.percent(count / total)})",
+            "words": f"{_(decision)}: {locale.whole(count)} ({locale.percent(count / total)})",
         }
         for decision, count in counts.items()
         if count

@@ -9,6 +9,7 @@ from plotly.subplots import make_subplots
 from dashboard.figures.base import escape, figure
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, YELLOW
+from dashboard.words import _
 from metrology.steps import TIMED
 
 _STEP_COLOURS = (BLUE, ORANGE, GREEN, YELLOW, PURPLE, RED, GREY, "#0072B2", "#44AA99", "#882255")
@@ -25,16 +26,16 @@ def seconds_figure(nights: pd.DataFrame, locale: Locale, height: int = 400) -> g
             fig.add_bar(
                 x=nights["date"] if few else nights["day"],
                 y=values,
-                name=step.replace("_", " "),
+                name=_(step.replace("_", " ")),
                 marker_color=colour,
-                hovertemplate="%{y:.2f} s<extra>" + step.replace("_", " ") + "</extra>",
+                hovertemplate="%{y:.2f} s<extra>" + _(step.replace("_", " ")) + "</extra>",
             )
-    fig.update_yaxes(title="s per scene")
+    fig.update_yaxes(title=_("s per scene"))
     fig.update_xaxes(**({"type": "category", "autorange": "reversed"} if few else {"tickformat": locale.axis_dates}))
     return fig
 
 
-def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 420) -> go.Figure:
+def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 380) -> go.Figure:
     """Fit of cameras and projector above, depth noise below, one colour and shape per rig calibration."""
     fig = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.07)
     fig.update_layout(figure(locale, height).layout)
@@ -55,6 +56,6 @@ def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 420) -> go.Figu
                 col=1,
             )
     fig.update_xaxes(tickformat=locale.axis_dates)
-    for row, title in enumerate(("cameras, px", "projector, px", "noise, mm"), start=1):
+    for row, title in enumerate((_("cameras, px"), _("projector, px"), _("noise, mm")), start=1):
         fig.update_yaxes(title=title, rangemode="tozero", row=row, col=1)
     return fig

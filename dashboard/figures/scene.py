@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from dashboard.deviation import FieldDeviation
 from dashboard.figures.base import escape, figure
-from dashboard.findings import feature_parameter
+from dashboard.findings import feature_parameter, feature_words
 from dashboard.locale import Locale
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
 from dashboard.pictures import data_uri, shrunk
+from dashboard.words import _
 from metrology.kinds import KINDS, Kind
 from metrology.verdicts import IN_ORDER, SEVERITIES
 from storage.review import Feature
@@ -101,7 +102,7 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
         customdata=[feature_parameter(Feature(kind.name, str(name))) for name in part["feature_id"]],
         text=[_said(kind, row, locale) for row in part.itertuples()],
         hovertemplate="%{text}<extra></extra>",
-        name=f"{kind.subject} {SEVERITY_WORDS[severity]}",
+        name=f"{_(kind.subject)} {_(SEVERITY_WORDS[severity])}",
         selected={"marker": {"opacity": 1}},
         unselected={"marker": {"opacity": 1}},
     )
@@ -109,12 +110,10 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
 
 def _said(kind: Kind, row: Any, locale: Locale) -> str:
     """A feature's name, verdict and values."""
-    name, *position = (getattr(row, column) for column in kind.id_columns)
-    at = f" at {locale.number(position[0], 1)} mm:" if position else ""
-    lines = [f"<b>{escape(name)}</b>{at} {escape(row.decision)}"]
+    lines = [f"<b>{escape(feature_words(row.feature_id, locale))}</b>: {escape(_(row.decision))}"]
     for quantity in kind.quantities:
         value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
-        lines.append(f"{quantity.name} {locale.measured(value, u95, quantity.unit, sign=quantity.signed)}")
+        lines.append(f"{_(quantity.name)} {locale.measured(value, u95, quantity.unit, sign=quantity.signed)}")
     if hasattr(row, "diameter_mm"):
         lines.append(f"Ø {locale.number(row.diameter_mm, 2)} mm")
     return "<br>".join(lines)
@@ -186,7 +185,7 @@ def deviation_map(field: FieldDeviation, locale: Locale, height: int = 520) -> g
         zmin=-limit,
         zmax=limit,
         colorbar={"title": {"text": "mm"}, "thickness": 12, "tickformat": "+.2f"},
-        hovertemplate="%{z:+.3f} mm<extra>pixel %{x}, %{y}</extra>",
+        hovertemplate="%{z:+.3f} mm<extra>%{x}, %{y} px</extra>",
         hoverongaps=False,
     )
     fig.update_xaxes(visible=False, constrain="domain")
@@ -221,7 +220,7 @@ def cloud_figure(field: FieldDeviation, exaggeration: float, locale: Locale, hei
         scene={
             "xaxis": {"title": "x, mm"},
             "yaxis": {"title": "y, mm"},
-            "zaxis": {"title": f"deviation × {exaggeration:g}, mm"},
+            "zaxis": {"title": _("deviation × {n}, mm", n=locale.number(exaggeration, 0))},
             "aspectmode": "data",
             "camera": {"eye": {"x": 0.0, "y": -0.9, "z": 1.1}},
         }

@@ -15,6 +15,7 @@ from dashboard.figures.base import escape, figure, limit_lines
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
 from dashboard.trends import Event, Quantity, Spread
+from dashboard.words import N_, _
 from metrology.statistics import ControlChart, ParetoBar
 from metrology.tolerance import Limit
 
@@ -40,15 +41,15 @@ def control_figure(
         mode="lines+markers",
         line={"color": PURPLE, "width": 1.2},
         marker={"size": 4, "symbol": "square"},
-        hovertemplate="moving range %{y:.3f}<extra></extra>",
+        hovertemplate=_("moving range") + " %{y:.3f}<extra></extra>",
         showlegend=False,
         row=2,
         col=1,
     )
     for value, label, row in (
-        (chart.centre, "mean", 1),
-        (chart.upper, "UCL", 1),
-        (chart.lower, "LCL", 1),
+        (chart.centre, N_("mean"), 1),
+        (chart.upper, N_("UCL"), 1),
+        (chart.lower, N_("LCL"), 1),
         (chart.range_centre, "mean", 2),
         (chart.range_upper, "UCL", 2),
     ):
@@ -56,7 +57,7 @@ def control_figure(
             fig.add_hline(
                 value,
                 line={"color": GREEN if label == "mean" else ORANGE, "width": 1.5},
-                annotation_text=f"{label} {locale.number(value, sign=row == 1)}",
+                annotation_text=f"{_(label)} {locale.number(value, sign=row == 1)}",
                 annotation_position="right",
                 annotation_font_size=10,
                 row=row,
@@ -65,8 +66,8 @@ def control_figure(
     _add_limits(fig, chart, limit)
     _add_events(fig, [(times.iloc[event.index], escape(event.text)) for event in events])
     fig.update_xaxes(tickformat=locale.axis_dates)
-    fig.update_yaxes(title=f"{quantity.title}, {quantity.unit}", row=1, col=1)
-    fig.update_yaxes(title="moving range", rangemode="tozero", row=2, col=1)
+    fig.update_yaxes(title=f"{_(quantity.title)}, {quantity.unit}", row=1, col=1)
+    fig.update_yaxes(title=_("moving range"), rangemode="tozero", row=2, col=1)
     fig.update_layout(margin={"r": 84, "l": 8, "t": 8, "b": 8}, clickmode="event+select")
     return fig
 
@@ -88,8 +89,8 @@ def _add_values(
     text = [
         f"{escape(r.aircraft_serial)} · {locale.time(r.captured_at)}"
         f"<br>{locale.number(r.value, sign=True)} {quantity.unit}"
-        + (f" (mean of {locale.whole(r.n)})" if r.n > 1 else "")
-        + (f"<br>breaks rule {', '.join(broken[i])}" if i in broken else "")
+        + (" (" + _("mean of {n}", n=locale.whole(r.n)) + ")" if r.n > 1 else "")
+        + ("<br>" + _("breaks rule {rules}", rules=", ".join(broken[i])) if i in broken else "")
         for i, r in enumerate(rows.itertuples())
     ]
     fig.add_scatter(
@@ -118,7 +119,7 @@ def _add_events(fig: go.Figure, marks: Sequence[tuple[Any, str]]) -> None:
             "type": "line", "xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1,
             "line": {"color": INK, "width": 1, "dash": "dashdot"},
         }
-        for at, _ in marks
+        for at, __ in marks
     ]  # fmt: skip
     texts = [
         {
@@ -149,7 +150,7 @@ def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: L
         width=values.width,
         marker_color=BLUE,
         hovertemplate="%{x:.3f}: %{y}<extra></extra>",
-        name="measured",
+        name=_("measured"),
     )
     if values.sd > 0:
         x = np.linspace(values.mean - 4 * values.sd, values.mean + 4 * values.sd, 120)
@@ -158,12 +159,12 @@ def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: L
             y=stats.norm.pdf(x, values.mean, values.sd) * values.n * values.width,
             mode="lines",
             line={"color": ORANGE, "width": 2},
-            name="normal distribution",
+            name=_("normal distribution"),
             hoverinfo="skip",
         )
     limit_lines(fig, limit, axis="x")
-    fig.update_xaxes(title=f"{quantity.title}, {quantity.unit} (dashed: limits)")
-    fig.update_yaxes(title="how many")
+    fig.update_xaxes(title=f"{_(quantity.title)}, {quantity.unit} (" + _("dashed: limits") + ")")
+    fig.update_yaxes(title=_("how many"))
     return fig
 
 
@@ -175,7 +176,7 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
         x=names,
         y=[bar.count for bar in bars],
         marker_color=BLUE,
-        name="outside limits",
+        name=_("outside limits"),
         hovertemplate="%{x}: %{y}<extra></extra>",
     )
     fig.add_scatter(
@@ -184,14 +185,14 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
         yaxis="y2",
         mode="lines+markers",
         line={"color": ORANGE},
-        name="cumulated share",
+        name=_("cumulated share"),
         hovertemplate="%{y:.0%}<extra></extra>",
     )
     fig.update_layout(
         yaxis2={"overlaying": "y", "side": "right", "range": [0, 1.02], "tickformat": ".0%", "showgrid": False}
     )
     fig.update_xaxes(type="category", tickangle=-60)
-    fig.update_yaxes(title="findings outside", selector={"title": {"text": None}, "overlaying": None})
+    fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})
     return fig
 
 
@@ -201,8 +202,15 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
     outside = measure == "outside"
     limit = float(np.nanpercentile(np.abs(rows["mean"]), 98)) if rows["mean"].notna().any() else 1.0
     text = [
-        f"<b>{escape(r.station)} {escape(r.name)}</b><br>mean {locale.number(r.mean, sign=True)} {quantity.unit}, "
-        f"sd {locale.number(r.sd)}<br>{locale.percent(r.outside)} outside of {locale.whole(r.n)}"
+        f"<b>{escape(r.station)} {escape(r.name)}</b><br>"
+        + _(
+            "mean {mean} {unit}, standard deviation {sd}",
+            mean=locale.number(r.mean, sign=True),
+            unit=quantity.unit,
+            sd=locale.number(r.sd),
+        )
+        + "<br>"
+        + _("{share} of {n} outside", share=locale.percent(r.outside), n=locale.whole(r.n))
         for r in rows.itertuples()
     ]
     scale = (
@@ -219,7 +227,7 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
             "color": rows["outside" if outside else "mean"],
             "line": {"width": 0.5, "color": INK},
             "colorbar": {
-                "title": {"text": "outside" if outside else quantity.unit},
+                "title": {"text": _("outside") if outside else quantity.unit},
                 "thickness": 12,
                 "tickformat": ".0%" if outside else "+.2f",
             },

@@ -18,22 +18,23 @@ from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.tables import show_table
+from dashboard.words import N_, _
 from metrology.errors import FlushlineError
 from metrology.kinds import KINDS, RIVET
 from storage.archive.views import TAKEN_AT
 from storage.archive.work import ATTENTION
 
-TITLE = "Archive"
+TITLE = N_("Archive")
 _PAGE = 20
 _THUMBNAIL_PX = 132
-_ANY = "any verdict"
+_ANY = N_("any verdict")
 VERDICTS = {
     _ANY: "true",
-    "with fails": "fail > 0",
-    "needs attention": "bad > 0",
-    "with unmeasured": "not_measured > 0",
-    "all pass": "bad = 0 AND rig_verdict IS DISTINCT FROM 'unjudged'",
-    "rig unjudged": "rig_verdict = 'unjudged'",
+    N_("with fails"): "fail > 0",
+    N_("needs attention"): "bad > 0",
+    N_("with unmeasured"): "not_measured > 0",
+    N_("all pass"): "bad = 0 AND rig_verdict IS DISTINCT FROM 'unjudged'",
+    N_("rig unjudged"): "rig_verdict = 'unjudged'",
 }
 
 
@@ -45,23 +46,27 @@ def render(context: PageContext) -> None:
         return
     selection = scene_filters(context.archive, more=True)
     verdict_field, page_field, actions = st.columns([2, 1, 5], vertical_alignment="bottom")
-    verdict = verdict_field.selectbox("Verdict", list(VERDICTS), **one_of("verdict", list(VERDICTS)))
+    verdict = verdict_field.selectbox(_("Verdict"), list(VERDICTS), format_func=_, **one_of("verdict", list(VERDICTS)))
     total = _count(context.archive, selection, verdict)
     pages = max(1, -(-total // _PAGE))
-    page = page_field.number_input("Page", 1, pages, key="page")
+    page = page_field.number_input(_("Page"), 1, pages, key="page")
     scenes = _scenes(context.archive, selection, verdict, _PAGE, (int(page) - 1) * _PAGE)
     if scenes.empty:
-        st.info("No scan matches these filters. Clear one of them to see more.")
+        st.info(_("No scan matches these filters. Clear one of them to see more."))
         return
     with actions:
         buttons = st.container(horizontal=True, vertical_alignment="center")
     chosen = _list(context, scenes)
     with buttons:
-        _way("Open", ":material/center_focus_strong:", len(chosen) == 1, "scene", scene=",".join(chosen))
-        _way("Compare two", ":material/compare:", len(chosen) == 2, "archive", compare=",".join(chosen))
+        _way(_("Open"), ":material/center_focus_strong:", len(chosen) == 1, "scene", scene=",".join(chosen))
+        _way(_("Compare two"), ":material/compare:", len(chosen) == 2, "archive", compare=",".join(chosen))
         st.caption(
-            f"{context.locale.whole(total)} scans, page {page} of {context.locale.whole(pages)}. "
-            "Tick one scan to open it, two to compare them."
+            _(
+                "{total} scans, page {page} of {pages}. Tick one scan to open it, two to compare them.",
+                total=context.locale.whole(total),
+                page=page,
+                pages=context.locale.whole(pages),
+            )
         )
 
 
@@ -124,34 +129,38 @@ def _list(context: PageContext, scenes: pd.DataFrame) -> list[str]:
     shown = scenes.copy()
     shown.insert(0, "picture", [_thumbnail_of(context.archive, path) for path in scenes["preview_path"]])
     shown["captured_at"] = [context.locale.time(moment) for moment in scenes["captured_at"]]
+    for name in ("rig_verdict", "status"):
+        shown[name] = [word if pd.isna(word) else _(str(word)) for word in scenes[name]]
     shown = shown.drop(columns=["scene_id", "preview_path"])
     event = st.dataframe(
         shown,
         hide_index=True,
         row_height=76,
-        height=520,
+        height=480,
         key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
         on_select="rerun",
         selection_mode="multi-row",
         placeholder=NOTHING,
         column_config={
-            "picture": st.column_config.ImageColumn("Picture", width="small"),
-            "aircraft_serial": "Aircraft",
-            "panel": "Panel",
-            "station": "Station",
-            "captured_at": "Scanned",
+            "picture": st.column_config.ImageColumn(_("Picture"), width="small"),
+            "aircraft_serial": _("Aircraft"),
+            "panel": _("Panel"),
+            "station": _("Station"),
+            "captured_at": _("Scanned"),
             "fail": st.column_config.Column(
-                f"{DECISION_SIGNS['fail']} Fail", help="Rivets and seam stations outside their limits"
+                DECISION_SIGNS["fail"] + " " + _("Fail"),
+                help=_("Rivets and positions along seams outside their limits"),
             ),
-            "not_measured": "? Not measured",
-            "n_rivets": "Rivets",
-            "n_stations": "Seam stations",
-            "rig_id": "Rig",
+            "not_measured": "? " + _("Not measured"),
+            "n_rivets": _("Rivets"),
+            "n_stations": _("Seam positions"),
+            "rig_id": _("Rig"),
             "rig_verdict": st.column_config.Column(
-                "Rig check", help="Whether the rig fits the scan; unjudged: the scan cannot tell. – in older runs"
+                _("Rig check"),
+                help=_("Whether the rig fits the scan; unjudged: the scan cannot tell; –: of an older version"),
             ),
-            "status": "Status",
-            "software_version": "Version",
+            "status": _("Status"),
+            "software_version": _("Version"),
         },
     )
     return [names[row] for row in event["selection"]["rows"] if row < len(names)]
@@ -173,14 +182,14 @@ def _thumbnail(path: str) -> str:
 
 def _compare(context: PageContext, first: str, second: str) -> None:
     """Two scans side by side, and how their rivets differ."""
-    if st.button("Back to the list", icon=":material/arrow_back:"):
+    if st.button(_("Back to the list"), icon=":material/arrow_back:"):
         go("archive")
     sides, stations = [], []
     for column, scene_id in zip(st.columns(2), (first, second), strict=True):
         with column:
             row = load_scene_row(context.archive, scene_id)
             if row is None:
-                st.warning(f"There is no scene {plain(scene_id)} in this store.")
+                st.warning(_("There is no scan {name} in this store.", name=plain(scene_id)))
                 return
             features = load_features(context.archive, row)
             st.markdown(
@@ -194,21 +203,21 @@ def _compare(context: PageContext, first: str, second: str) -> None:
             sides.append(features)
             stations.append(str(row.station))
     if len(set(stations)) > 1:
-        st.caption("These are different stations: rivets of the same name need not be the same rivet.")
+        st.caption(_("These are different stations: rivets of the same name need not be the same rivet."))
     before, after = (side[RIVET.name][["rivet_id", "height_mean_mm", "height_u95_mm", "decision"]] for side in sides)
     both = before.merge(after, on="rivet_id", how="outer", suffixes=("_left", "_right"))
     both["difference_mm"] = both["height_mean_mm_right"] - both["height_mean_mm_left"]
     both = both.sort_values("difference_mm", key=abs, ascending=False, na_position="last")
-    st.markdown("**Rivets on both scans**, the largest change first")
+    st.markdown(_("**Rivets on both scans**, the largest change first"))
     show_table(
         both,
         {
-            "rivet_id": "Rivet",
-            "height_mean_mm_left": "Height left, mm",
-            "decision_left": "Verdict left",
-            "height_mean_mm_right": "Height right, mm",
-            "decision_right": "Verdict right",
-            "difference_mm": "Change, mm",
+            "rivet_id": _("Rivet"),
+            "height_mean_mm_left": _("Height left, mm"),
+            "decision_left": _("Verdict left"),
+            "height_mean_mm_right": _("Height right, mm"),
+            "decision_right": _("Verdict right"),
+            "difference_mm": _("Change, mm"),
         },
         context.locale,
         key="differences",

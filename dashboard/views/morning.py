@@ -17,19 +17,22 @@ from dashboard.frame import PageContext, go, link
 from dashboard.looks import Looks
 from dashboard.news import Since, changes, drifts, due_rigs, new_scans, not_inspected
 from dashboard.tables import show_table
+from dashboard.words import N_, _, capital
 from metrology.kinds import BY_NAME
 from storage.archive.changes import CURED, NEW, WORSE
 from storage.review import Feature
 
-MY_LOOK = "I looked before"
-_DRIFTING, _REWORK, _DUE, _ASIDE = "drifting", "open work", "rigs due", "not inspected"
+MY_LOOK = N_("I looked before")
+_DRIFTING, _REWORK, _DUE, _ASIDE = N_("drifting"), N_("open work"), N_("rigs due"), N_("not inspected")
 _HELP = {
-    NEW: "Features and stretches of seams that do not simply pass, and passed before or were not scanned before",
-    WORSE: "They did not pass before either; now they are judged more gravely, or are off by more than the uncertainty",
-    CURED: "They did not pass on the scan before, and do now",
-    _DRIFTING: "Places whose value moves from aircraft to aircraft by more than chance allows",
-    _REWORK: "Rework, repair or re-scan was asked for and is not done",
-    _DUE: "Calibrations and verifications of rigs in use that are due within a week, or overdue",
+    NEW: N_("Features and stretches of seams that do not simply pass, and passed before or were not scanned before"),
+    WORSE: N_(
+        "They did not pass before either, and now have a graver verdict or are farther off by more than the uncertainty"
+    ),
+    CURED: N_("They did not pass on the scan before, and do now"),
+    _DRIFTING: N_("Places whose value moves from aircraft to aircraft by more than chance allows"),
+    _REWORK: N_("Rework, repair or re-scan was decided and is not done yet"),
+    _DUE: N_("Calibrations and verifications of rigs in use that are due within a week, or overdue"),
     _ASIDE: "Scans put aside, and scans whose rig could not be judged",
 }
 _MOST = 300
@@ -58,15 +61,21 @@ def what_is_new(context: PageContext, beside: DeltaGenerator) -> None:
     options = list(lists)
     first = next((name for name in options if len(lists[name])), options[0])
     chosen = st.segmented_control(
-        "List", options, format_func=lambda name: f"{name.capitalize()} **{context.locale.whole(len(lists[name]))}**",
+        _("List"), options,
+        format_func=lambda name: f"{capital(_(name))} **{context.locale.whole(len(lists[name]))}**",
         label_visibility="collapsed", **one_of("list", options, first),
     )  # fmt: skip
     name = str(chosen or first)
     panels = news.scans.groupby(["aircraft_serial", "panel"]).ngroups
     st.caption(
-        f"New scans: {context.locale.whole(len(news.scans))}, panels: {context.locale.whole(panels)} · {_HELP[name]}"
+        _(
+            "New scans: {scans}, panels: {panels}",
+            scans=context.locale.whole(len(news.scans)),
+            panels=context.locale.whole(panels),
+        )
+        + f" · {_(_HELP[name])}"
     )
-    left, right = st.columns([13, 8])
+    left, right = st.columns([12, 9])
     with left:
         _show(context, name, lists[name])
     with right:
@@ -82,9 +91,10 @@ def _since(context: PageContext) -> tuple[Since, datetime | None]:
         if looked
         else [name for name, span in PERIODS.items() if span]
     )
-    words = {MY_LOOK: f"{MY_LOOK} ({context.locale.time(looked)})"}
+    words = {name: _(name) for name in options}
+    words[MY_LOOK] = f"{_(MY_LOOK)} ({context.locale.time(looked)})"
     chosen = st.selectbox(
-        "New since", options, format_func=lambda name: f"New since {words.get(name, name)}",
+        _("New since"), options, format_func=lambda name: _("New since {name}", name=words[name]),
         label_visibility="collapsed",
         **one_of("since", options, MY_LOOK if looked else LAST_NIGHT),
     )  # fmt: skip
@@ -110,34 +120,26 @@ def _gather(context: PageContext, since: Since, moment: datetime | None) -> _New
 
 def _show(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     if rows.empty:
-        st.success(f"Nothing is {name}." if name not in (_REWORK, _DUE, _ASIDE) else f"No {name}: nothing to do here.",
-                   icon=":material/check:")  # fmt: skip
+        listed = name in (_REWORK, _DUE, _ASIDE)
+        said = _("No {name}: nothing to do here.", name=_(name)) if listed else _("Nothing is {name}.", name=_(name))
+        st.success(said, icon=":material/check:")
         if name == _ASIDE and not context.settings.inboxes:
-            st.caption("Name the inboxes in the settings (`inboxes = [...]`) to see what their quarantine holds.")
+            st.caption(_("Name the inboxes in the settings (`inboxes = [...]`) to see what their quarantine holds."))
         return
     _SHOWN[name](context, name, rows.head(_MOST))
 
 
 def _changed(context: PageContext, name: str, rows: pd.DataFrame) -> None:
-    shown = rows.assign(place=[_place(context, row) for row in rows.itertuples()])
     columns = {
-        "aircraft_serial": "Aircraft", "panel": "Panel", "station": "Station", "place": "Feature",
-        "value_mm": "Value, mm", "before_mm": "Before, mm", "decision": "Verdict", "reason": "Why",
+        "aircraft_serial": _("Aircraft"), "panel": _("Panel"), "station": _("Station"), "feature_id": _("Feature"),
+        "value_mm": _("Value, mm"), "before_mm": _("Before, mm"), "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
     if name == CURED:
         columns.pop("decision")
         columns.pop("reason")
     names = [(str(row.scene_id), _address(row)) for row in rows.itertuples()]
-    show_table(shown, columns, context.locale, f"news-{name}", 430, names, _open)
-    st.caption("Select one for its picture.")
-
-
-def _place(context: PageContext, row: object) -> str:
-    """A feature's name, or a stretch of a course with its ends."""
-    if not BY_NAME[row.feature_kind].is_course:  # type: ignore[attr-defined]
-        return str(row.feature_id)  # type: ignore[attr-defined]
-    ends = (context.locale.number(end, 0) for end in (row.from_mm, row.to_mm))  # type: ignore[attr-defined]
-    return f"{row.name} {'–'.join(ends)} mm"  # type: ignore[attr-defined]
+    show_table(rows, columns, context.locale, f"news-{name}", 430, names, _open)
+    st.caption(_("Select one for its picture."))
 
 
 def _address(row: object) -> str:
@@ -150,13 +152,13 @@ def _open(name: tuple[str, str]) -> None:
 
 def _drift(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     columns = {
-        "panel": "Panel", "station": "Station", "name": "Feature", "value_mm": "Newest, mm",
-        "difference_mm": "Moves each scan by, mm", "n": "Scans",
+        "panel": _("Panel"), "station": _("Station"), "name": _("Feature"), "value_mm": _("Newest, mm"),
+        "difference_mm": _("Moves each scan by, mm"), "n": _("Scans"),
     }  # fmt: skip
     names = [(BY_NAME[r.feature_kind].subject, r.panel, r.station, r.name) for r in rows.itertuples()]
     shown = rows.assign(difference_mm=rows["slope"])
     show_table(shown, columns, context.locale, "news-drifting", 430, names, _open_trend)
-    st.caption("Select one for its chart over time.")
+    st.caption(_("Select one for its chart over time."))
 
 
 def _open_trend(name: tuple[str, str, str, str]) -> None:
@@ -166,23 +168,23 @@ def _open_trend(name: tuple[str, str, str, str]) -> None:
 
 def _work(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     columns = {
-        "aircraft_serial": "Aircraft", "panel": "Panel", "station": "Station", "feature_id": "Feature",
-        "disposition": "Asked for", "who": "By", "decided_at": "When", "comment": "Comment",
+        "aircraft_serial": _("Aircraft"), "panel": _("Panel"), "station": _("Station"), "feature_id": _("Feature"),
+        "disposition": _("Decided"), "who": _("By"), "decided_at": _("When"), "comment": _("Comment"),
     }  # fmt: skip
     names = [(str(row.scene_id), _address(row)) for row in rows.itertuples()]
     show_table(rows, columns, context.locale, "news-work", 430, names, _open)
-    link("review", "Decide in the review", ":material/fact_check:", state=OPEN_WORK)
+    link("review", _("Decide in the review"), ":material/fact_check:", state=OPEN_WORK)
 
 
 def _due(context: PageContext, name: str, rows: pd.DataFrame) -> None:
-    shown = rows.assign(state=["overdue" if late else "due soon" for late in rows["late"]])
-    columns = {"rig_id": "Rig", "what": "What", "due_at": "Due", "state": "State"}
+    shown = rows.assign(state=[N_("overdue") if late else N_("due soon") for late in rows["late"]])
+    columns = {"rig_id": _("Rig"), "what": _("What"), "due_at": _("Due"), "state": _("State")}
     show_table(shown, columns, context.locale, "news-due", 430)
-    link("runs", "How the rigs are", ":material/precision_manufacturing:", view="Rig health")
+    link("runs", _("How the rigs are"), ":material/precision_manufacturing:", view="Rig health")
 
 
 def _aside(context: PageContext, name: str, rows: pd.DataFrame) -> None:
-    columns = {"at": "When", "scene": "Scan", "what": "What", "why": "Why"}
+    columns = {"at": _("When"), "scene": _("Scan"), "what": _("What"), "why": _("Why")}
     names = [scene if isinstance(scene, str) else None for scene in rows["scene_id"]]
     show_table(rows, columns, context.locale, "news-aside", 430, names, _open_scan)
 
@@ -203,11 +205,14 @@ def _panels(context: PageContext, news: _News) -> None:
         panels = panels.merge(counted, on=key, how="left")
         panels[name] = panels[name].fillna(0).astype(int)
     panels = panels.sort_values([NEW, WORSE, "last_scan"], ascending=False).head(_MOST)
-    columns = {"aircraft_serial": "Aircraft", "panel": "Panel", NEW: "New", WORSE: "Worse", CURED: "Cured",
-               "scenes": "Scans", "last_scan": "Last scan"}  # fmt: skip
+    columns = {
+        "aircraft_serial": _("Aircraft"), "panel": _("Panel"),
+        **{name: capital(_(name)) for name in (NEW, WORSE, CURED)},
+        "scenes": _("Scans"), "last_scan": _("Last scan"),
+    }  # fmt: skip
     names = list(zip(panels["aircraft_serial"].astype(str), panels["panel"].astype(str), strict=True))
     show_table(panels, columns, context.locale, "news-panels", 430, names, _open_panel)
-    st.caption("The panels that were scanned; select one to see it whole.")
+    st.caption(_("The panels that were scanned; select one to see it whole."))
 
 
 def _open_panel(name: tuple[str, str]) -> None:

@@ -8,16 +8,19 @@ from dashboard.address import one_of
 from dashboard.frame import PageContext, plain
 from dashboard.views.morning import what_is_new
 from dashboard.views.waiting import where_work_waits
+from dashboard.words import N_, _
 
-TITLE = "Overview"
-_VIEWS = {"What is new": what_is_new, "Where work waits": where_work_waits}
+TITLE = N_("Overview")
+_VIEWS = {N_("What is new"): what_is_new, N_("Where work waits"): where_work_waits}
 
 
 def render(context: PageContext) -> None:
     """Show the page."""
     problem = context.archive.review().problem
     if problem:
-        st.warning(f"The review log needs attention: {plain(problem)}", icon=":material/warning:")
-    left, right, _ = st.columns([3, 4, 5])
-    view = left.segmented_control("View", list(_VIEWS), label_visibility="collapsed", **one_of("view", list(_VIEWS)))
+        st.warning(_("The review log needs attention: {problem}", problem=plain(problem)), icon=":material/warning:")
+    left, right, __ = st.columns([3, 4, 5])
+    view = left.segmented_control(
+        _("View"), list(_VIEWS), format_func=_, label_visibility="collapsed", **one_of("view", list(_VIEWS))
+    )
     _VIEWS.get(str(view), what_is_new)(context, right)

@@ -11,7 +11,7 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of, put, some_of
-from dashboard.deciding import ask_who, decide, names_of, offer_sign_off, place_of, say_outcome
+from dashboard.deciding import ask_who, decide, offer_sign_off, say_outcome, say_signed
 from dashboard.filters import scene_filters
 from dashboard.findings import (
     OPEN,
@@ -20,48 +20,56 @@ from dashboard.findings import (
     feature_from_parameter,
     feature_of,
     feature_parameter,
+    feature_words,
     findings,
+    names_of,
+    place_of,
 )
 from dashboard.frame import PageContext, link, plain
 from dashboard.locale import NOTHING
 from dashboard.margins import with_margins
-from dashboard.palette import DECISION_MARKS, OPEN_DECISIONS
+from dashboard.palette import OPEN_DECISIONS, decision_words
 from dashboard.picking import clicked_row
 from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
 from dashboard.views.scene import HOW_DECIDED, close_up
+from dashboard.words import N_, _
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
 from storage.review import Feature, ShownFinding
 
-TITLE = "Tolerance review"
+TITLE = N_("Tolerance review")
 _CROP_PX = 90
 _TURN, _STAND = "findings_turn", "review_stand"
-_COLUMNS = {
-    "aircraft_serial": "Aircraft",
-    "panel": "Panel",
-    "station": "Station",
-    "feature_id": "Feature",
-    "value_mm": "Value, mm",
-    "u95_mm": "± U95",
-    "margin": "To limit",
-    "decision": "Verdict",
-    "state": "State",
-    "disposition": "Disposition",
-    "reason": "Why",
-    "captured_at": "Scanned",
-}
 _ORDERS: dict[str, tuple[tuple[str, ...], bool]] = {
-    "gravest": ((), True),
-    "farthest beyond": (("margin_share",), True),
-    "place": (("aircraft_serial", "panel", "station", "feature_kind", "feature_id"), True),
-    "newest scan": (("captured_at",), False),
+    N_("gravest"): ((), True),
+    N_("farthest beyond"): (("margin_share",), True),
+    N_("place"): (("aircraft_serial", "panel", "station", "feature_kind", "feature_id"), True),
+    N_("newest scan"): (("captured_at",), False),
 }
 """Columns that the list is sorted by, and whether upwards; the gravest first as they come."""
 Name = tuple[str, Feature]
 """A finding: its scene and what it is there."""
+
+
+def _columns() -> dict[str, str]:
+    """What the list has, with headings."""
+    return {
+        "aircraft_serial": _("Aircraft"),
+        "panel": _("Panel"),
+        "station": _("Station"),
+        "feature_id": _("Feature"),
+        "value_mm": _("Value, mm"),
+        "u95_mm": _("± U95"),
+        "margin": _("To limit"),
+        "decision": _("Verdict"),
+        "state": _("State"),
+        "disposition": _("Disposition"),
+        "reason": _("Why"),
+        "captured_at": _("Scanned"),
+    }
 
 
 def render(context: PageContext) -> None:
@@ -78,9 +86,9 @@ def render(context: PageContext) -> None:
         return
     left, right = st.columns([13, 9])
     with left:
+        say_outcome(context, at)  # here it moves no button
         ticked = _list(context, rows, names, at) if names else _empty(wanted)
     with right:
-        say_outcome(context, at)
         if ticked:
             _several(context, ticked)
         _one(context, names, at, alone=not ticked)
@@ -93,24 +101,30 @@ def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
 
 def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
-    first, second, third, fourth = st.columns([3, 2, 1, 1])
+    first, second, third, fourth = st.columns([7, 4, 2, 2])
     decisions = first.pills(
-        "Verdict",
+        _("Verdict"),
         OPEN_DECISIONS,
         selection_mode="multi",
-        help=HOW_DECIDED,
+        format_func=_,
+        help=_(HOW_DECIDED),
         **some_of("verdict", OPEN_DECISIONS, OPEN_DECISIONS),
     )
     names = list(BY_NAME)
-    kinds = second.pills("What", names, selection_mode="multi", **some_of("kind", names, names))
+    kinds = second.pills(
+        _("What"), names, selection_mode="multi", format_func=lambda name: _(BY_NAME[name].subject),
+        **some_of("kind", names, names),
+    )  # fmt: skip
     state = third.selectbox(
-        "State",
+        _("State"),
         STATES,
-        help="Open: waiting for a disposition, or with open work (rework, repair, re-scan that is not done).",
+        format_func=_,
+        help=_("Open: nobody decided yet, or with open work (rework, repair, re-scan that is not done)."),
         **one_of("state", STATES),
     )
     order = fourth.selectbox(
-        "Sorted by", list(_ORDERS), help="j and k go along this order, among the gravest 500.",
+        _("Sorted by"), list(_ORDERS), format_func=_,
+        help=_("The keys j and k go along this order, among the gravest 500."),
         **one_of("sort", list(_ORDERS)),
     )  # fmt: skip
     return Wanted(tuple(decisions), tuple(kinds), state, selection), str(order)
@@ -162,9 +176,9 @@ def _nothing(context: PageContext, wanted: Wanted) -> None:
 
 def _empty(wanted: Wanted) -> list[Name]:
     if wanted.state == OPEN and wanted.decisions and wanted.kinds:
-        st.success("Nothing waits here: no open finding matches these filters.", icon=":material/check:")
+        st.success(_("Nothing waits here: no open finding matches these filters."), icon=":material/check:")
     else:
-        st.info("Nothing matches these filters. Choose at least one verdict and one kind of feature.")
+        st.info(_("Nothing matches these filters. Choose at least one verdict and one kind of feature."))
     return []
 
 
@@ -185,16 +199,13 @@ def _sign_off_of_scene(context: PageContext) -> None:
 
 def _signed(context: PageContext, scene: Any) -> None:
     if signed := context.archive.review().sign_offs().get(scene.scene_id):
-        st.info(
-            f"Signed off by {plain(signed.who)}, {context.locale.time(signed.at)}: this scan is locked.",
-            icon=":material/lock:",
-        )
+        say_signed(context, signed)
 
 
 def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: Name) -> list[Name]:
     """The findings; a click looks at one. Returns those that are ticked."""
     _exports(context, rows, int(rows["total"].iloc[0]))
-    columns = {name: title for name, title in _COLUMNS.items() if name != "disposition" or rows[name].notna().any()}
+    columns = {name: title for name, title in _columns().items() if name != "disposition" or rows[name].notna().any()}
     shown = rows.copy()
     # Which row is looked at is said in words: a mark of Streamlit's own would go with the row's number.
     shown["feature_id"] = [f"▸ {name[1].id}" if name == at else name[1].id for name in names]
@@ -205,7 +216,7 @@ def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: N
     event = st.dataframe(
         styled,
         hide_index=True,
-        height=fitting(470, len(rows)),
+        height=fitting(430, len(rows)),
         column_config=config,
         key=key,
         placeholder=NOTHING,
@@ -219,49 +230,49 @@ def _select(key: str, names: Sequence[Name], at: Name) -> None:
     """Select the row of what is looked at, so that it shows and can be clicked again after another one was."""
     state = st.session_state.get(key)
     ticked = list(state["selection"].get("rows") or ()) if state else []
-    cells = [(names.index(at), _COLUMNS["feature_id"])] if at in names else []
+    cells = [(names.index(at), _columns()["feature_id"])] if at in names else []
     st.session_state[key] = {"selection": {"rows": ticked, "columns": [], "cells": cells}}
 
 
 def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
-    shown = f"the gravest {context.locale.whole(len(rows))} of " if total > len(rows) else ""
+    whole = context.locale.whole
+    found = _("{n} findings", n=whole(total))
+    if total > len(rows):
+        found = _("the gravest {n} of {found}", n=whole(len(rows)), found=found)
     with st.container(horizontal=True, vertical_alignment="center"):
         # On the left: a table with something selected shows tools above its right end.
-        with st.popover("Export", icon=":material/download:"):
-            st.caption("The findings of this list, with their dispositions.")
+        with st.popover(_("Export"), icon=":material/download:"):
+            st.caption(_("The findings of this list, with their dispositions."))
             st.download_button(
                 "CSV", lambda: csv_report(rows, context.locale), "review.csv", "text/csv", on_click="ignore", key="csv"
             )
             st.download_button(
-                "HTML report",
+                _("HTML report"),
                 lambda: html_report(rows, context.archive, context.locale, context.settings.title),
                 "review.html",
                 "text/html",
                 on_click="ignore",
                 key="html",
             )
-        st.caption(
-            f"{shown}{context.locale.whole(total)} findings · click a row to look at it; tick several to decide on "
-            "them at once"
-        )
+        st.caption(found, help=_("Click a row to look at it; tick several to decide on them at once."))
 
 
 def _several(context: PageContext, ticked: Sequence[Name]) -> None:
     """What is ticked, and the form that decides about all of it at once."""
     shown = [found for name in ticked if (found := context.archive.shown(*name))]
     with st.container(border=True):
-        st.markdown(f"**Ticked, {context.locale.whole(len(shown))}:** {plain(names_of(shown))}")
+        st.markdown(_("**Ticked, {n}:** {names}", n=len(shown), names=plain(names_of(shown, context.locale))))
         table = pd.DataFrame(
             {
-                "Feature": finding.feature.id,
-                "Place": place_of(finding),
-                "Value, mm": context.locale.number(finding.values["value_mm"], sign=True),
-                "Verdict": DECISION_MARKS.get(str(finding.values["decision"]), str(finding.values["decision"])),
+                _("Feature"): feature_words(finding.feature.id, context.locale),
+                _("Place"): place_of(finding),
+                _("Value, mm"): context.locale.number(finding.values["value_mm"], sign=True),
+                _("Verdict"): decision_words(finding.values["decision"]),
             }
             for finding in shown
         )
         st.dataframe(table, hide_index=True, height=fitting(180, len(table)))
-        st.caption("Whatever is recorded here is recorded for all of them. Untick them to decide about one alone.")
+        st.caption(_("Whatever is recorded here is recorded for all of them. Untick them to decide about one alone."))
         decide(context, shown, partial(_recorded, None))
 
 
@@ -270,10 +281,11 @@ def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> 
     scene_id, feature = at
     scene, shown = load_scene_row(context.archive, scene_id), context.archive.shown(scene_id, feature)
     if scene is None or shown is None:
-        st.info("This finding is not in the store any more; choose another one.")
+        st.info(_("This finding is not in the store any more; choose another one."))
         return
     features = load_features(context.archive, scene)
-    with st.container(border=True):
+    # What is long scrolls within the box (see the style of the pages): the buttons below stay on the screen.
+    with st.container(border=True, key="finding"):
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
             _steps(names, at)
             st.caption(
@@ -297,7 +309,7 @@ def _newer(shown: ShownFinding) -> None:
     if newest != shown.scene_id:
         link(
             "scene",
-            "Not the newest scan of this station: see the newest",
+            _("Not the newest scan of this station: see the newest"),
             ":material/history:",
             scene=str(newest),
             feature=feature_parameter(shown.feature),
@@ -336,8 +348,8 @@ def _steps(names: Sequence[Name], at: Name) -> None:
     before = names[place - 1] if place > 0 else None
     after = names[place + 1] if place + 1 < len(names) else None
     for sign, shortcut, name, words, key in (
-        ("↑", "k", before, "Previous finding", "previous"),
-        ("↓", "j", after, "Next finding", "next"),
+        ("↑", "k", before, _("Previous finding"), "previous"),
+        ("↓", "j", after, _("Next finding"), "next"),
     ):
         st.button(sign, shortcut=shortcut, disabled=name is None, help=words, key=key, on_click=_look_at, args=(name,))
 
@@ -351,5 +363,6 @@ def _history(context: PageContext, shown: ShownFinding) -> None:
     ]
     for entry in entries[-4:]:
         comment = f" · {plain(entry.comment)}" if entry.comment else ""
-        earlier = "" if entry.run_id == shown.run_id else " · on another run of this scan"
-        st.markdown(f":small[{context.locale.time(entry.at)} **{entry.what}** by {plain(entry.who)}{comment}{earlier}]")
+        earlier = "" if entry.run_id == shown.run_id else " · " + _("on another run of this scan")
+        said = _("**{what}** by {who}", what=_(entry.what), who=plain(entry.who))
+        st.markdown(f":small[{context.locale.time(entry.at)} {said}{comment}{earlier}]")

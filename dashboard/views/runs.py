@@ -17,18 +17,19 @@ from dashboard.flow_runs import configured_api, flow_runs
 from dashboard.frame import PageContext, go, plain
 from dashboard.quarantine import put_aside
 from dashboard.tables import show_table
+from dashboard.words import N_, _
 from metrology.steps import TIMED
 from storage.archive.views import TAKEN_AT
 
-TITLE = "Runs and rigs"
+TITLE = N_("Runs and rigs")
 
 
 def render(context: PageContext) -> None:
     """Show the page."""
     left, right = st.columns([1, 4], vertical_alignment="bottom")
-    period = left.selectbox("Scanned", list(PERIODS), **one_of("period", list(PERIODS), LAST_WEEK))
+    period = left.selectbox(_("Scanned"), list(PERIODS), format_func=_, **one_of("period", list(PERIODS), LAST_WEEK))
     selection = Selection(since=start_of(period, newest_scan(context.archive)))
-    view = right.segmented_control("View", list(_VIEWS), **one_of("view", list(_VIEWS)))
+    view = right.segmented_control(_("View"), list(_VIEWS), format_func=_, **one_of("view", list(_VIEWS)))
     _VIEWS.get(str(view), _runs)(context, selection)
 
 
@@ -43,29 +44,29 @@ def _runs(context: PageContext, selection: Selection) -> None:
         parameters,
     )
     if nights.empty:
-        st.info("No scene was inspected in that time.")
+        st.info(_("No scan was inspected in that time."))
         return
     left, right = st.columns([3, 2])
     with left:
-        st.markdown("**Scenes inspected per day** (UTC)")
+        st.markdown(_("**Scans inspected per day** (UTC)"))
         nights["date"] = [replace(context.locale, zone=UTC).day(day) for day in nights["day"]]
         show_table(
             nights,
             {
-                "date": "Day",
-                "scenes": "Scenes",
-                "warned": "With warnings",
-                "unjudged": "Rig unjudged",
-                "first": "First stored",
-                "last": "Last stored",
-                "seconds_total": "Median, s",
+                "date": _("Day"),
+                "scenes": _("Scans"),
+                "warned": _("With warnings"),
+                "unjudged": _("Rig not judged"),
+                "first": _("First stored"),
+                "last": _("Last stored"),
+                "seconds_total": _("Median, s"),
             },
             context.locale,
             key="nights",
             height=400,
         )
     with right:
-        st.markdown("**Seconds per step**, median of each day")
+        st.markdown(_("**Seconds per step**, median of each day"))
         st.plotly_chart(seconds_figure(nights, context.locale), key="seconds", config={"displaylogo": False})
 
 
@@ -80,13 +81,15 @@ def _rigs(context: PageContext, selection: Selection) -> None:
         parameters,
     )
     if days.empty:
-        st.info("No scene was scanned in that time.")
+        st.info(_("Nothing was scanned in that time."))
         return
     st.plotly_chart(rig_figure(days, context.locale), key="rigs", config={"displaylogo": False})
     st.caption(
-        "Cameras: how far what both see lies from where one says the other must see it. Projector: how far what it "
-        "showed lies from where the rig says (medians of a day). A slow rise is drift, a jump is a knock: calibrate "
-        "again. Noise: standard deviation of a point's depth."
+        _(
+            "Cameras: how far what both see lies from where one says the other must see it. Projector: how far what "
+            "it showed lies from where the rig says (medians of a day). A slow rise is drift, a jump is a knock: "
+            "calibrate again. Noise: standard deviation of a point's depth."
+        )
     )
     latest = days.groupby("rig_id", as_index=False).last()
     for counted in ("scenes", "unjudged"):
@@ -101,14 +104,14 @@ def _rigs(context: PageContext, selection: Selection) -> None:
             }
         ),
         {
-            "rig_id": "Rig calibration",
-            "last_used": "Last used",
-            "scenes": "Scenes",
-            "unjudged": "Rig unjudged",
-            "epipolar_px": "Cameras, px (last day)",
-            "projector_px": "Projector, px (last day)",
-            "sigma_mm": "Noise, mm (last day)",
-            "valid_fraction": "Share of pixels with a point (last day)",
+            "rig_id": _("Rig calibration"),
+            "last_used": _("Last used"),
+            "scenes": _("Scans"),
+            "unjudged": _("Rig not judged"),
+            "epipolar_px": _("Cameras, px (last day)"),
+            "projector_px": _("Projector, px (last day)"),
+            "sigma_mm": _("Noise, mm (last day)"),
+            "valid_fraction": _("Share of pixels with a point (last day)"),
         },
         context.locale,
         key="rig-table",
@@ -120,27 +123,29 @@ def _flows(context: PageContext, _selection: Selection) -> None:
     api = configured_api(context.settings.prefect_api)
     if api is None:
         st.info(
-            "No Prefect server is configured. Start the dashboard with PREFECT_API_URL set, or name the server in its "
-            "settings (`prefect_api`), to see scheduled and failed flow runs."
+            _(
+                "No Prefect server is configured. Start the dashboard with PREFECT_API_URL set, or name the server in "
+                "its settings (`prefect_api`), to see scheduled and failed flow runs."
+            )
         )
         return
     runs = flow_runs(api)
     left, right = st.columns([5, 1], vertical_alignment="center")
-    left.markdown(f"**Flow runs** at {plain(api)}, the newest first · select one to open it in Prefect")
-    right.button("Look again", icon=":material/refresh:", key="look-again")
+    left.markdown(_("**Flow runs** at {api}, the newest first · select one to open it in Prefect", api=plain(api)))
+    right.button(_("Look again"), icon=":material/refresh:", key="look-again")
     if runs.empty:
-        st.info("The server knows no run of Flushline's flows yet.")
+        st.info(_("The server knows no run of Flushline's flows yet."))
         return
     _link_to_picked(runs)
     show_table(
         runs,
         {
-            "flow": "Flow",
-            "run": "Run",
-            "state": "State",
-            "started": "Started",
-            "seconds": "Seconds",
-            "message": "Message",
+            "flow": _("Flow"),
+            "run": _("Run"),
+            "state": _("State"),
+            "started": _("Started"),
+            "seconds": _("Seconds"),
+            "message": _("Message"),
         },
         context.locale,
         key="flow-runs",
@@ -156,7 +161,7 @@ def _pick_run(page: str) -> None:
 def _link_to_picked(runs: pd.DataFrame) -> None:
     picked = runs[runs["page"] == st.session_state.get("flow_run")]
     for run in picked.head(1).to_dict("records"):
-        st.link_button(f"Open {plain(run['run'])} in Prefect", run["page"], icon=":material/open_in_new:")
+        st.link_button(_("Open {run} in Prefect", run=plain(run["run"])), run["page"], icon=":material/open_in_new:")
 
 
 def _failures(context: PageContext, selection: Selection) -> None:
@@ -167,20 +172,20 @@ def _failures(context: PageContext, selection: Selection) -> None:
         f"WHERE status <> 'ok' AND {condition} ORDER BY {TAKEN_AT} DESC, scene_id LIMIT 500",
         parameters,
     )
-    st.markdown("**Inspected with warnings** · select one to open it")
+    st.markdown(_("**Inspected with warnings** · select one to open it"))
     if warned.empty:
-        st.success("No inspection in that time had a warning.", icon=":material/check:")
+        st.success(_("No inspection in that time had a warning."), icon=":material/check:")
     else:
         show_table(
             warned,
             {
-                "aircraft_serial": "Aircraft",
-                "panel": "Panel",
-                "station": "Station",
-                "captured_at": "Scanned",
-                "rig_id": "Rig",
-                "rig_verdict": "Rig check",
-                "reason": "Warning",
+                "aircraft_serial": _("Aircraft"),
+                "panel": _("Panel"),
+                "station": _("Station"),
+                "captured_at": _("Scanned"),
+                "rig_id": _("Rig"),
+                "rig_verdict": _("Rig check"),
+                "reason": _("Warning"),
             },
             context.locale,
             key="warned",
@@ -188,26 +193,26 @@ def _failures(context: PageContext, selection: Selection) -> None:
             names=[str(scene) for scene in warned["scene_id"]],
             picked=lambda scene: go("scene", scene=scene),
         )
-    st.markdown("**Could not be inspected**")
+    st.markdown(_("**Could not be inspected**"))
     inboxes = context.settings.inboxes
     if not inboxes:
-        st.caption("Name the inboxes in the settings (`inboxes = [...]`) to see what their quarantine holds.")
+        st.caption(_("Name the inboxes in the settings (`inboxes = [...]`) to see what their quarantine holds."))
         return
     failed = put_aside(inboxes)
     if failed.empty:
-        st.success("No scene is in quarantine.", icon=":material/check:")
+        st.success(_("No scan is in quarantine."), icon=":material/check:")
         return
     show_table(
         failed,
-        {"at": "Put aside", "scene": "Scene folder", "inbox": "Inbox", "why": "Why"},
+        {"at": _("Put aside"), "scene": _("Folder of the scan"), "inbox": _("Inbox"), "why": _("Why")},
         context.locale,
         key="failed",
     )
 
 
 _VIEWS: dict[str, Callable[[PageContext, Selection], None]] = {
-    "Runs and seconds per step": _runs,
-    "Rig health": _rigs,
-    "Warnings and failures": _failures,
-    "Flow runs": _flows,
+    N_("Runs and seconds per step"): _runs,
+    N_("Rig health"): _rigs,
+    N_("Warnings and failures"): _failures,
+    N_("Flow runs"): _flows,
 }

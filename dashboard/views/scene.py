@@ -14,9 +14,9 @@ from dashboard.closeup import RivetCloseUp, SeamSection, rivet_close_up, seam_se
 from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
 from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
-from dashboard.findings import feature_from_parameter, feature_parameter
+from dashboard.findings import feature_from_parameter, feature_parameter, feature_words, standings_words
 from dashboard.frame import PageContext, link, plain
-from dashboard.palette import DECISION_BADGES, DECISION_MARKS
+from dashboard.palette import DECISION_BADGES, decision_words, quantity_words
 from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
 from dashboard.reports import offer_report
@@ -29,22 +29,22 @@ from dashboard.scenes import (
     worst_feature,
 )
 from dashboard.views.defect import show_defect
+from dashboard.words import N_, _, capital
 from metrology.errors import FlushlineError, StoreError
 from metrology.kinds import BY_NAME, DEFECT, HOLE, KINDS, RIVET, SEAM_STATION, Kind
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.archive.views import NEWEST_FIRST
-from storage.archive.work import said
 from storage.cloud import StoredCloud
 from storage.report import scene_report
 from storage.review import Feature
 
-TITLE = "Scene"
+TITLE = N_("Scan")
 _MAP_POINTS = 120_000
 _CLOUD_POINTS = (30_000, 100_000, 300_000)
 _EXAGGERATIONS = (1, 10, 50, 100)
 _HEIGHT = 500
-HOW_DECIDED = (
+HOW_DECIDED = N_(
     "Decided after ISO 14253-1: a value fails or passes where it lies beyond or within its limits by more than its "
     "uncertainty (U95, which holds in 95 of 100 cases). Nearer to a limit it fails or passes conditionally: the "
     "measurement alone cannot tell."
@@ -56,23 +56,24 @@ def render(context: PageContext) -> None:
     scene_id = str(st.query_params.get("scene") or "") or _newest(context)
     row = load_scene_row(context.archive, scene_id)
     if row is None:
-        st.warning(f"There is no scene {plain(scene_id)} in this store.")
-        link("archive", "Find a scan in the archive", icon=":material/inventory_2:")
+        st.warning(_("There is no scan {name} in this store.", name=plain(scene_id)))
+        link("archive", _("Find a scan in the archive"), icon=":material/inventory_2:")
         return
     features = load_features(context.archive, row)
-    chosen = feature_from_parameter(st.query_params.get("feature"))
+    named = st.query_params.get("feature")
+    chosen = feature_from_parameter(named)
     unknown = chosen is not None and find_feature(features, chosen) is None
     if chosen is None or unknown:
         chosen = worst_feature(features)
     _headline(context, row)
     if unknown:
-        st.caption(f"This scan has no {plain(st.query_params.get('feature'))}; the gravest finding is shown instead.")
+        st.caption(_("This scan has no {name}; the gravest finding is shown instead.", name=plain(named)))
     left, right = st.columns([11, 9])
     with left:
         _views(context, row, features, chosen)
     with right:
         if chosen is None:
-            st.info("Nothing was found on this scan.")
+            st.info(_("Nothing was found on this scan."))
         else:
             close_up(context, row, features, chosen)
 
@@ -89,27 +90,37 @@ def _counts(context: PageContext, row: Any) -> str:
         column = kind.counts[0].column
         number = getattr(row, column)
         if kind in (RIVET, SEAM_STATION) or (pd.notna(number) and number):
-            counted.append(f"{column.removeprefix('n_')}: {context.locale.whole(number)}")
+            counted.append(f"{_(column.removeprefix('n_'))}: {context.locale.whole(number)}")
     return ", ".join(counted)
 
 
 def _headline(context: PageContext, row: Any) -> None:
     signed = context.archive.review().sign_offs().get(row.scene_id)
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.markdown(f"**{plain(row.aircraft_serial)} · panel {plain(row.panel)} · station {plain(row.station)}**")
+        where = {name: plain(getattr(row, name)) for name in ("panel", "station")}
+        st.markdown(f"**{plain(row.aircraft_serial)} · " + _("panel {panel} · station {station}", **where) + "**")
         st.caption(
-            f"scanned {context.locale.time(row.captured_at)} · {_counts(context, row)} · rig {plain(row.rig_id)}"
+            _(
+                "scanned {time} · {counts} · rig {rig}",
+                time=context.locale.time(row.captured_at),
+                counts=_counts(context, row),
+                rig=plain(row.rig_id),
+            )
         )
         if standings := context.archive.standings(str(row.scene_id)):
-            st.caption(f"findings: {said(standings)}")
+            st.caption(_("findings: {standings}", standings=standings_words(standings)))
         if row.rig_verdict in ("unjudged", "warning"):
-            st.badge(f"rig {row.rig_verdict}", icon=":material/help:", color="orange")
+            st.badge(
+                _("rig not judged") if row.rig_verdict == "unjudged" else _("rig: warning"),
+                icon=":material/help:",
+                color="orange",
+            )
         if signed:
-            note = "" if signed.run_id == row.run_id else " (an earlier run)"
-            st.badge(f"signed off by {plain(signed.who)}{note}", icon=":material/lock:", color="green")
+            note = "" if signed.run_id == row.run_id else " (" + _("an earlier run") + ")"
+            st.badge(_("signed off by {who}", who=plain(signed.who)) + note, icon=":material/lock:", color="green")
         link(
             "review",
-            "Review",
+            _("Review"),
             ":material/fact_check:",
             aircraft=row.aircraft_serial,
             panel=row.panel,
@@ -120,8 +131,8 @@ def _headline(context: PageContext, row: Any) -> None:
 
 
 def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
-    names = ["Picture", "Deviation map", "3-D", "Overlay", "Table", "Files"]
-    view = st.segmented_control("View", names, label_visibility="collapsed", **one_of("view", names))
+    names = [N_("Picture"), N_("Deviation map"), N_("3-D"), N_("Overlay"), N_("Table"), N_("Files")]
+    view = st.segmented_control(_("View"), names, format_func=_, label_visibility="collapsed", **one_of("view", names))
     show = {
         "Deviation map": _deviation,
         "3-D": _cloud_view,
@@ -140,7 +151,7 @@ def _picture(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     picture = load_picture(context.archive.file(row.preview_path))
     fig = scene_figure(picture, features, chosen, context.locale, _HEIGHT)
     clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False})
-    st.caption("Click a feature for its close-up; scroll to zoom, drag to move.")
+    st.caption(_("Click a feature for its close-up; scroll to zoom, drag to move."))
 
 
 def _choose(scene_id: str, feature: str) -> None:
@@ -151,22 +162,24 @@ def _choose(scene_id: str, feature: str) -> None:
 def _deviation(context: PageContext, row: Any) -> None:
     field = _field(context, row, _MAP_POINTS)
     if field is None:
-        st.info("This scan has too few points for a map.")
+        st.info(_("This scan has too few points for a map."))
         return
     st.plotly_chart(deviation_map(field, context.locale, _HEIGHT), key="map", config={"displaylogo": False})
-    st.caption("Height above a smooth surface through the whole field, mm; grey where there is no point.")
+    st.caption(_("Height above a smooth surface through the whole picture, mm; grey where there is no point."))
 
 
 def _cloud_view(context: PageContext, row: Any) -> None:
     first, second = st.columns(2)
-    most = first.selectbox("Points", _CLOUD_POINTS, format_func=context.locale.whole, key="points")
-    relief = second.selectbox("Relief", _EXAGGERATIONS, index=2, format_func=lambda factor: f"× {factor}", key="relief")
+    most = first.selectbox(_("Points"), _CLOUD_POINTS, format_func=context.locale.whole, key="points")
+    relief = second.selectbox(
+        _("Relief"), _EXAGGERATIONS, index=2, format_func=lambda factor: f"× {factor}", key="relief"
+    )
     field = _field(context, row, int(most))
     if field is None:
-        st.info("This scan has too few points to show.")
+        st.info(_("This scan has too few points to show."))
         return
     st.plotly_chart(cloud_figure(field, float(relief), context.locale, _HEIGHT - 60), key="cloud")
-    st.caption("Thinned out so that it turns smoothly; the whole cloud is under Files.")
+    st.caption(_("Thinned out so that it turns smoothly; the whole cloud is under Files."))
 
 
 @st.cache_data(max_entries=6, show_spinner=False)
@@ -186,7 +199,7 @@ def _overlay(context: PageContext, row: Any) -> None:
         raise StoreError(f"{path}: found no readable picture, expected the scene's overlay") from None
     name = f"{row.scene_id}_overlay.png"
     with st.container(horizontal=True):
-        st.download_button("Download for the projector (PNG)", path.read_bytes(), name, "image/png")
+        st.download_button(_("Download for the projector (PNG)"), path.read_bytes(), name, "image/png")
         svg = path.with_suffix(".svg")
         if svg.is_file():
             st.download_button("SVG", svg.read_bytes(), f"{row.scene_id}_overlay.svg", "image/svg+xml")
@@ -202,7 +215,7 @@ def _table(context: PageContext, row: Any, features: SceneFeatures, chosen: Feat
             continue
         show_table(
             rows,
-            {"feature_id": f"{kind.subject.capitalize()}{'@mm' if kind.is_course else ''}", **_columns(kind)},
+            {"feature_id": capital(_(kind.subject)), **_columns(kind)},
             context.locale,
             key=kind.table,
             height=220 if kind.is_course else 270,
@@ -216,41 +229,48 @@ def _columns(kind: Kind) -> dict[str, str]:
     """What the table of a kind has beside its names, with headings."""
     columns: dict[str, str] = {}
     for quantity in kind.quantities:
-        of_which = f" {quantity.name}" if columns else ""
-        columns[quantity.column] = f"{quantity.name.capitalize()}, {quantity.unit}"
-        columns[quantity.u95_column] = f"± U95{of_which}, {quantity.unit}"
+        of_which = f" {_(quantity.said)}" if columns else ""
+        unit = f", {quantity.unit}" if quantity.unit else ""
+        columns[quantity.column] = f"{capital(_(quantity.said))}{unit}"
+        columns[quantity.u95_column] = f"± U95{of_which}{unit}"
     if kind is RIVET:
-        columns["diameter_mm"] = "Ø, mm"
+        columns["diameter_mm"] = _("Ø, mm")
     if kind is HOLE:
-        columns = {"kind": "Kind", **columns, "countersink_diameter_mm": "Countersink Ø, mm"}
-    return {**columns, "decision": "Verdict", "reason": "Why"}
+        columns = {"kind": _("Kind"), **columns, "countersink_diameter_mm": _("Countersink Ø, mm")}
+    return {**columns, "decision": _("Verdict"), "reason": _("Why")}
 
 
 def _files(context: PageContext, row: Any) -> None:
     locale = context.locale
     facts = {
-        "Scene": row.scene_id,
-        "Run": row.run_id,
-        "Inspected": locale.time(row.processed_at),
-        "Operator": row.operator,
-        "Rig": f"{row.rig_id} (content {row.rig_hash})",
-        "Software": f"Flushline {row.software_version}",
-        "Settings": row.config_hash,
-        "Limits": row.panel_spec,
-        "Points": f"{locale.whole(row.n_points)} ({locale.percent(row.valid_fraction)} of the picture)",
-        "Noise of a point": f"{locale.number(row.sigma_z_median_mm, 4)} mm",
-        "Rig fit": f"{row.rig_verdict or 'not judged'}: cameras {locale.number(row.epipolar_rms_px)} px, "
-        f"projector {locale.number(row.projector_rms_px, 4)} px",
-        "Folder": row.bundle_path,
+        _("Scan"): row.scene_id,
+        _("Run"): row.run_id,
+        _("Inspected"): locale.time(row.processed_at),
+        _("Operator"): row.operator,
+        _("Rig"): _("{rig} (checksum {checksum})", rig=row.rig_id, checksum=row.rig_hash),
+        _("Software"): f"Flushline {row.software_version}",
+        _("Settings"): row.config_hash,
+        _("Limits"): row.panel_spec,
+        _("Points"): _(
+            "{n} ({share} of the picture)", n=locale.whole(row.n_points), share=locale.percent(row.valid_fraction)
+        ),
+        _("Noise of a point"): f"{locale.number(row.sigma_z_median_mm, 4)} mm",
+        _("Rig fit"): _(
+            "{verdict}: cameras {cameras} px, projector {projector} px",
+            verdict=_("not judged") if _absent(row.rig_verdict) else _(str(row.rig_verdict)),
+            cameras=locale.number(row.epipolar_rms_px),
+            projector=locale.number(row.projector_rms_px, 4),
+        ),
+        _("Folder"): row.bundle_path,
     }
     rows = [(name, "–" if _absent(value) else str(value)) for name, value in facts.items()]
-    st.dataframe(pd.DataFrame(rows, columns=["What", "Value"]), hide_index=True, height=458)
+    st.dataframe(pd.DataFrame(rows, columns=[_("What"), _("Value")]), hide_index=True, height=430)
     with st.container(horizontal=True):
         for label, path, kind in (
-            ("Cloud (Parquet)", row.cloud_path, "application/octet-stream"),
-            ("Picture", row.preview_path, "image/png"),
-            ("Rig", f"{row.bundle_path}/rig.json", "application/json"),
-            ("Manifest", f"{row.bundle_path}/manifest.json", "application/json"),
+            (_("Cloud (Parquet)"), row.cloud_path, "application/octet-stream"),
+            (_("Picture"), row.preview_path, "image/png"),
+            (_("Rig"), f"{row.bundle_path}/rig.json", "application/json"),
+            (_("Manifest"), f"{row.bundle_path}/manifest.json", "application/json"),
         ):
             _download(context, label, path, kind, row.scene_id)
     offer_report(str(row.scene_id), lambda: scene_report(context.archive.store, str(row.scene_id)))
@@ -260,7 +280,7 @@ def _download(context: PageContext, label: str, path: object, kind: str, scene_i
     try:
         file = context.archive.file(path)
     except FlushlineError:
-        st.button(label, disabled=True, help="The file is not in the store any more.", key=f"no {label}")
+        st.button(label, disabled=True, help=_("The file is not in the store any more."), key=f"no {label}")
         return
     # Read when it is asked for: a cloud has 10 MB.
     st.download_button(label, file.read_bytes, f"{scene_id}_{file.name}", kind, on_click="ignore", key=f"get {label}")
@@ -276,24 +296,25 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     """
     measured = find_feature(features, chosen)
     if measured is None:
-        st.info("This feature is not on the newest run of the scan.")
+        st.info(_("This feature is not on the newest run of the scan."))
         return
     kind = BY_NAME[chosen.kind]
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.markdown(f"**{kind.name.capitalize()} {plain(chosen.id)}**")
+        named = feature_words(chosen.id, context.locale)
+        st.markdown(f"**{capital(_(kind.subject))} {plain(named)}**")
         decision = str(measured.decision)
-        st.badge(DECISION_MARKS.get(decision, plain(decision)), color=DECISION_BADGES.get(decision, "gray"))  # type: ignore[arg-type]
+        st.badge(plain(decision_words(decision)), color=DECISION_BADGES.get(decision, "gray"))  # type: ignore[arg-type]
         if compact:
             link(
                 "scene",
-                "Close-up",
+                _("Close-up"),
                 ":material/center_focus_strong:",
                 scene=row.scene_id,
                 feature=feature_parameter(chosen),
             )
         link(
             "trends",
-            "Trend",
+            _("Trend"),
             ":material/show_chart:",
             what=kind.subject,
             panel=row.panel,
@@ -305,7 +326,8 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
         _diameter(context, measured)
     reason = getattr(measured, "reason", None)
     if not _absent(reason):
-        st.markdown(f":small[**Why:** {plain(context.locale.reason(reason))}]", help=HOW_DECIDED)
+        why = plain(context.locale.reason(reason))
+        st.markdown(":small[**" + _("Why") + f":** {why}]", help=_(HOW_DECIDED))
     if kind is DEFECT and (accepted := context.archive.accepted(str(row.scene_id)).get(chosen.id)):
         st.markdown(f":small[:material/history: {plain(context.locale.reason(str(accepted)))}]")
     if compact:
@@ -313,7 +335,7 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     try:
         cloud, fits = context.archive.cloud(row.cloud_path), context.archive.fits(row.bundle_path)
     except FlushlineError as problem:
-        st.info(f"No close-up: {plain(problem)}")
+        st.info(_("No close-up: {problem}", problem=plain(problem)))
         return
     if kind is RIVET:
         _rivet(context, row, measured, rivet_close_up(cloud, measured, fits.head(chosen.id)))
@@ -332,15 +354,15 @@ def _values(context: PageContext, row: Any, measured: Any, chosen: Feature) -> N
     except FlushlineError:
         required = None
     if required is None:
-        st.caption("The limits of this run cannot be read by this version; the verdict is the run's own.")
+        st.caption(_("This version cannot read the limits of this run; the verdict is the run's own."))
         required = required_by(chosen, measured, PanelSpec("", ""))
     for start in range(0, len(required), 2):
         for column, wanted in zip(st.columns(2), required[start : start + 2], strict=False):
             with column:
                 value = locale.measured(wanted.value, wanted.u95, wanted.unit, wanted.signed)
-                st.markdown(f":small[{wanted.name.capitalize()}] **{plain(value)}**")
+                st.markdown(f":small[{capital(quantity_words(wanted.name))} **{plain(value)}**]")
                 if wanted.limit is None:
-                    st.caption("no limit")
+                    st.caption(_("no limit"))
                     continue
                 st.plotly_chart(
                     limit_bar(wanted.value, wanted.u95, wanted.limit, wanted.unit, locale),
@@ -355,29 +377,33 @@ def _diameter(context: PageContext, measured: Any) -> None:
         return
     found = context.locale.measured(measured.diameter_mm, measured.diameter_u95_mm, "mm", False)
     expected = context.locale.number(measured.diameter_nominal_mm, 1)
-    st.markdown(f":small[Diameter] **{plain(found)}** :small[of {expected} mm expected]")
+    of_expected = _("of {expected} mm expected", expected=expected)
+    title = _("Diameter")
+    st.markdown(f":small[{title}] **{plain(found)}** :small[{of_expected}]")
 
 
 def _rivet(context: PageContext, row: Any, measured: Any, found: RivetCloseUp | str) -> None:
     if isinstance(found, str):
-        st.info(f"No close-up: {plain(found)}.")
+        st.info(_("No close-up: {problem}.", problem=plain(found)))
         return
     spec = context.archive.specification(row.bundle_path)
     zone = None if _absent(measured.zone) else str(measured.zone)
     limit = limit_of(spec.zone(zone), RIVET.quantities[0]) if spec else None
     options = {"displaylogo": False}
-    st.plotly_chart(rivet_section(found, limit, context.locale, 240), key="section", config=options)
-    st.plotly_chart(rivet_map(found, context.locale, 250), key="rivet-map", config=options)
+    st.plotly_chart(rivet_section(found, limit, context.locale, 205), key="section", config=options)
+    st.plotly_chart(rivet_map(found, context.locale, 190), key="rivet-map", config=options)
 
 
 def _seam(context: PageContext, found: SeamSection | str) -> None:
     if isinstance(found, str):
-        st.info(f"No section: {plain(found)}.")
+        st.info(_("No section: {problem}.", problem=plain(found)))
         return
     st.plotly_chart(seam_figure(found, context.locale, 360), key="section", config={"displaylogo": False})
     st.caption(
-        "L1, L2: skin lines of sides A and B. D, G: inflection points in the gap. D′, G′: ideal edges on the lines. "
-        "H: step, B above A. W: width. As the inspection fitted them."
+        _(
+            "L1, L2: the skin on sides A and B. D, G: where the edges turn down most steeply. D′, G′: the edges on the "
+            "skin lines. H: step, B above A. W: gap. All as the inspection fitted them."
+        )
     )
 
 

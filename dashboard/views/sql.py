@@ -12,6 +12,7 @@ from dashboard.frame import PageContext, plain
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
+from dashboard.words import N_, _
 from metrology.errors import FlushlineError, UsageError
 from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
 from storage.archive.schema import TABLES
@@ -19,7 +20,7 @@ from storage.archive.views import VIEWS
 from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 from storage.saved_queries import SavedQueries
 
-TITLE = "SQL"
+TITLE = N_("SQL")
 _EXAMPLES = {**QUESTIONS, **MORE}
 _MOST_KEPT = 20
 _LONGEST_LINK = 4000
@@ -52,15 +53,20 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
 def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], saved: SavedQueries) -> None:
     _questions()
     kept = st.session_state.get(_NAME)
-    name = st.selectbox("Examples and saved queries", list(known), **one_of("query", list(known), kept))
+    name = st.selectbox(
+        _("Examples and saved queries"), list(known), format_func=_, **one_of("query", list(known), kept)
+    )
     sql = _text(known, str(name))
     with st.container(horizontal=True, vertical_alignment="bottom"):
-        run = st.button("Run", type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
+        run = st.button(_("Run"), type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
         _keep(context, names, saved, str(name), sql)
         _history()
         st.caption(
-            f"at most {context.locale.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s; the address of this page holds "
-            "the query, so that you can pass it on"
+            _(
+                "at most {rows} rows and {seconds} s; the address of this page holds the query: pass it on",
+                rows=context.locale.whole(MOST_ROWS),
+                seconds=context.locale.number(MOST_SECONDS, 0),
+            )
         )
     if run:
         st.session_state[_RUN] = True
@@ -73,7 +79,9 @@ def _questions() -> None:
     """A button for each of the questions asked most, which answers it."""
     with st.container(horizontal=True, gap="small"):
         for question in QUESTIONS:
-            st.button(question, key=f"question-{question}", on_click=_take_over, args=(question, QUESTIONS[question]))
+            st.button(
+                _(question), key=f"question-{question}", on_click=_take_over, args=(question, QUESTIONS[question])
+            )
 
 
 def _take_over(name: str | None, sql: str) -> None:
@@ -96,8 +104,8 @@ def _text(known: dict[str, str], name: str) -> str:
         st.session_state[_TEXT] = held
     st.session_state["sql"] = st.session_state.get(_TEXT, "")
     sql = st.text_area(
-        "Query", key="sql", height=150, on_change=_typed, args=(known.get(name, ""),),
-        help="DuckDB SQL. Ctrl+Enter takes the text over; it can not change anything.",
+        _("Query"), key="sql", height=150, on_change=_typed, args=(known.get(name, ""),),
+        help=_("DuckDB SQL. Ctrl+Enter takes the text over; it cannot change anything."),
     )  # fmt: skip
     return str(sql or "")
 
@@ -112,7 +120,7 @@ def _run(context: PageContext, sql: str) -> None:
     st.session_state[_ANSWER] = None
     try:
         queue = st.empty()
-        with st.spinner("Asking the archive …"):
+        with st.spinner(_("Asking the archive …")):
             st.session_state[_ANSWER] = run_query(context.archive.root, sql, on_wait=lambda: _say_waiting(queue))
         queue.empty()
     except FlushlineError as problem:
@@ -127,7 +135,7 @@ def _run(context: PageContext, sql: str) -> None:
 def _history() -> None:
     """What was asked in this session, the last first."""
     asked: list[str] = st.session_state.get(_HISTORY, [])
-    with st.popover("History", icon=":material/history:", disabled=not asked):
+    with st.popover(_("History"), icon=":material/history:", disabled=not asked):
         for number, sql in enumerate(asked):
             line = " ".join(sql.split())
             short = line if len(line) <= 70 else f"{line[:70]}…"
@@ -139,14 +147,16 @@ def _show(context: PageContext) -> None:
     answer = st.session_state.get(_ANSWER)
     if answer is None:
         return
-    note = f", the first {context.locale.whole(len(answer.rows))} shown" if answer.truncated else ""
+    n = context.locale.whole(len(answer.rows))
+    said = _("1 row") if len(answer.rows) == 1 else _("{n} rows", n=n)
+    if answer.truncated:
+        said = _("more than {n} rows, the first {n} shown", n=n)
     with st.container(horizontal=True, vertical_alignment="center"):
-        many = f"{context.locale.whole(len(answer.rows))} row{'' if len(answer.rows) == 1 else 's'}"
-        st.caption(f"{'more than ' if answer.truncated else ''}{many}{note}")
+        st.caption(said)
         numbers = [name for name in answer.rows.columns if pd.api.types.is_numeric_dtype(answer.rows[name])]
-        chart = bool(numbers) and st.toggle("Chart", key="sql_chart")
+        chart = bool(numbers) and st.toggle(_("Chart"), key="sql_chart")
         st.download_button(
-            "Download CSV",
+            _("Download CSV"),
             lambda: csv_report(answer.rows, context.locale),
             "query.csv",
             "text/csv",
@@ -162,30 +172,30 @@ def _show(context: PageContext) -> None:
 def _chart(context: PageContext, rows: pd.DataFrame, numbers: list[str]) -> None:
     """A number of the answer for each of its rows: bars by a name, else a line by a number or a time."""
     left, right = st.columns(2)
-    x = left.selectbox("Along", list(rows.columns), key="sql_x")
-    y = right.selectbox("Number", numbers, index=len(numbers) - 1, key="sql_y")
+    x = left.selectbox(_("Along"), list(rows.columns), key="sql_x")
+    y = right.selectbox(_("Number"), numbers, index=len(numbers) - 1, key="sql_y")
     st.plotly_chart(
         answer_figure(rows, str(x), str(y), context.locale), key="sql-figure", config={"displaylogo": False}
     )
 
 
 def _say_waiting(place: DeltaGenerator) -> None:
-    place.caption(f"{AT_ONCE} queries of others are running; this one starts when one of them ends.")
+    place.caption(_("{n} queries of others are running; this one starts when one of them ends.", n=AT_ONCE))
 
 
 def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chosen: str, sql: str) -> None:
     """Save this query for everyone, or forget a saved one (`names`: what is shown, and the name it is kept by)."""
     if not context.person.may_review:
         return
-    with st.popover("Save", icon=":material/bookmark:"):
-        name = st.text_input("Name", key="query_name", max_chars=80)
+    with st.popover(_("Save"), icon=":material/bookmark:"):
+        name = st.text_input(_("Name"), key="query_name", max_chars=80)
         try:
-            if st.button("Save this query", disabled=not (name or "").strip() or not sql.strip()):
+            if st.button(_("Save this query"), disabled=not (name or "").strip() or not sql.strip()):
                 if str(name).strip() in _EXAMPLES:
                     raise UsageError(f"queries: found the name of an example, {str(name).strip()!r}, expected another")
                 saved.save(str(name), sql)
                 st.rerun()
-            if chosen in names and st.button(f"Forget {plain(chosen)}"):
+            if chosen in names and st.button(_("Forget {name}", name=plain(chosen))):
                 saved.save(names[chosen], None)
                 st.rerun()
         except FlushlineError as problem:
@@ -193,17 +203,17 @@ def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chos
 
 
 def _describe_tables() -> None:
-    st.markdown("**Tables and views**")
+    st.markdown(_("**Tables and views**"))
     with st.container(height=560, border=False):
         for table in TABLES:
             with st.expander(f"`{table.name}`"):
                 st.caption(plain(table.comment))
                 _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
         for name, what, columns in (
-            ("decisions", "Everything that people decided, from the first entry on", DECISIONS_COLUMNS),
-            ("dispositions", "The last disposition of each feature that has one", DISPOSITIONS_COLUMNS),
-            ("rigs", "Each calibration with its last verification, and what is due when", RIGS_COLUMNS),
-            ("verifications", "Each measure of each verification of a rig", VERIFICATIONS_COLUMNS),
+            ("decisions", _("Everything that people decided, from the first entry on"), DECISIONS_COLUMNS),
+            ("dispositions", _("The last disposition of each feature that has one"), DISPOSITIONS_COLUMNS),
+            ("rigs", _("Each calibration with its last verification, and what is due when"), RIGS_COLUMNS),
+            ("verifications", _("Each measure of each verification of a rig"), VERIFICATIONS_COLUMNS),
         ):
             with st.expander(f"`{name}`"):
                 st.caption(what)

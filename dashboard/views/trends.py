@@ -12,6 +12,7 @@ from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
 from dashboard.frame import PageContext, go, plain
 from dashboard.locale import Locale
+from dashboard.palette import quantity_words
 from dashboard.picking import clickable_chart
 from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
@@ -30,6 +31,7 @@ from dashboard.trends import (
     series,
     spread,
 )
+from dashboard.words import N_, _, capital
 from metrology.statistics import (
     NELSON_RULES,
     WESTERN_ELECTRIC_RULES,
@@ -42,21 +44,23 @@ from metrology.statistics import (
 )
 from metrology.tolerance import Limit
 
-TITLE = "Trends"
+TITLE = N_("Trends")
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
-_VIEWS = ("Control chart and capability", "Pareto of panels", "Map of the panel")
+_VIEWS = (N_("Control chart and capability"), N_("Pareto of panels"), N_("Map of the panel"))
 # Points from which control limits are usually taken as settled (Montgomery, Statistical Quality Control).
 _SETTLED = 20
-_MEASURES = {"mean value": "mean", "share outside": "outside"}
+_MEASURES = {N_("mean value"): "mean", N_("share outside"): "outside"}
 
 
 def render(context: PageContext) -> None:
     """Show the page."""
     subject, quantity, selection, rules = _choose(context)
     if subject is None:
-        st.info("There is nothing of this kind on that panel and station.")
+        st.info(_("There is nothing of this kind on that panel and station."))
         return
-    view = st.segmented_control("View", _VIEWS, label_visibility="collapsed", **one_of("view", _VIEWS))
+    view = st.segmented_control(
+        _("View"), _VIEWS, format_func=_, label_visibility="collapsed", **one_of("view", _VIEWS)
+    )
     if view == _VIEWS[1]:
         _pareto(context, selection)
     elif view == _VIEWS[2]:
@@ -68,22 +72,24 @@ def render(context: PageContext) -> None:
 def _choose(context: PageContext) -> tuple[Subject | None, Quantity, Selection, str]:
     archive = context.archive
     boxes = st.columns([1.2, 1.2, 1, 1.2, 1.2, 1.2, 1.2])
-    kind = boxes[0].selectbox("Trend of", list(SUBJECTS), **one_of("what", list(SUBJECTS)))
+    kind = boxes[0].selectbox(_("Trend of"), list(SUBJECTS), format_func=_, **one_of("what", list(SUBJECTS)))
     panel = station = name = ""
     if kind != FASTENER_TYPE:
         panels = names(archive, "panel")
-        panel = boxes[1].selectbox("Panel", panels, **one_of("panel", panels)) or ""
+        panel = boxes[1].selectbox(_("Panel"), panels, **one_of("panel", panels)) or ""
     if kind in BY_SUBJECT:
         within = Selection(panels=(panel,))
         stations = names(archive, "station", within)
-        station = boxes[2].selectbox("Station", stations, **one_of("station", stations)) or ""
+        station = boxes[2].selectbox(_("Station"), stations, **one_of("station", stations)) or ""
     if kind != "panel":
-        title = "Head Ø, mm" if kind == FASTENER_TYPE else kind.capitalize()
+        title = _("Head Ø, mm") if kind == FASTENER_TYPE else capital(_(kind))
         known = options(archive, kind, panel, station)
         name = boxes[3].selectbox(title, known, **one_of("name", known)) or "" if known else ""
-    quantity = boxes[4].selectbox("Quantity", SUBJECTS[kind], **one_of("quantity", SUBJECTS[kind]))
-    period = boxes[5].selectbox("Scanned", list(PERIODS), **one_of("period", list(PERIODS)))
-    rules = boxes[6].selectbox("Run rules", list(_RULES), **one_of("rules", list(_RULES)))
+    quantity = boxes[4].selectbox(
+        _("Quantity"), SUBJECTS[kind], format_func=quantity_words, **one_of("quantity", SUBJECTS[kind])
+    )
+    period = boxes[5].selectbox(_("Scanned"), list(PERIODS), format_func=_, **one_of("period", list(PERIODS)))
+    rules = boxes[6].selectbox(_("Run rules"), list(_RULES), **one_of("rules", list(_RULES)))
     subject = Subject(kind, panel, station, name) if kind == "panel" or name else None
     return subject, QUANTITIES[quantity], Selection(since=start_of(period, newest_scan(archive))), rules
 
@@ -101,7 +107,7 @@ def _control(
     rows = series(context.archive, subject, quantity, selection, standard)
     rows = rows[rows["n"] > 0].reset_index(drop=True)
     if rows.empty:
-        st.info("Nothing was measured here in that time. Choose a longer one, or another feature.")
+        st.info(_("Nothing was measured here in that time. Choose a longer one, or another feature."))
         return
     chart = individuals_chart(rows["value"].to_numpy(float))
     tests = _RULES[rules]
@@ -115,15 +121,15 @@ def _control(
     with right:
         distribution = st.container()
         if values is None:
-            st.info("A distribution needs at least two values.")
+            st.info(_("A distribution needs at least two values."))
         else:
             judged = limit if has_capability(groups) else None
             _capability(capability_of(subject, rows, values, judged), subject, judged, context.locale)
     with left:
         fig = control_figure(rows, chart, violations, shown, limit, events(rows), context.locale)
         clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False})
-        each = "the mean over each aircraft" if subject.kind in ("panel", FASTENER_TYPE) else "one scan"
-        st.caption(f"Each point is {each}; click one to open the scan. Dashed: tolerance limits.")
+        each = _("the mean over each aircraft") if subject.kind in ("panel", FASTENER_TYPE) else _("one scan")
+        st.caption(_("Each point is {each}; click one to open the scan. Dashed: tolerance limits.", each=each))
         _rules(rules, tests, violations, len(rows))
     if values is not None:
         distribution.plotly_chart(
@@ -135,21 +141,29 @@ def _rules(title: str, tests: tuple[RunRule, ...], violations: dict[str, Any], n
     if not violations:
         if n < _SETTLED:
             st.markdown(
-                f":gray[○] No point breaks a {title} rule, but control limits from {n} of at least {_SETTLED} points "
-                "say little yet."
+                ":gray[○] "
+                + _(
+                    "No point breaks a {rules} rule, but control limits from {n} points say little yet; "
+                    "{settled} are needed.",
+                    rules=title,
+                    n=n,
+                    settled=_SETTLED,
+                )
             )
             return
-        st.markdown(f":green[●] In control: no point breaks a {title} rule ({n} points).")
+        st.markdown(":green[●] " + _("Steady: no point breaks a {rules} rule ({n} points).", rules=title, n=n))
         return
     said = "; ".join(
-        f"**{t.name}** {t.meaning} (points: {len(violations[t.name])})" for t in tests if t.name in violations
+        f"**{t.name}** {_(t.meaning)} (" + _("points: {n}", n=len(violations[t.name])) + ")"
+        for t in tests
+        if t.name in violations
     )
-    st.markdown(f":red[▲] Not steady by {title} rules: {said}.")
+    st.markdown(":red[▲] " + _("Not steady by {rules} rules: {broken}.", rules=title, broken=said))
 
 
 def _capability(found: Capability | None, subject: Subject, limit: Limit | None, locale: Locale) -> None:
     if found is None:
-        st.caption("Without a limit that holds for all of these values there is no capability.")
+        st.caption(_("Without a limit that holds for all of these values nothing says how capable the process is."))
         return
     boxes = st.columns(4)
     for box, (name, index) in zip(
@@ -158,13 +172,19 @@ def _capability(found: Capability | None, subject: Subject, limit: Limit | None,
         box.metric(name, locale.number(index.value, 2) if index else "–")
         box.caption(_interval(index, locale))
     if subject.averaged:
-        st.caption("Cp and Cpk use the spread within a point of the chart, Pp and Ppk that of all values.")
+        st.caption(_("Cp and Cpk use the spread within a point of the chart, Pp and Ppk that of all values."))
     elif found.cp is None and limit is not None and (limit.lower is None or limit.upper is None):
-        st.caption("Cp and Pp need both limits.")
+        st.caption(_("Cp and Pp need both limits."))
     st.caption(
-        f"n {locale.whole(found.n)}, mean {locale.number(found.mean, sign=True)}, "
-        f"σ {locale.number(found.sigma_overall, 4)}; "
-        f"expected outside {locale.percent(found.outside_fraction, 2)}. 95 % intervals; limits {_limits(limit, locale)}"
+        _(
+            "{n} values, mean {mean}, standard deviation {sigma}; {outside} expected outside the limits {limits}. "
+            "Below each number: where it lies in 95 of 100 cases.",
+            n=locale.whole(found.n),
+            mean=locale.number(found.mean, sign=True),
+            sigma=locale.number(found.sigma_overall, 4),
+            outside=locale.percent(found.outside_fraction, 2),
+            limits=_limits(limit, locale),
+        )
     )
 
 
@@ -184,23 +204,26 @@ def _interval(index: Index | None, locale: Locale) -> str:
 def _pareto(context: PageContext, selection: Selection) -> None:
     bars = pareto(failing_panels(context.archive, selection))
     if not bars:
-        st.success("No finding of the newest scans is outside its limits.")
+        st.success(_("No finding of the newest scans is outside its limits."))
         return
     st.plotly_chart(pareto_figure(bars, context.locale, 380), key="pareto", config={"displaylogo": False})
     st.caption(
-        "Rivets and seam stations outside their limits on the newest scan of every station, all aircraft together."
+        _(
+            "Rivets and positions along seams outside their limits on the newest scan of every station, "
+            "all aircraft together."
+        )
     )
 
 
 def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: Selection) -> None:
     if not subject.panel:
-        st.info("Choose a rivet, a seam or a panel to see its map.")
+        st.info(_("Choose a rivet, a seam or a panel to see its map."))
         return
-    measure = st.segmented_control("Colour", list(_MEASURES), **one_of("measure", list(_MEASURES)))
+    measure = st.segmented_control(_("Colour"), list(_MEASURES), format_func=_, **one_of("measure", list(_MEASURES)))
     standard = standard_of(limit_groups(context.archive, Subject("panel", subject.panel), quantity, selection))
     rows = layout(context.archive, subject.panel, quantity, selection, standard)
     if rows.empty:
-        st.info("Nothing was measured on this panel in that time.")
+        st.info(_("Nothing was measured on this panel in that time."))
         return
     st.plotly_chart(
         layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), context.locale),
@@ -208,8 +231,17 @@ def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: 
         config={"displaylogo": False},
     )
     frame = (
-        "in the panel's frame" if rows.attrs.get("registered") else "as each station's picture shows them, side by side"
+        _("in the panel's frame")
+        if rows.attrs.get("registered")
+        else _("as each station's picture shows them, side by side")
     )
-    st.caption(f"{quantity.title} of panel {plain(subject.panel)}, over all aircraft; places {frame}.")
+    st.caption(
+        _(
+            "{quantity} of panel {panel}, over all aircraft; places {frame}.",
+            quantity=_(quantity.title),
+            panel=plain(subject.panel),
+            frame=frame,
+        )
+    )
     if standard.relative:
         st.caption(context.locale.reason(standard.note))

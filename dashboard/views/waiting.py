@@ -14,9 +14,10 @@ from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import Selection
 from dashboard.frame import PageContext, go, link
 from dashboard.locale import Locale
-from dashboard.palette import DECISION_MARKS, DECISION_SIGNS, OPEN_DECISIONS
+from dashboard.palette import DECISION_SIGNS, OPEN_DECISIONS, decision_words
 from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
+from dashboard.words import _
 from metrology.kinds import KINDS, Kind
 from storage.archive.views import NEWEST_TIME
 from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
@@ -38,7 +39,7 @@ def where_work_waits(context: PageContext, beside: DeltaGenerator) -> None:
     selection = replace(scene_filters(context.archive), without=context.settings.not_aircraft)
     panels = panel_states(context, selection)
     if panels.empty:
-        st.info("No scan matches these filters. Clear one of them to see more.")
+        st.info(_("No scan matches these filters. Clear one of them to see more."))
         return
     _totals(context, panels)
     left, right = st.columns([3, 2])
@@ -97,32 +98,41 @@ def _counted(*columns: str) -> str:
 
 def _totals(context: PageContext, panels: pd.DataFrame) -> None:
     locale = context.locale
-    boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 1.8, 3.2], vertical_alignment="center")
+    boxes = st.columns([1.3, 0.9, 0.7, 0.7, 0.7, 2.1, 2.9], vertical_alignment="center")
     boxes[0].metric(
-        "Waiting for a person",
+        _("Waiting for a person"),
         locale.whole(panels["waiting"].sum()),
-        help="Rivets, stretches of seams and the like that do not simply pass on the newest scans and have no "
-        "disposition, on scans that are not signed off; and open work.",
+        help=_(
+            "Rivets, stretches of seams and the like that do not simply pass on the newest scans and have no "
+            "disposition, on scans that are not signed off; and open work."
+        ),
     )
     boxes[1].metric(
-        "Open work",
+        _("Open work"),
         locale.whole(panels["open_work"].sum()),
-        help="Rework, repair or re-scan was asked for. It is done when the feature passes on a later scan of its "
-        "station, or when a person closes it with a reason.",
+        help=_(
+            "Rework, repair or re-scan was asked for. It is done when the feature passes on a later scan of its "
+            "station, or when a person closes it with a reason."
+        ),
     )
-    boxes[2].metric("Aircraft", locale.whole(panels["aircraft_serial"].nunique()))
-    boxes[3].metric("Panels", locale.whole(len(panels)), help="Panels counted on each aircraft.")
-    boxes[4].metric("Scans", locale.whole(panels["scenes"].sum()), help="The newest scan of each station.")
-    boxes[5].metric("Last scan", locale.time(newest_scan(context.archive)))
+    boxes[2].metric(_("Aircraft"), locale.whole(panels["aircraft_serial"].nunique()))
+    boxes[3].metric(_("Panels"), locale.whole(len(panels)), help=_("Panels counted on each aircraft."))
+    boxes[4].metric(_("Scans"), locale.whole(panels["scenes"].sum()), help=_("The newest scan of each station."))
+    boxes[5].metric(_("Last scan"), locale.time(newest_scan(context.archive)))
     with boxes[6]:
         counts = _counts(panels)
         st.html(decision_bar(counts, locale))
-        said = " · ".join(f"{DECISION_MARKS[name]} {locale.whole(count)}" for name, count in counts.items())
+        said = " · ".join(f"{decision_words(name)} {locale.whole(count)}" for name, count in counts.items())
         st.markdown(f":small[{said}]")
     if unjudged := int(panels["unjudged"].sum()):
         st.markdown(
-            f":orange[:material/help: Scans whose rig could not be judged: {locale.whole(unjudged)}. Nobody can vouch "
-            "for their values, passes included; scan them again.]"
+            ":orange[:material/help: "
+            + _(
+                "Scans whose rig could not be judged: {n}. Nobody can vouch for their values, passes included; "
+                "scan them again.",
+                n=locale.whole(unjudged),
+            )
+            + "]"
         )
 
 
@@ -138,24 +148,24 @@ def _counts(panels: pd.DataFrame) -> dict[str, int]:
 
 def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -> None:
     shown = panels.head(_MOST_ROWS)
-    more = len(panels) - len(shown)
+    more, whole = len(panels) - len(shown), context.locale.whole
     st.markdown(
-        "**Where work waits** · select a row to review that panel"
-        + (f" · {context.locale.whole(len(shown))} of {context.locale.whole(len(panels))} panels" if more else "")
+        _("**Where work waits** · select a row to review that panel")
+        + (" · " + _("{n} of {all} panels", n=whole(len(shown)), all=whole(len(panels))) if more else "")
     )
     show_table(
         shown,
         {
-            "aircraft_serial": "Aircraft",
-            "panel": "Panel",
-            "waiting": "Waiting",
-            "open_work": "Open work",
-            **({"unjudged": "Rig unjudged"} if shown["unjudged"].any() else {}),
-            "fail": f"{DECISION_SIGNS['fail']} Fail",
-            "conditional_fail": f"{DECISION_SIGNS['conditional fail']} Cond. fail",
-            "not_measured": "? Unmeasured",
-            "worst_mm": "Worst, mm",
-            "last_scan": "Last scan",
+            "aircraft_serial": _("Aircraft"),
+            "panel": _("Panel"),
+            "waiting": _("Waiting"),
+            "open_work": _("Open work"),
+            **({"unjudged": _("Rig not judged")} if shown["unjudged"].any() else {}),
+            "fail": DECISION_SIGNS["fail"] + " " + _("Fail"),
+            "conditional_fail": DECISION_SIGNS["conditional fail"] + " " + _("Cond. fail"),
+            "not_measured": "? " + _("Not measured"),
+            "worst_mm": _("Worst, mm"),
+            "last_scan": _("Last scan"),
         },
         context.locale,
         key="panels",
@@ -165,18 +175,18 @@ def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -
     )
     if panels["waiting"].sum() == 0:
         st.success(
-            "Nothing waits: every finding of these panels has a disposition, and no work is open.",
+            _("Nothing waits: every finding of these panels has a disposition, and no work is open."),
             icon=":material/check:",
         )
     elif not selection.aircraft and not selection.panels:
-        link("review", "Review what waits, the worst first", icon=":material/fact_check:")
+        link("review", _("Review what waits, the worst first"), icon=":material/fact_check:")
 
 
 def _matrix(locale: Locale, panels: pd.DataFrame) -> None:
     aircraft = panels.groupby("aircraft_serial")["last_scan"].max().sort_values(ascending=False)
     fig, shown = panel_matrix(panels, list(aircraft.index), locale)
-    note = f" · the newest {shown} of {len(aircraft)} aircraft" if shown < len(aircraft) else ""
-    st.markdown(f"**Aircraft × panels** · findings waiting, click to review{note}")
+    note = " · " + _("the newest {n} of {all} aircraft", n=shown, all=len(aircraft)) if shown < len(aircraft) else ""
+    st.markdown(_("**Aircraft × panels** · findings waiting, click to review") + note)
     clickable_chart(fig, "matrix", _review, {"displayModeBar": False})
 
 

@@ -28,7 +28,10 @@ _VALUES = ("value_mm", "u95_mm", "decision", "severity", "reason")
 
 
 def _rows(kind: Kind) -> str:
-    """Features of the scans that are compared, a course's with their position."""
+    """Features of the scans that are compared, a course's with their position.
+
+    The time adds nothing but speed: rows lie about in its order, so most of a table need not be looked at.
+    """
     name, *position = kind.id_columns
     first = kind.quantities[0]
     return (
@@ -36,7 +39,7 @@ def _rows(kind: Kind) -> str:
         f"{position[0] if position else '0.0'} AS position, {kind.id_sql} AS feature_id, {first.column} AS value_mm, "
         f"{first.u95_column} AS u95_mm, decision, severity, reason, {RANK_SQL} AS rank, {ATTENTION} AS bad, "
         f"{_KEPT_NAME} AS kept_name, {'stretch' if position else 'NULL::VARCHAR AS stretch'} "
-        f"FROM {kind.table} JOIN scans USING (scene_id)"
+        f"FROM {kind.table} JOIN scans USING (scene_id, captured_at)"
     )
 
 
@@ -59,12 +62,12 @@ def changes_sql(since: str) -> str:
     return f"""WITH fresh AS (
     SELECT * FROM (SELECT *, {TAKEN_AT} AS taken_at FROM latest_scenes) WHERE {since}
 ), before AS (
-    SELECT f.scene_id AS now_id, s.scene_id, s.registration, s.n_unlisted
+    SELECT f.scene_id AS now_id, s.scene_id, s.captured_at, s.registration, s.n_unlisted
     FROM fresh f JOIN scenes s USING (aircraft_serial, panel, station) WHERE s.captured_at < f.captured_at
     QUALIFY row_number() OVER (PARTITION BY f.scene_id ORDER BY s.captured_at DESC) = 1
 ), scans AS (
-    SELECT scene_id AS now_id, scene_id, true AS now, registration, n_unlisted FROM fresh
-    UNION ALL SELECT now_id, scene_id, false, registration, n_unlisted FROM before
+    SELECT scene_id AS now_id, scene_id, captured_at, true AS now, registration, n_unlisted FROM fresh
+    UNION ALL SELECT now_id, scene_id, captured_at, false, registration, n_unlisted FROM before
 ), rows AS MATERIALIZED ({" UNION ALL ".join(_rows(kind) for kind in KINDS)}
 ), found AS (
     SELECT now_id, now, feature_kind, name, coalesce(stretch, feature_id) AS feature_id, min(position) AS from_mm,
@@ -108,7 +111,7 @@ def drift_sql(since: str) -> str:
     """
     parts = " UNION ALL ".join(
         f"SELECT scene_id, '{kind.name}' AS feature_kind, {kind.id_columns[0]} AS name, "
-        f"avg({kind.quantities[0].column}) AS v FROM {kind.table} SEMI JOIN watched USING (scene_id) "
+        f"avg({kind.quantities[0].column}) AS v FROM {kind.table} SEMI JOIN watched USING (scene_id, captured_at) "
         f"WHERE isfinite({kind.quantities[0].column}) GROUP BY ALL"
         for kind in _DRIFTING
     )

@@ -21,7 +21,7 @@ DECISIONS_COLUMNS = {
     "number": "counts the entries of the review log",
     "at": "when it was decided (UTC)",
     "who": "who decided",
-    "action": "disposition, close or sign-off",
+    "action": "disposition, close, undo or sign-off",
     "scene_id": "the scene",
     "run_id": "the run of the scene that was shown",
     "feature_kind": f"{_KINDS}; NULL for a sign-off",

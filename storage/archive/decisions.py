@@ -78,6 +78,12 @@ def close_work(root: Path, who: str, shown: Sequence[ShownFinding], reason: str)
         return ReviewLog(root).close(who, shown, reason)
 
 
+def undo(root: Path, who: str, shown: Sequence[ShownFinding], reason: str) -> list[Entry]:
+    """Record why the last decision about findings is undone; refused where one of them is not as it was shown."""
+    with _as_shown(Layout(root), shown):
+        return ReviewLog(root).undo(who, shown, reason)
+
+
 def sign_off(root: Path, who: str, shown: ShownScene, comment: str = "") -> Entry:
     """Close a scene of a store; see `sign_off_all`."""
     return sign_off_all(root, who, [shown], comment)[0]

@@ -121,14 +121,14 @@ def test_a_click_on_the_picture_opens_the_close_up(server: tuple[str, Path], chr
     address, _ = server
     page = new_page(chromium, "dark", "de-DE")
     page.goto(f"{address}/scene?scene=MSN-0425~LH-F12~S2~20261119T212500Z")
-    page.get_by_text("Rivet R04").wait_for()
+    page.get_by_text("Niet R04").wait_for()
     settle(page)
     # Where Plotly drew the seam's stations: the chart's own axes tell.
     place = page.evaluate(MIDDLE_STATION)
     page.mouse.move(*place)
     page.wait_for_timeout(300)
     page.mouse.click(*place)
-    page.get_by_text("Seam station M1@").first.wait_for()
+    page.get_by_text("Fuge M1 bei").first.wait_for()
     page.get_by_text("L1", exact=True).first.wait_for()
     settle(page)
     assert "feature=station" in page.url

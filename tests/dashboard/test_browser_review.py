@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
+from dashboard.findings import feature_words
+from dashboard.locale import Locale
 from storage.archive.store import Store
 from storage.archive.work import standings
-from storage.review import Feature, ReviewLog, ShownFinding
+from storage.review import Entry, Feature, ReviewLog, ShownFinding
 from tests.support.browser import choose, click_row, entries_of, new_page, record, settle
 from tests.support.synthetic_scene import synthetic_result
 from tests.support.week import recipe
@@ -34,6 +36,11 @@ def shown_name(page: Any) -> str:
     return str(label.split(" for ")[-1].split("\n")[0])  # its key stands below
 
 
+def words(entry: Entry) -> str:
+    """What an entry is about, as the pages name it."""
+    return feature_words(str(entry.feature_id), Locale("us"))
+
+
 @pytest.fixture
 def tabs(server: tuple[str, Path], chromium: Any) -> tuple[Any, Any, Path]:
     """Two tabs on the same list, and the store."""
@@ -45,7 +52,7 @@ def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
     first, second, root = tabs
     name = shown_name(first)
     assert name == shown_name(second)
-    feature = name.split(" ")[0]
+    feature = name.split(" (")[0]
     choose(first, "scrap", "cracked", who="M. Weber")
     choose(second, "use as is", "checked by hand", who="K. Ito")
     record(second, f"Record use as is for {name}")
@@ -57,7 +64,7 @@ def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
 
     record(first, f"Record scrap for {name}", "Not recorded")
     (entry,) = entries_of(root, "MSN-0421")
-    assert (entry.who, entry.disposition, entry.feature_id) == ("K. Ito", "use as is", feature)
+    assert (entry.who, entry.disposition, words(entry)) == ("K. Ito", "use as is", feature)
     assert first.get_by_text("found it decided since it was shown (use as is by K. Ito").count()
     # Shown anew: the same finding, with the other person's decision, and nothing chosen for it.
     assert shown_name(first) == name
@@ -66,13 +73,13 @@ def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
     # Who has seen that decision may change it.
     choose(first, "scrap")
     record(first, f"Record scrap for {name}")
-    assert [e.feature_id for e in entries_of(root, "MSN-0421")] == [feature, feature]
+    assert [words(entry) for entry in entries_of(root, "MSN-0421")] == [feature, feature]
     # The second tab decides about what it shows.
     other = shown_name(second)
     choose(second, "scrap", who="K. Ito")
     record(second, f"Record scrap for {other}")
     (entry,) = entries_of(root, "MSN-0420")
-    assert entry.feature_id == other.split(" ")[0]
+    assert words(entry) == other.split(" (")[0]
 
 
 def test_a_scan_stored_between_showing_and_recording(server: tuple[str, Path], chromium: Any) -> None:
@@ -85,7 +92,7 @@ def test_a_scan_stored_between_showing_and_recording(server: tuple[str, Path], c
     store.publish(synthetic_result(replace(recipe(2, "S3"), heights_mm=(0.9,) * 12)))
     record(page, f"Record scrap for {name}")
     (entry,) = entries_of(root, "MSN-0422")
-    assert f"{entry.feature_id} (MSN-0422 LH-F12" in name
+    assert f"{words(entry)} (MSN-0422 LH-F12" in name
 
     # The same scan inspected again, with other values: refused, and shown anew.
     name = shown_name(page)

@@ -157,12 +157,12 @@ def test_from_the_scene_by_its_table(server: tuple[str, Path], page: Any) -> Non
     at(page, "scene", scene=LAST, feature="rivet:R02", view="Table")
     page.go_back()
     at(page, "scene", scene=LAST, feature="station:M1@8.0", view="Table")
-    page.get_by_text("Seam station M1@8.0").wait_for()
+    page.get_by_text("Seam M1 at 8 mm").wait_for()
     click_row(page, 1)
     at(page, "scene", scene=LAST, feature="rivet:R02", view="Table")
     click_row(page, 2, table=1)
     at(page, "scene", scene=LAST, feature="station:M1@8.0", view="Table")
-    page.get_by_text("Seam station M1@8.0").wait_for()
+    page.get_by_text("Seam M1 at 8 mm").wait_for()
     page.get_by_role("link", name="Trend", exact=True).click()
     at(page, "trends", what="seam", panel="LH-F12", station="S2", name="M1")
     page.goto(f"{server[0]}/scene?scene=nowhere")
@@ -200,7 +200,7 @@ def test_from_the_runs_and_through_the_menu(server: tuple[str, Path], page: Any)
         ("Tolerance review", "review", "Disposition"),
         ("Archive", "archive", "scans, page"),
         ("Trends", "trends", "Ppk"),
-        ("Runs and rigs", "runs", "Scenes inspected per day"),
+        ("Runs and rigs", "runs", "Scans inspected per day"),
         ("SQL", "sql", "Tables and views"),
         ("Overview", "", "Where work waits"),
     ):

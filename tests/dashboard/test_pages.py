@@ -13,6 +13,7 @@ import duckdb
 import pytest
 from streamlit.testing.v1 import AppTest
 
+from dashboard.access import Person
 from dashboard.app import PAGES
 from dashboard.data import Archive
 from dashboard.questions import MORE, QUESTIONS
@@ -267,7 +268,7 @@ def test_a_damaged_manifest_leaves_the_page_without_limits(writable: Path, open_
         manifest.chmod(0o644)
         manifest.write_text('{"panel_spec": {"zones": {"default": {"height_mm": {"lower": 3, "upper": 1}}}}}')
     page = clean(open_page("scene", writable, scene=LAST))
-    assert "The limits of this run cannot be read by this version" in texts(page)
+    assert "This version cannot read the limits of this run" in texts(page)
 
 
 def test_a_scan_with_an_unjudged_rig_is_counted_in_every_list(writable: Path, open_page: Open) -> None:
@@ -277,7 +278,7 @@ def test_a_scan_with_an_unjudged_rig_is_counted_in_every_list(writable: Path, op
     Store(writable).publish(replace(synthetic_result(sound), rig_verdict="unjudged", warnings=("cannot tell",)))
     overview = clean(open_page("overview", writable, view=WORK))
     assert "Scans whose rig could not be judged: 1." in texts(overview)
-    panels = overview.dataframe[0].value.set_index("Panel")["Rig unjudged"]
+    panels = overview.dataframe[0].value.set_index("Panel")["Rig not judged"]
     assert panels["RH-F99"] == 1
     assert panels["LH-F12"].sum() == 0
     listed = {
@@ -287,10 +288,10 @@ def test_a_scan_with_an_unjudged_rig_is_counted_in_every_list(writable: Path, op
     assert listed["rig unjudged"] == {"RH-F99"}
     assert "RH-F99" not in listed["all pass"]
     assert "RH-F99" in listed["any verdict"]
-    assert "rig unjudged" in texts(open_page("scene", writable, scene=sound.key.scene_id))
-    assert open_page("runs", writable).dataframe[0].value["Rig unjudged"].sum() == 1
+    assert "rig not judged" in texts(open_page("scene", writable, scene=sound.key.scene_id))
+    assert open_page("runs", writable).dataframe[0].value["Rig not judged"].sum() == 1
     rigs = open_page("runs", writable, view="Rig health").dataframe[0].value.set_index("Rig calibration")
-    assert rigs.loc["rig-2026-11-17", "Rig unjudged"] == 1
+    assert rigs.loc["rig-2026-11-17", "Rig not judged"] == 1
     warned = open_page("runs", writable, view="Warnings and failures").dataframe[0].value
     assert list(warned["Rig check"][warned["Panel"] == "RH-F99"]) == ["unjudged"]
 
@@ -301,7 +302,7 @@ def test_a_scan_ahead_of_the_clock_is_listed_by_when_it_was_stored(writable: Pat
     Store(writable).publish(synthetic_result(replace(made, key=ahead)))
     rigs = open_page("runs", writable, view="Rig health", numbers="ISO").dataframe[0].value
     assert rigs["Last used"].max().year < 2612
-    assert rigs["Scenes"].sum() == 13
+    assert rigs["Scans"].sum() == 13
 
 
 def test_a_wrong_fastener_s_diameter_stands_beside_the_expected_one(writable: Path, open_page: Open) -> None:
@@ -464,13 +465,39 @@ def test_open_work_is_counted_alike_and_can_be_closed(writable: Path, open_page:
     page = page.run()
     close = button(page, "Close *rework* of R04")
     page = close.click().run()
-    assert "the reason why" in texts(page)
+    assert "Give your name and the reason" in texts(page)
     next(field for field in page.text_input if field.label.startswith("Why")).set_value("work order 4711")
     page = clean(button(page, "Close *rework* of R04").click().run())
     assert "Closed *rework* of R04" in texts(page)
     last = ReviewLog(writable).read().entries[-1]
     assert (last.action, last.who, last.comment, last.feature_id) == ("close", "M. Weber", "work order 4711", "R04")
     assert "3 waiting, 1 decided" in texts(open_page("scene", writable, scene=LAST))
+
+
+def test_a_decision_is_undone_with_a_reason(writable: Path, open_page: Open) -> None:
+    ReviewLog(writable).dispose("K. Ito", [SHOWN], "scrap")
+    page = open_page("review", writable, scene=LAST, feature="rivet:R04", state="all")
+    page.text_input(key="who").set_value("M. Weber")
+    page = button(page.run(), "Undo *scrap* of R04").click().run()
+    assert "Give your name and the reason" in texts(page)
+    next(field for field in page.text_input if field.label == "Why is it undone?").set_value("not cracked")
+    page = clean(button(page, "Undo *scrap* of R04").click().run())
+    assert "Undone: *scrap* of R04" in texts(page)
+    assert "**decision undone** by M. Weber · not cracked" in texts(page)
+    assert not [other for other in page.button if other.label.startswith("Undo")]
+    assert "4 waiting" in texts(open_page("scene", writable, scene=LAST))
+
+
+def test_an_undo_lets_no_part_pass_without_the_design_authority(
+    writable: Path, open_page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ReviewLog(writable).dispose("K. Ito", [SHOWN], "use as is")
+    ReviewLog(writable).dispose("K. Ito", [replace(SHOWN, last_entry=1)], "scrap")
+    for authority in (True, False):
+        person = Person("m.weber", "reviewer", True, authority)
+        monkeypatch.setattr("dashboard.frame.current_person", lambda *_, person=person: person)
+        page = clean(open_page("review", writable, scene=LAST, feature="rivet:R04", state="all"))
+        assert bool([other for other in page.button if other.label.startswith("Undo")]) is authority
 
 
 def test_a_signed_off_scene_offers_no_form(writable: Path, open_page: Open) -> None:

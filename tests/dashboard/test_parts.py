@@ -190,7 +190,7 @@ def test_a_step_of_another_version_is_not_drawn(archive: Archive) -> None:
     cloud, fits = archive.cloud(row.cloud_path), archive.fits(row.bundle_path)
     station = list(load_features(archive, row)["seam station"].itertuples(index=False))[10]
     fit = fits.section(station.seam_id, station.s_mm)
-    for column, said in (("step_mm", "gets a step of"), ("width_mm", "gets a width of")):
+    for column, said in (("step_mm", "gets a step of"), ("width_mm", "gets a gap of")):
         changed = SimpleNamespace(**{**station._asdict(), column: getattr(station, column) + 0.001})
         assert said in str(seam_section(cloud, changed, fit))
     assert fits.section(station.seam_id, station.s_mm + 1.0) is None

@@ -77,7 +77,7 @@ def test_screen_paper_and_projector_follow_the_table() -> None:
         }[look.symbol]  # fmt: skip
         assert f"{look.sign} {look.words}" in paper.KEY
     for decision, look in DECISIONS.items():
-        assert palette.DECISION_MARKS[decision] == f"{look.sign} {decision}"
+        assert palette.decision_words(decision) == f"{look.sign} {decision}"
         assert paper.SIGNS[decision] == look.sign
     assert list(palette.DECISIONS) == list(DECISIONS) == sorted(DECISIONS, key=gravity)
     assert tuple(SEVERITIES) == marks.GRAVEST_FIRST

@@ -16,7 +16,7 @@ from metrology.kinds import SEAM_STATION
 from metrology.results import Decision
 from metrology.tolerance import Limit, PanelSpec, judge
 from storage.archive import Store
-from storage.archive.decisions import close_work, dispose, shown_finding, sign_off
+from storage.archive.decisions import close_work, dispose, shown_finding, sign_off, undo
 from storage.archive.work import open_work, said, standings
 from storage.review import Disposition, Feature, ReviewLog, ShownFinding, ShownScene
 from tests.support.results import copied, small_key, small_result
@@ -148,6 +148,36 @@ def test_a_person_closes_work_with_a_reason(store: Store) -> None:
     decide(store, "rework")
     close_work(store.root, "k.ito", [seen(store)], "replaced, work order 4711")
     assert stand(store) == "1 decided"
+
+
+def test_a_decision_is_undone_by_a_further_entry(store: Store) -> None:
+    log = ReviewLog(store.root)
+    with pytest.raises(UsageError, match="found no decision about it as a whole"):
+        undo(store.root, "m.weber", [seen(store)], "a mistake")
+    dispose(store.root, "m.weber", [seen(store)], "scrap")
+    assert log.read().current()  # what is known by now goes on with the next entries
+    dispose(store.root, "m.weber", [seen(store)], "rework")
+    close_work(store.root, "m.weber", [seen(store)], "measured by hand")
+    assert stand(store) == "1 decided"
+    shown = seen(store)
+    with pytest.raises(UsageError, match="found no reason"):
+        undo(store.root, "m.weber", [shown], " ")
+    [entry] = undo(store.root, "k.ito", [shown], "another rivet was measured")
+    assert (entry.format, entry.said[:24]) == ("flushline-review/4", "decision undone by k.ito")
+    assert stand(store) == "1 open work"  # the rework that was closed
+    with pytest.raises(OutdatedError, match="decided since it was shown"):
+        undo(store.root, "m.weber", [shown], "again")
+    undo(store.root, "k.ito", [seen(store)], "the wrong rivet")
+    assert stand(store) == "1 decided"
+    assert log.read().current()[SCENE, R1].disposition == "scrap"
+    undo(store.root, "k.ito", [seen(store)], "not cracked after all")
+    assert stand(store) == "1 waiting"
+    assert log.read().current() == {}
+    assert len(ReviewLog(store.root).read().entries) == 6  # nothing was taken out
+    dispose(store.root, "m.weber", [seen(store)], "use as is")
+    sign_off(store.root, "m.weber", seen_scene(store))
+    with pytest.raises(UsageError, match="expected an open scene"):
+        undo(store.root, "k.ito", [seen(store)], "too late")
 
 
 def test_a_scan_with_open_work_or_a_finding_that_waits_is_not_signed_off(store: Store) -> None:
@@ -296,6 +326,18 @@ def test_work_on_a_stretch_is_closed_by_a_person_at_once(seam_store: Store) -> N
     close_work(seam_store.root, "k.ito", [seen(seam_store, feature=SEAM)], "filled, work order 4711")
     assert stand(seam_store) == "1 decided"
     assert sign_off(seam_store.root, "k.ito", replace(seen_scene(seam_store), run_id=seen(seam_store).run_id))
+
+
+def test_a_decision_about_a_stretch_is_undone_for_all_of_it(seam_store: Store) -> None:
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "use as is")
+    undo(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "not looked at")
+    assert stand(seam_store) == "1 waiting"
+    positions = [Feature("seam station", f"M1@{s:.1f}") for s in (2, 4, 6, 8)]
+    dispose(seam_store.root, "m.weber", [seen(seam_store, feature=each) for each in positions], "use as is")
+    with pytest.raises(UsageError, match="as a whole"):  # each was decided alone
+        undo(seam_store.root, "m.weber", [seen(seam_store, feature=SEAM)], "not looked at")
+    undo(seam_store.root, "m.weber", [seen(seam_store, feature=positions[0])], "not looked at")
+    assert stand(seam_store) == "1 waiting"
 
 
 def test_a_stretch_without_its_positions_is_refused(seam_store: Store) -> None:

@@ -107,15 +107,17 @@ def _new_context(browser: Any, scheme: str, locale: str) -> Any:
 _context = cache(_new_context)
 
 
+_REST = """() => document.querySelector('[data-testid="stApp"][data-test-script-state="notRunning"]')
+    && !document.querySelector('[data-testid="stSkeleton"]') && !document.querySelector('[data-stale="true"]')"""
+
+
 def settle(page: Any) -> None:
-    """Wait until the page is drawn, and see that it holds no traceback."""
-    page.wait_for_selector('[data-testid="stApp"][data-test-script-state="notRunning"]')
-    page.wait_for_function(
-        "!document.querySelector('[data-testid=\"stSkeleton\"]') && !document.querySelector('[data-stale=\"true\"]')"
-    )
+    """Wait until the page is drawn and stays so, and see that it holds no traceback."""
+    page.wait_for_function(_REST)
+    page.wait_for_timeout(150)  # what a click begins begins by then
+    page.wait_for_function(_REST)
     assert page.locator('[data-testid="stException"]').count() == 0
     assert page.locator("text=Traceback").count() == 0
-    page.wait_for_timeout(400)
 
 
 def row_place(page: Any, row: int, table: int = 0, row_height: int = 35, tick: bool = False) -> tuple[float, float]:
@@ -128,9 +130,9 @@ def click_row(page: Any, row: int, **where: Any) -> None:
     """Click a row of a table, or tick it."""
     place = row_place(page, row, **where)
     page.mouse.move(*place)
-    page.wait_for_timeout(150)
+    page.wait_for_timeout(100)
     page.mouse.click(*place)
-    page.wait_for_timeout(300)
+    page.wait_for_timeout(150)
     settle(page)
 
 

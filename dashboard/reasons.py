@@ -1,0 +1,82 @@
+"""Stored reasons in the person's language.
+
+Results keep their reasons as English text, clause after clause. A clause that one of these patterns fits is worded
+anew; any other stays as it was stored.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache, lru_cache
+
+from dashboard.palette import quantity_words
+from dashboard.words import _, language
+from metrology.kinds import KINDS
+
+PATTERNS = (
+    "from {first} to {last} mm ({length} mm), worst at {worst} mm: {reason}",
+    "from {first} to {last} mm ({length} mm), worst at {worst} mm",
+    "{quantity} {value} ± {u95} {unit} outside by less than U95 of {limit}",
+    "{quantity} {value} ± {u95} {unit} within U95 of a limit of {limit}",
+    "{quantity} {value} ± {u95} {unit} outside {limit}",
+    "{quantity} not measured",
+    "{quantity}: found U95 of {u95} {unit}, expected less than the {left} {unit2} that its limits leave",
+    "skin: points in {n} of {all} directions, at least {least} needed",
+    "skin: {n} usable points, at least {least} needed",
+    "skin: its points lie too unevenly for a surface",
+    "head: its points lie on no one surface",
+    "head: {n} points clear of its recesses, at least {least} needed",
+    "head: its points scatter {n} times as far as the skin's",
+    "points lie too unevenly for a surface",
+    "no points at the head",
+    "its rim shows in {share} of all directions, and the surface has no step",
+    "a ring that one camera shows and the other does not",
+    "a ring without a step, whose line is unlike the gaps of the fasteners here",
+    "a ring without a step, of another size than the fasteners here and in no row of theirs",
+    "it stands out of the skin unlike all fasteners here, in no row of theirs: a chip or a drop may lie there",
+    "too few points of skin beside the seam",
+    "too narrow for its width to be measured: under {limit} mm",
+    "temporary fastener: it stands {height} mm proud",
+    "flushness is not measured",
+    "open hole of {diameter} mm where no limit asks for one",
+    "{defect} without a limit that judges it: to be decided",
+    "line without measurable depth: its points leave ±{depth} mm",
+)
+"""What reasons say, by the places in it; the first that fits is taken."""
+_WORDED = {"quantity": quantity_words, "reason": lambda text: worded(text), "defect": lambda text: _(text)}
+"""Places that hold words of ours."""
+_QUANTITIES = "|".join(re.escape(quantity.name) for kind in KINDS for quantity in kind.quantities)
+
+
+def worded(text: str) -> str:
+    """A stored reason, clause by clause."""
+    return _of_language(language(), text)
+
+
+@lru_cache(maxsize=5000)
+def _of_language(_language: str, text: str) -> str:
+    whole = _fitted(text) if text.startswith("from ") else None
+    return whole or "; ".join(_fitted(clause) or clause for clause in text.split("; "))
+
+
+def _fitted(clause: str) -> str | None:
+    for pattern, expression in _expressions().items():
+        if found := expression.fullmatch(clause):
+            values = {
+                name: _WORDED[name](text) if name in _WORDED else text for name, text in found.groupdict().items()
+            }
+            return _(pattern, **values) if values else _(pattern)
+    return None
+
+
+@cache
+def _expressions() -> dict[str, re.Pattern[str]]:
+    return {pattern: re.compile(_expression(pattern)) for pattern in PATTERNS}
+
+
+def _expression(pattern: str) -> str:
+    parts = re.split(r"\{(\w+)\}", pattern)
+    names = {"quantity": _QUANTITIES, "reason": ".+"}
+    return "".join(
+        f"(?P<{part}>{names.get(part, '.+?')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)
+    )

@@ -1,0 +1,34 @@
+"""The language in a real browser: the browser's own at first, kept over pages, and answers to clicks in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.browser import new_page, settle
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_language_is_kept_over_pages_and_clicks_are_answered_in_it(server: tuple[str, Path], chromium: Any) -> None:
+    page = new_page(chromium, locale="de-DE")
+    page.goto(f"{server[0]}/review?aircraft=MSN-0425")
+    page.get_by_text("Entscheid", exact=True).first.wait_for()
+    settle(page)
+    # With the longest words, too, the button is on a small screen.
+    record = page.get_by_role("button", name="Eintragen")
+    box = record.bounding_box()
+    assert box["y"] + box["height"] <= 768
+    record.click()
+    page.get_by_text("Wählen Sie einen Entscheid").wait_for()
+    page.get_by_role("button", name="Einstellungen").click()
+    page.get_by_role("combobox", name="Sprache").click()
+    page.get_by_role("option", name="English").click()
+    page.get_by_text("Disposition", exact=True).first.wait_for()
+    settle(page)
+    page.keyboard.press("Escape")
+    page.get_by_role("link", name="Trends").first.click()
+    page.get_by_text("Run rules").wait_for()
+    assert "language" not in page.url
