@@ -56,9 +56,7 @@ def detect_rivets(
         return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
     rings = detect_ellipses(texture, settings, ground.shapes, ground.radii)
     rings = [
-        r
-        for r in rings
-        if all(not _overlap(r.ellipse, h) or is_recess(h, r.ellipse, reconstruction) for h in holes)
+        r for r in rings if all(not _overlap(r.ellipse, h) or is_recess(h, r.ellipse, reconstruction) for h in holes)
     ]
     confirmed = confirm_rings(rings, reconstruction, settings)
     found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
