@@ -94,10 +94,10 @@ def _measured(
         return replace(placed, decision="not measured", reason=reason)
     height = patch.h - skin.height(patch.x, patch.y)
     pixel_mm, within = patch.guard / patch.guard_px, _SIZE * patch.radius
-    cone = countersink(np.hypot(patch.x, patch.y), height, pixel_mm, within)
     views = tuple((device, view.texture) for device, view in reconstruction.cameras.values())
     edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
     rim = _rim(edges, patch, height, pixel_mm)
+    cone, axis = _cone(rim, patch, height, pixel_mm, within)
     if cone is not None and rim is not None and _smeared(cone, rim, pixel_mm):
         cone = None
     if cone is None and rim is not None and rim.deeper > 0:
@@ -105,7 +105,7 @@ def _measured(
         reason = f"{lies}: a countersink of unknown size, or a shadow"
         return replace(placed, decision="not measured", reason=reason)
     if cone is not None:
-        rim, placed = _below(cone, rim, placed, patch, skin, views, pixel_mm, edges.blur_px)
+        rim, placed = _below(cone, axis, rim, placed, patch, skin, views, pixel_mm, edges.blur_px)
     if rim is None or rim.radius < _LEAST_MM:
         below = "" if cone is None else " below its countersink"
         return replace(placed, decision="not measured", reason=f"no circle follows its rim{below}")
@@ -127,9 +127,24 @@ def _at(row: Hole, point: Array, reconstruction: Reconstruction) -> Hole:
 def _smeared(cone: Countersink, rim: RimCircle, pixel_mm: float) -> bool:
     """Whether a cone is but a bore's wall as matching smears it: pictures show the skin's edge inside its border."""
     inside = 0.5 * cone.diameter_mm - rim.radius
-    narrow = cone.diameter_mm - cone.lower_diameter_mm < 4 * _SMEAR_PX * pixel_mm
     shown = rim.directions > _SHOWN * DIRECTIONS and rim.deeper <= 0 and rim.radius_sd < _SHARP_PX * pixel_mm
-    return narrow and shown and 0.5 * COVERAGE_95 * cone.diameter_sd_mm < inside < _SMEAR_PX * pixel_mm
+    return _narrow(cone, pixel_mm) and shown and 0.5 * COVERAGE_95 * cone.diameter_sd_mm < inside < _SMEAR_PX * pixel_mm
+
+
+def _cone(
+    rim: RimCircle | None, patch: Patch, height: Array, pixel_mm: float, within: float
+) -> tuple[Countersink | None, tuple[float, float]]:
+    """The countersink and its axis: the patch's or, since off its axis a cone is none, the rim's."""
+    cone = countersink(np.hypot(patch.x, patch.y), height, pixel_mm, within)
+    if cone is not None or rim is None or rim.radius < 4 * _SMEAR_PX * pixel_mm:  # what a wall's blur fills
+        return cone, (0.0, 0.0)
+    cone = countersink(np.hypot(patch.x - rim.x, patch.y - rim.y), height, pixel_mm, within)
+    return None if cone is None or _narrow(cone, pixel_mm) else cone, (rim.x, rim.y)
+
+
+def _narrow(cone: Countersink, pixel_mm: float) -> bool:
+    """Whether a cone is no wider than the blur of a wall in the cloud."""
+    return cone.diameter_mm - cone.lower_diameter_mm < 4 * _SMEAR_PX * pixel_mm
 
 
 def _rim(edges: Edges, patch: Patch, height: Array, pixel_mm: float) -> RimCircle | None:
@@ -139,12 +154,12 @@ def _rim(edges: Edges, patch: Patch, height: Array, pixel_mm: float) -> RimCircl
 
 
 def _below(
-    cone: Countersink, rim: RimCircle | None, placed: Hole, patch: Patch, skin: Polynomial, views: tuple[View, ...],
-    pixel_mm: float, blur_px: float,
+    cone: Countersink, axis: tuple[float, float], rim: RimCircle | None, placed: Hole, patch: Patch, skin: Polynomial,
+    views: tuple[View, ...], pixel_mm: float, blur_px: float,
 ) -> tuple[RimCircle | None, Hole]:  # fmt: skip
     """The bore below a countersink, and the row with the countersink: its border of pictures, else of the cloud."""
     diameter, sd = cone.diameter_mm, cone.diameter_sd_mm
-    outer = RimCircle(0.0, 0.0, 0.5 * diameter, 0.5 * sd, 0)
+    outer = RimCircle(*axis, 0.5 * diameter, 0.5 * sd, 0)
     off = np.inf if rim is None or rim.radius_sd > CLOUD_SD_PX * pixel_mm else abs(2 * rim.radius - diameter)
     if rim is not None and rim.deeper <= 0 and off < COVERAGE_95 * sd + _BORDER_PX * pixel_mm:
         outer, diameter, sd = rim, 2 * rim.radius, 2 * rim.radius_sd

@@ -37,7 +37,7 @@ _STEPS = 3.0  # standard deviations of a step or tilt that is one
 _STROKE_STEPS = 6.0  # the same where the line is a stroke: its edges pass for steps, up to five deviations
 _WIDER, _WIDER_PX = 1.25, 0.15  # than the line of a scan's other fasteners, times and px beyond, is a painted line
 _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
-_CONTRAST = 2.0  # times that of the clearest gap of a scan
+_CONTRAST, _CLEAREST = 2.0, 0.9  # times that of the clearest gaps of a scan; dirt in a single one tells little
 _AS_DARK = 1.6  # times the others' contrast, or less by that
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
@@ -206,7 +206,7 @@ def _painted(ring: Ring, certain: Sequence[Ring]) -> bool:
     """Whether a line is unlike all gaps of the scan: wider, of the other polarity, or of far more contrast."""
     amplitudes = np.array([other.fit.amplitude for other in certain])
     unlike = np.sign(ring.fit.amplitude) != np.sign(amplitudes)
-    most = float(np.abs(amplitudes).max())
+    most = float(np.quantile(np.abs(amplitudes), _CLEAREST))
     return bool(_wider(ring, certain) or unlike.all() or abs(ring.fit.amplitude) > _CONTRAST * most)
 
 

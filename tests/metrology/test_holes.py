@@ -11,18 +11,21 @@ import pytest
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.fastening import detect_fasteners
 from metrology.holes import measure_holes
+from metrology.holes.countersink import countersink
+from metrology.holes.measure import _cone as about_its_axis
 from metrology.holes.measure import measure_sighted
-from metrology.holes.rim import Edges, leans, rim_circle
+from metrology.holes.rim import Edges, RimCircle, leans, rim_circle
 from metrology.kinds import HOLE
 from metrology.limits import Limit, PanelSpec
 from metrology.panel import NominalRivet
 from metrology.registration.openings import explained, missing_fasteners
 from metrology.results import Hole, Rivet, SeamLine
 from metrology.rivets.ground import ground_of
+from metrology.rivets.patch import blocked_pixels, cut_patch
 from metrology.rivets.settings import RivetSettings
 from metrology.sighted import Sighted
 from metrology.tolerance import judge
-from tests.support.rivet_scan import Head, Skin, scan
+from tests.support.rivet_scan import Head, Skin, scan, truth_detection
 
 SKIN = Skin()
 DEEP = 4.0
@@ -212,6 +215,50 @@ def test_saturated_skin_is_no_hole(rng: np.random.Generator) -> None:
     bright = np.hypot(x, y) < 4.0
     flags = np.where(bright, np.uint16(PixelFlag.SATURATED), reconstruction.flags)
     assert detect_fasteners(replace(moved(reconstruction, bright, np.nan), flags=flags)).openings == []
+
+
+def test_a_hole_beside_skin_that_the_other_camera_sees_too_bright_is_found(rng: np.random.Generator) -> None:
+    """Grain makes stripes of skin without a counterpart; they are as bright as the skin that has one."""
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    hole = np.hypot(x, y) < 4.0
+    columns = np.arange(hole.shape[1]) % 12 < 8
+    reconstruction = darkened(moved(reconstruction, (columns & (y > -2.0)) | hole, np.nan), 0.0, 0.0, 4.0)
+    (found,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
+    assert found.diameter_mm == pytest.approx(8.0, abs=0.1)
+
+
+def test_a_round_recess_is_no_hole(rng: np.random.Generator) -> None:
+    """The same hole without a head round it is one; so is a countersink with a ring at its border."""
+    reconstruction = scan(SKIN, (Head(0, 0, 6.4, 0.05),), rng)
+    x, y = on_skin(reconstruction)
+    r = np.hypot(x, y)
+    recessed = darkened(moved(reconstruction, r < 1.6, -1.8), 0.0, 0.0, 1.6, deep=0.0)
+    (head,) = detect_fasteners(recessed).rivets
+    assert detect_fasteners(recessed).openings == []
+    assert head.major_px == pytest.approx(6.4 * 5, rel=0.05)
+    sunk = np.where(r < 1.6, -1.8, -(3.2 - r) / np.tan(np.radians(50)) - 0.05)
+    countersunk = darkened(moved(reconstruction, r < 3.2, sunk), 0.0, 0.0, 1.6)
+    found = detect_fasteners(countersunk)
+    assert found.rivets == []
+    assert len(found.openings) == 1
+
+
+def test_a_countersink_is_found_about_its_own_axis(rng: np.random.Generator) -> None:
+    """A chip that lies in a countersink moves the middle of what is open by more than a cone allows."""
+    reconstruction = scan(SKIN, (), rng)
+    nothing = np.zeros(reconstruction.flags.shape, bool)
+    patch = cut_patch(truth_detection(reconstruction, SKIN, Head(0.4, 0.0, 11.0)), (), reconstruction,
+                      blocked_pixels(reconstruction), nothing, RivetSettings())  # fmt: skip
+    assert not isinstance(patch, str)
+    away = np.hypot(patch.x + 0.4, patch.y)
+    height = np.where(away < 2.0, np.nan, np.where(away < 5.0, (away - 5.0) / np.tan(np.radians(50)), 0.0))
+    assert countersink(np.hypot(patch.x, patch.y), height, 0.2, 7.0) is None
+    cone, axis = about_its_axis(RimCircle(-0.4, 0.0, 5.0, 0.05, 70), patch, height, 0.2, 7.0)
+    assert axis == (-0.4, 0.0)
+    assert cone is not None
+    assert cone.angle_deg == pytest.approx(100.0, abs=3.0)
+    assert cone.diameter_mm == pytest.approx(10.0, abs=0.2)
 
 
 def test_an_open_hole_is_a_finding_unless_a_limit_asks_for_it() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from metrology.errors import UsageError
 from metrology.rivets import RivetSettings, detect_ellipses
+from metrology.rivets.alike import rings_alike
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.ring import fit_ring
 from metrology.rivets.shapes import log_shape, shapes_of
@@ -194,3 +196,21 @@ def test_detection_does_not_depend_on_brightness(textures: list) -> None:
 def test_settings_refuse_what_makes_no_sense(wrong: dict) -> None:
     with pytest.raises(UsageError, match="found"):
         RivetSettings(**wrong)
+
+
+def test_faint_rings_as_large_as_others_show_in_their_sums(rng: np.random.Generator) -> None:
+    """A ring of 1.2 standard deviations of streaks along the image, in which no arc of it can be followed."""
+    faint = [Ellipse(90.3, 80.2, 11.0, 10.0, 0.3), Ellipse(210.4, 189.7, 15.0, 13.6, 0.3)]
+    image = 100 + 3 * cv2.GaussianBlur(rng.normal(size=(260, 300)), (0, 0), sigmaX=6, sigmaY=0.6)
+    image += rng.normal(size=image.shape)
+    for ellipse in faint:
+        image += painted_ring(ellipse, -2.5, size=(260, 300)) - painted_ring(ellipse, 0.0, size=(260, 300))
+    shapes = shapes_of([Ellipse(0.0, 0.0, 11.0, 10.0, 0.3)] * 4, image.shape)
+    assert shapes is not None
+    sizes = [Ellipse(50.0, 200.0, 10.5, 9.5, 0.3), Ellipse(260.0, 40.0, 16.0, 14.5, 0.3)]
+    found = rings_alike(image.astype(np.float32), sizes, True, shapes)
+    for ellipse in faint:
+        near = [f for f in found if np.hypot(f.u - ellipse.u, f.v - ellipse.v) < 2.5]
+        assert min(abs(f.radius / ellipse.radius - 1) for f in near) < 0.06
+    assert len(found) < 60
+    assert not rings_alike(image.astype(np.float32), [Ellipse(0.0, 0.0, 30.0, 27.0, 0.3)], True, shapes)
