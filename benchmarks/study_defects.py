@@ -1,6 +1,6 @@
 """Defects on simulated panels: how many are found, how well they are measured, and what is found where there are none.
 
-python benchmarks/study_defects.py [--panels 30] [--bare 40] [--repeats 10] [--rendered]
+python benchmarks/study_defects.py [--panels 30] [--first 0] [--bare 40] [--repeats 10] [--rendered]
 
 Dents, bumps and creases 0.02–2 mm deep and 5–80 mm long among rivets and seams, on skins from flat to 0.4 m radius:
 recall, errors of depth and extents, and how often U95 covers the error; the same panels without defects; one panel
@@ -249,12 +249,13 @@ def _cylinder(points: np.ndarray) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--panels", type=int, default=30)
+    parser.add_argument("--first", type=int, default=0, help="number of the first panel: others are other panels")
     parser.add_argument("--bare", type=int, default=40)
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--rendered", action="store_true")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    study_dents(arguments.panels, arguments.rendered)
+    study_dents(range(arguments.first, arguments.first + arguments.panels), arguments.rendered)
     study_bare(arguments.bare, arguments.rendered)
     study_repeats(arguments.repeats, arguments.rendered)
 
@@ -331,9 +332,9 @@ def _belongs(row: Defect, truths: Sequence[TrueDent]) -> bool:
     return any(np.linalg.norm(here - truth.xyz_mm) < 0.5 * max(truth.foot_axes_mm) for truth in truths)
 
 
-def study_dents(panels: int, rendered: bool) -> None:
+def study_dents(panels: range, rendered: bool) -> None:
     tally = Tally()
-    for number in range(panels):
+    for number in panels:
         tally.add(number, scans(specification(number, True), 1, rendered)[0])
     if panels:
         tally.report()

@@ -154,8 +154,9 @@ def _measure(job: Job, run: _Run) -> _Measured:
         measuring = beside(partial(run.step, steps.measure_rivets, detections, reconstruction, lines, settings))
         stations = run.step(steps.measure_seams, lines, reconstruction, detections, settings)
         features: dict[str, Sequence[Feature]] = {RIVET.name: measuring.result(), SEAM_STATION.name: stations}
+        limits = steps.specification(job.spec, loaded.scene.key.panel, job.store).limits
         for kind in KINDS:
-            if kind.measure:
+            if kind.measure and (not kind.on_request or limits.limits_any(kind)):
                 sighted = Sighted(reconstruction, detections, lines, dict(features), fasteners.openings)
                 features[kind.name] = run.step(
                     load(kind.measure), sighted, getattr(settings, kind.settings or kind.table, None)

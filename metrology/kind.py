@@ -172,6 +172,8 @@ class Kind:
         A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
         before it ("module:name"): from a `metrology.sighted.Sighted`, and its block of the settings (None where there
         is none), to rows. "" for rivets and seams, whose steps come first.
+    on_request : bool
+        Whether it is measured only where the panel's specification limits it.
     settings : str
         Name of that block; "" for the name of the table.
     cells : tuple of Cell
@@ -201,6 +203,7 @@ class Kind:
     unlimited: str = ""
     note: str = ""
     measure: str = ""
+    on_request: bool = False
     settings: str = ""
     cells: tuple[Cell, ...] = ()
     size: tuple[str, ...] = ()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from metrology.kind import Cell, Count, Graded, Kind, LimitName, Quantity, load
 
 __all__ = [
-    "BY_NAME", "DEFECT", "HOLE", "KINDS", "LIMITS", "RIVET", "SEAM_STATION",
+    "BY_NAME", "DEFECT", "HOLE", "KINDS", "LIMITS", "RIVET", "SEAM_STATION", "WAVINESS",
     "Cell", "Count", "Graded", "Kind", "LimitName", "Quantity", "load",
 ]  # fmt: skip
 
@@ -201,7 +201,34 @@ DEFECT = Kind(
     ),
 )  # fmt: skip
 
-KINDS = (RIVET, SEAM_STATION, HOLE, DEFECT)
+WAVINESS = Kind(
+    name="waviness",
+    table="waviness",
+    row="metrology.waviness.row:Waviness",
+    one="waviness of a piece of skin",
+    many="waviness of the skin",
+    id_columns=("waviness_id",),
+    point="place of the greatest gap under the straight-edge",
+    quantities=(
+        Quantity(
+            "waviness", "waviness_mm", "waviness_u95_mm", "mm", "Waviness of the skin",
+            (LimitName("waviness_mm", "waviness of the skin under a straight-edge, mm"),),
+        ),
+    ),
+    counts=(Count("n_waviness", "pieces of skin and directions whose waviness was asked for", of="rows"),),
+    per_panel=("max(waviness_mm) AS waviness_worst_mm",),
+    subject="waviness",
+    parameter="waviness",
+    measure="metrology.waviness.measure:measure_waviness",
+    on_request=True,
+    cells=(
+        Cell("direction", ("direction",)),
+        Cell("straight-edge mm", ("edge_mm",), 0),
+        Cell("waviness mm", ("waviness_mm", "waviness_u95_mm"), 3),
+    ),
+)  # fmt: skip
+
+KINDS = (RIVET, SEAM_STATION, HOLE, DEFECT, WAVINESS)
 """In the order in which tables, reports and pages show them."""
 
 BY_NAME = {kind.name: kind for kind in KINDS}

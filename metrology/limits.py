@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from metrology.errors import SpecError
-from metrology.kinds import LIMITS
+from metrology.kinds import LIMITS, Kind
 from metrology.results import Decision, Severity
 
 
@@ -160,3 +160,8 @@ class PanelSpec:
         """The zone of that name; what it leaves open is as in the zone "default"."""
         default = self.zones.get(DEFAULT_ZONE, {})
         return {**default, **self.zones.get(name or DEFAULT_ZONE, {})}
+
+    def limits_any(self, kind: Kind) -> bool:
+        """Whether any zone has a limit of a kind's quantities."""
+        names = {limit.name for quantity in kind.quantities for limit in quantity.all_limits}
+        return any(names & zone.keys() for zone in self.zones.values())

@@ -18,6 +18,7 @@ from metrology.registration.settings import RegistrationSettings
 from metrology.rig_health import HealthSettings
 from metrology.rivets.settings import RivetSettings
 from metrology.seams.settings import SeamSettings
+from metrology.waviness.row import WavinessSettings
 from storage.documents import brief, closest, read_toml, shown
 from storage.models import first_problem
 
@@ -81,6 +82,7 @@ class InspectionSettings:
     rivets: RivetSettings = field(default_factory=RivetSettings)
     seams: SeamSettings = field(default_factory=SeamSettings)
     defects: DefectSettings = field(default_factory=DefectSettings)
+    waviness: WavinessSettings = field(default_factory=WavinessSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     overlay: OverlaySettings = field(default_factory=OverlaySettings)
 

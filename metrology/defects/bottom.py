@@ -78,7 +78,7 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
     curvature = _mean(likely, found, "curvature")
     bent = max(curvature, _FLATTEST)
     near = np.hypot(patch.x - x, patch.y - y) < max(2.5 * patch.step_mm, 0.15 * radii[1])
-    hidden = bool((~patch.skin[near]).mean() > 0.2)
+    hidden = not near.any() or bool((~patch.skin[near]).mean() > 0.2)
     return Bottom(x, y, depth, sd, 1 / bent, _scatter(likely, found, "curvature", curvature) / bent**2, hidden)
 
 

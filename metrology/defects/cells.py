@@ -24,6 +24,9 @@ BAD = np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)
 """Flags of pixels that are left out."""
 _GUARD_PX = 6  # round heads, holes and seams: mixed phase, and the matching's support
 _SHARE = 0.5  # of a cell's pixels that must be sound
+_STEEPEST = 2.5  # slope between neighbouring cells, as the rig sees the skin inclined
+_GAP = 3  # cells that the drop may leave without points
+_NEIGHBOURS, _ALONE = 5, 0.3  # cells round one, and their share that must be sound: others were matched by chance
 _BORDER = 2  # cells
 _BEYOND_PX = 120  # a seam's line may end before the seam does
 _GONE_PX = 8  # without points on a line is where the skin ends
@@ -68,9 +71,12 @@ def cell_map(sighted: Sighted) -> CellMap:
     rows, columns = height // SIZE, width // SIZE
     points, sigma = np.empty((rows, columns, 3)), np.empty((rows, columns))
     means(reconstruction.points, reconstruction.sigma_z, reconstruction.flags, BAD, SIZE, _SHARE, points, sigma)
+    alone = cv2.blur(np.isfinite(sigma).astype(np.float32), (_NEIGHBOURS, _NEIGHBOURS)) < _ALONE
+    points[alone], sigma[alone] = np.nan, np.nan
     seam = _coarse(_seam_mask(sighted.lines, reconstruction.valid), rows, columns)
-    plate = _plates(_coarse(reconstruction.valid, rows, columns) & ~seam)
     covered = _coarse(_covered(sighted, (height, width)), rows, columns)
+    near = cv2.dilate((np.isfinite(sigma) | covered).astype(np.uint8), np.ones((_NEIGHBOURS, _NEIGHBOURS))) > 0
+    plate = _plates(_coarse(reconstruction.valid, rows, columns) & near & ~seam & ~_steep(points))
     # Half a matching window is missing at the border of the image.
     inside = np.zeros(plate.shape, bool)
     inside[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
@@ -119,6 +125,20 @@ def _coarse(mask: NDArray[np.generic], rows: int, columns: int) -> Mask:
     part = np.ascontiguousarray(mask[: rows * SIZE, : columns * SIZE]).view(np.uint8)
     share = cv2.resize(part * np.uint8(255), (columns, rows), interpolation=cv2.INTER_AREA)
     return np.asarray(share > 0)
+
+
+def _steep(points: Array) -> Mask:
+    """Cells beside a drop that no skin and no dent of it makes: there the panel ends, and something behind begins."""
+    steep = np.zeros(points.shape[:2], bool)
+    for axis, reach in ((axis, reach) for axis in (0, 1) for reach in range(1, _GAP + 1)):
+        count = points.shape[axis] - reach
+        way = points.take(range(reach, count + reach), axis) - points.take(range(count), axis)
+        off = np.abs(way[..., 2]) > _STEEPEST * np.hypot(way[..., 0], way[..., 1])
+        for between in range(reach + 1):
+            part = [slice(None), slice(None)]
+            part[axis] = slice(between, between + count)
+            steep[tuple(part)] |= off
+    return steep
 
 
 def _seam_mask(lines: Sequence[SeamLine], valid: Mask) -> NDArray[np.uint8]:

@@ -27,6 +27,7 @@ _SURE = 2.5  # U95 of the skin that a defect must be deep: five standard deviati
 _SURE_AT_END = 7.5  # where it deepens up to the end of the view: beyond the skin's last points nothing holds it
 _OPEN = 0.25  # share of such an outline that lies there
 _FOOT = 0.1  # of its depth
+_SHOULDER = 1.5  # times as deep within its outline lies another's bottom, whose flank it is on
 _FOOT_SDS = 2.5
 _CUT = 0.04  # share of an outline that may lie elsewhere
 _MOST_OF_PLATE = 0.4  # of a plate that a defect may cover for the rest to tell the skin
@@ -81,7 +82,7 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     depth = patch.smoothed(0.0)
     at = _deepest(patch, depth)
     outline = outline_at(patch, depth, 0.5 * float(depth[at]), at)
-    if outline is None:
+    if outline is None or depth[outline.cells].max() > _SHOULDER * depth[at]:
         return None
     radii = 0.5 * outline.length, 0.5 * outline.width, outline.angle
     bottom = bottom_of(patch, outline.cells, at, radii)
@@ -99,8 +100,8 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
         bottom = replace(bottom, depth=seen, sd=float(np.hypot(bottom.sd, seen - bottom.depth)))
     skin_variance = by_reference + region.doubt**2
     sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
-    # Whether it is one does not hang on waves: its neighbours' are in their own standard deviation.
-    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + by_reference / patch.reference.together + region.doubt**2)
+    # Whether it is one hangs on how the skin may be bent there, and not on how high it lies.
+    seen_sd = np.sqrt(skin.sd[window][place] ** 2 + by_reference / patch.reference.together + region.bend**2)
     return _Found(region, patch, bottom, outline, float(sd), seen, float(seen_sd))
 
 
@@ -114,7 +115,9 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
     cut = found.outline.cut_by_view
-    sure = COVERAGE_95 * found.seen_sd * (_SURE_AT_END if cut > _OPEN and found.bottom.hidden else _SURE)
+    # Beyond the view's end nothing tells how high the skin lies.
+    sd = float(np.hypot(found.seen_sd, found.region.doubt)) if cut > _CUT else found.seen_sd
+    sure = COVERAGE_95 * sd * (_SURE_AT_END if cut > _OPEN and found.bottom.hidden else _SURE)
     if found.seen < max(settings.least_depth_mm, sure):
         return False
     return cut < _CUT or found.outline.length > _LEAST_VIEW_MM
@@ -168,7 +171,10 @@ def _hidden_by(found: _Found) -> HiddenBy | None:
         return "view"
     if not found.bottom.hidden:
         return None
-    return "seam" if found.outline.cut_by_seam > _CUT else "fastener"
+    patch, bottom = found.patch, found.bottom
+    missing = np.flatnonzero(~patch.skin)
+    away = np.hypot(patch.x.ravel()[missing] - bottom.x, patch.y.ravel()[missing] - bottom.y)
+    return "fastener" if patch.plate.ravel()[missing[int(away.argmin())]] else "seam"
 
 
 def _with_extents(

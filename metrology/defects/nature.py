@@ -28,6 +28,8 @@ def nature_of(patch: Patch, bottom: Bottom, outline: Outline, sign: int, setting
     long = outline.length / max(outline.width, 1e-6)
     if outline.width < settings.scratch_width_mm and long > _LONG:
         return "scratch"
+    if outline.cut_by_seam > _AT_SEAM:  # the section of what a seam cuts off tells nothing
+        return "dent"
     across = _left_half_way(patch, bottom, outline, outline.angle + 0.5 * np.pi, outline.width, outline.length)
     return "crease" if long > _FOLD and across < _SHARP else "dent"
 

@@ -196,6 +196,21 @@ def fit_reference(
     return replace(fitted, ruled=ruled_profiles(h - fitted.smooth(x, y), sd, x, y, directions))
 
 
+def fit_contour(points: Array, sigma: Array) -> Reference | None:
+    """A plate's paraboloid alone, which waves and dents lie over; None where its cells lie too unevenly.
+
+    Parameters as of `fit_reference`.
+    """
+    if len(points) < _LEAST_CELLS:
+        return None
+    part = slice(None, None, max(1, len(points) // _FIT_CELLS))
+    shape = _shape(points[part], np.inf)
+    if shape is None:
+        return None
+    x, y, h = np.ascontiguousarray(shape.frame.local(points[part]).T)
+    return _fitted(replace(shape, waves=shape.waves[:0]), x, y, h, shape.frame.height_sigma(points[part], sigma[part]))
+
+
 def _shape(points: Array, largest_mm: float) -> Reference | None:
     """Frame, extents and waves of a plate's reference; None of a strip that is too narrow."""
     middle = points.mean(axis=0)

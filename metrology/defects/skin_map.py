@@ -49,6 +49,8 @@ class Region:
         Its cells in the window.
     doubt : float
         By how much its depth changes if more round it is not taken for skin, mm: how well the rest tells the skin.
+    bend : float
+        By how much the skin under it is then bent otherwise, mm: what may look like a defect, and be none.
     """
 
     plate: int
@@ -57,6 +59,7 @@ class Region:
     columns: slice
     cells: Mask
     doubt: float = 0.0
+    bend: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
     others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
-    doubted = tuple(replace(region, doubt=_doubt(region, depth, cells, others[region.plate])) for region in regions)
+    doubted = tuple(_doubted(region, depth, cells, others[region.plate]) for region in regions)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
 
@@ -157,15 +160,20 @@ def _reference(
     return fit_reference(points, sigma, seams, settings.largest_mm, like)
 
 
-def _doubt(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> float:
-    """How much deeper or less deep the middle of a region is by another reference, mm."""
-    here = np.abs(np.where(region.cells, np.nan_to_num(depth[region.rows, region.columns]), 0.0))
-    middle = here > 0.7 * here.max()
-    if other is None or not middle.any():
-        return 0.0
-    again = np.zeros(here.shape)
-    other.depths(cells.points[region.rows, region.columns], middle, again)
-    return float(np.abs(again - depth[region.rows, region.columns])[middle].mean())
+def _doubted(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> Region:
+    """A region with what another reference makes of it."""
+    here = np.where(region.cells, depth[region.rows, region.columns], np.nan)
+    known = np.isfinite(here)
+    if other is None or not known.any():
+        return region
+    again = np.full(here.shape, np.nan)
+    other.depths(cells.points[region.rows, region.columns], known, again)
+    off = again - here
+    middle = np.abs(here) > 0.7 * np.abs(here[known]).max()
+    row, column = np.nonzero(known)
+    plane = np.column_stack([np.ones(len(row)), row, column])
+    bent = off[known] - plane @ np.linalg.lstsq(plane, off[known], rcond=None)[0]
+    return replace(region, doubt=float(np.abs(off[middle]).mean()), bend=float(np.sqrt(np.mean(bent**2))))
 
 
 def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:

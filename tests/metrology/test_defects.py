@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metrology.cloud import Reconstruction
+from metrology.cloud import PixelFlag, Reconstruction
 from metrology.defects.measure import measure_defects
 from metrology.defects.row import Defect, DefectKind
 from metrology.fits import FittedDefect
@@ -279,3 +279,23 @@ def test_the_form_of_a_defect_is_its_map_and_two_sections(rng: np.random.Generat
         assert section.surface.max() == pytest.approx(0.0, abs=1e-6)
     # Over the round of the cylinder a straight-edge bridges little of it; along its line nearly all.
     assert form.along.gap(5.0) < 0.5 * depth < 0.9 * depth < form.across.gap(5.0) < 1.02 * depth
+
+
+@pytest.mark.parametrize("gap", [0, 24], ids=["at once", "with few points between"])
+def test_what_lies_behind_the_panels_end_is_no_dent(rng: np.random.Generator, gap: int) -> None:
+    """39 mm behind it; in a strip beside the end a few pixels were matched by chance."""
+    cloud = scan(FLAT, (), rng)
+    points, flags = cloud.points.copy(), cloud.flags.copy()
+    points[:60] *= 1 + 39.0 / 700.0
+    strip = np.s_[60 - gap : 60]
+    flags[strip] |= np.uint16(PixelFlag.EDGE)
+    flags[44:48, 200:204] = flags[52:56, 400:404] = 0
+    assert measure_defects(sighted(replace(cloud, points=points, flags=flags), FLAT)) == []
+
+
+def test_a_flank_is_no_defect_of_its_own(rng: np.random.Generator) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, bowl(-8.0, 0.0, 0.5, 24.0, 18.0), bowl(10.0, 0.0, 0.1, 10.0, 8.0))
+    for found in measure_defects(sighted(cloud, FLAT, seam_x=1.0)):
+        assert found.kind == "dent"  # what a seam cuts off is no crease
+        assert found.depth_u95_mm is not None
+        assert found.depth_u95_mm < 0.5 * (found.depth_mm or 0.0)
