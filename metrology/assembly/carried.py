@@ -71,7 +71,7 @@ class Former:
 
 def with_frames(assembly: Assembly, layout: PanelLayout, former: Former | None) -> Assembly:
     """The assembly in the frames of the one before where it is found again there, and each frame with a name."""
-    parts = []
+    parts: list[Part] = []
     for part in assembly.parts:
         if part.nominal:
             name = pattern_frame(layout)
@@ -86,7 +86,11 @@ def with_frames(assembly: Assembly, layout: PanelLayout, former: Former | None) 
         else:
             first = assembly.scans[part.numbers[0]].key.scene_id
             parts.append(replace(part, frame_id=own_frame(first, part.fit.placements[0])))
-    return replace(assembly, parts=tuple(parts))
+    lost = ["+".join(assembly.scans[k].key.station for k in part.numbers) for part in parts if part.former is None]
+    said = [
+        f"names and places of {', '.join(lost)} are not those of the assembly before: they were not found again in it"
+    ]
+    return replace(assembly, parts=tuple(parts), warnings=(*assembly.warnings, *(said if former and lost else ())))
 
 
 def _found_again(scans: Sequence[PanelScan], part: Part, former: Former) -> tuple[int, Placement] | None:

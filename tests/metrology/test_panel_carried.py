@@ -107,6 +107,7 @@ def test_another_panel_is_numbered_for_itself(first: tuple[Assembly, PanelFeatur
     assembly, _, _ = put_together(night(other, 2), first[2])
     assert not {part.frame_id for part in assembly.parts} & {part.frame_id for part in first[0].parts}
     assert all(part.former is None for part in assembly.parts)
+    assert assembly.warnings[-1].startswith("names and places of S1+S2+S3 are not those of the assembly before")
 
 
 def test_the_same_scans_lie_where_they_lay(

@@ -19,6 +19,7 @@ from metrology.tolerance import judge
 from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
 from storage.archive.panel_changes import compared, runs_of_panel
+from storage.archive.panel_history import frames_of
 from storage.panel_spec import load_panel_spec
 from storage.report import assembled_page, assembled_record
 from storage.review import Feature, ReviewLog
@@ -148,3 +149,11 @@ def test_the_report_says_what_changed(nights: Store, tmp_path: Path) -> None:
     _, _, changed = page.partition("<h2>Changes since 2026-11-20 08:03:00 UTC</h2>")
     assert changed.index("worse") < changed.index("gone") < changed.index("<h2>Stations</h2>")
     assert page.count("<image href=") == 1
+
+
+def test_runs_that_kept_no_name_of_their_frame_have_one(nights: Store) -> None:
+    first, second = runs_of_panel(nights, KEY_OF_PANEL)
+    older = [{**row, "frame_id": None} for row in first.rows("panel_stations")]
+    assert frames_of(older, first.manifest) == frames_of(older[::-1], first.manifest)
+    assert frames_of(older, first.manifest) != frames_of([{**row, "x_mm": 0.0} for row in older], first.manifest)
+    assert frames_of(second.rows("panel_stations"), {}) == frames_of(first.rows("panel_stations"), {})
