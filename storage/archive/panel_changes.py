@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -9,12 +10,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from metrology.assembly.changes import Snapshot, changes
 from metrology.assembly.rows import ChangeRow
 from metrology.assembly.verdict import findings
-from metrology.errors import StoreError
+from metrology.errors import SpecError, StoreError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
 from metrology.tolerance import judge
@@ -102,9 +104,17 @@ def with_changes(store: Store, document: PanelDocument) -> PanelDocument:
         for run in runs_of_panel(store, document.key)
         if run.scenes != now.scenes and run.captured_at <= now.captured_at
     ]
-    found = compared(now, earlier[-1]) if earlier else []
+    found = _compared_with_last(now, earlier)
     key = key_columns(document.key, document.captured_at)
     return replace(document, rows={**document.rows, PANEL_CHANGES.name: [key | plain_row(row) for row in found]})
+
+
+def _compared_with_last(now: PanelRun, earlier: Sequence[PanelRun]) -> list[ChangeRow]:
+    """Against the last one that can be read: a damaged one is no reason not to store what is new."""
+    for before in reversed(earlier):
+        with contextlib.suppress(StoreError, SpecError, OSError, pa.ArrowException):
+            return compared(now, before)
+    return []
 
 
 def compared(now: PanelRun, before: PanelRun) -> list[ChangeRow]:

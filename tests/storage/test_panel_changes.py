@@ -144,6 +144,16 @@ def test_work_on_a_head_is_cured_or_not_by_the_scan_after(
     ]  # fmt: skip
 
 
+def test_a_damaged_earlier_run_is_no_reason_not_to_store_the_next(nights: Store, tmp_path: Path) -> None:
+    store = copied(nights, tmp_path)
+    first = store.layout.scene_folder(KEY_OF_PANEL.panel_id) / runs_of_panel(store, KEY_OF_PANEL)[0].run_id
+    (first / "panel_rivets.parquet").chmod(0o644)
+    (first / "panel_rivets.parquet").write_bytes(b"no longer")
+    assert main(["panel", "assemble", "--store", str(store.root)]) == EXIT_DONE
+    assert store.query("SELECT count(*) FROM panel_changes").column(0)[0].as_py() == 0
+    assert store.query("SELECT count(*) FROM panel_rivets").column(0)[0].as_py() == 30
+
+
 def test_the_report_says_what_changed(nights: Store, tmp_path: Path) -> None:
     page = assembled_page(assembled_record(nights, KEY_OF_PANEL))
     _, _, changed = page.partition("<h2>Changes since 2026-11-20 08:03:00 UTC</h2>")
