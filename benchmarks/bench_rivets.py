@@ -23,7 +23,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from metrology.rivets import detect_ellipses, detect_rivets, measure_rivets
-from simulator.texture import RimTruth, Texture, TextureSpec, paint_texture
+from simulator.texture import paint_texture
+from simulator.texture_spec import RimTruth, Texture, TextureSpec
 from tests.support.reference_scans import reference_scan
 
 RADII = (8.0, 46.0)  # px, looked for by all

@@ -13,7 +13,8 @@ from flows.new_scene import frames_by_name
 from metrology.capture_check import CaptureState, check_capture, verdict
 from metrology.errors import SceneError
 from storage.frames import read_header, read_stack
-from storage.scene import MANIFEST, load_scene
+from storage.scene import load_scene
+from storage.scene_models import MANIFEST
 
 
 def check_frames(folder: Path, options: argparse.Namespace) -> tuple[str, list[str]]:

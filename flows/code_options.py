@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from metrology.fringe import Axis, FringeCode
-    from storage.scene import FringeModel
+    from storage.scene_models import FringeModel
 
 
 def add_code_options(parser: argparse.ArgumentParser, both_axes: bool = False) -> None:
@@ -44,7 +44,7 @@ def fringe_model(options: argparse.Namespace) -> FringeModel:
 
     from metrology.errors import UsageError
     from storage.models import validate
-    from storage.scene import FringeModel
+    from storage.scene_models import FringeModel
 
     counts = () if options.periods else tuple(options.counts)
     columns = counts or options.periods or ()

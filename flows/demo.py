@@ -20,7 +20,7 @@ from metrology.results import Rivet, SeamStation, of_type
 from simulator.spec import shipped_spec
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
-from storage.scene import MANIFEST
+from storage.scene_models import MANIFEST
 from tasks.settings import InspectionSettings
 
 _SPEC = "demo"

@@ -31,9 +31,10 @@ from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.review import ReviewLog
 from storage.rig import load_rig, rig_document
 from storage.scan_identity import files_state
-from storage.scene import MANIFEST
 from storage.scene_folder import SceneDocument, load_any_manifest
+from storage.scene_models import MANIFEST
 from tasks import steps
+from tasks.result import config_hash
 from tasks.settings import load_settings
 
 
@@ -212,7 +213,7 @@ def _config_hashes(job: InboxJob, store: Store) -> Callable[[str], str]:
 
     @cache
     def of_panel(panel: str) -> str:
-        return steps.config_hash(settings, steps.specification(given, panel, store))
+        return config_hash(settings, steps.specification(given, panel, store))
 
     return of_panel
 

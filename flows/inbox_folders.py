@@ -14,7 +14,7 @@ from urllib.parse import quote_from_bytes
 from flows.inbox_job import Outcome
 from metrology.errors import UsageError
 from storage.documents import printable
-from storage.scene import MANIFEST
+from storage.scene_models import MANIFEST
 
 QUARANTINE = "quarantine"
 _DEPTH = 4

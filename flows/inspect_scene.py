@@ -21,6 +21,8 @@ from storage.archive import Store
 from storage.archive.panels import PatternTaken
 from storage.panel_spec import PanelSpecification
 from tasks import steps
+from tasks.loaded import LoadedScene
+from tasks.result import Encoded, assemble, encode
 from tasks.settings import InspectionSettings
 
 P = ParamSpec("P")
@@ -107,11 +109,11 @@ class _Run:
 class _Measured:
     """A scan measured in its rig's frame, before its panel is known."""
 
-    loaded: steps.LoadedScene
+    loaded: LoadedScene
     reconstruction: Reconstruction
     health: RigHealth
     features: Features
-    encoded: steps.Encoded
+    encoded: Encoded
 
 
 def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None] = lambda _: None) -> Inspected:
@@ -143,7 +145,7 @@ def _measure(job: Job, run: _Run) -> _Measured:
             """Start what nobody waits for yet, in the run's own context."""
             return helpers.submit(copy_context().run, function)
 
-        encoding = beside(partial(steps.encode, reconstruction))
+        encoding = beside(partial(encode, reconstruction))
         fasteners = run.step(steps.detect_rivets, reconstruction, settings)
         detections = fasteners.rivets
         checking = beside(partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings))
@@ -170,7 +172,7 @@ def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:
     judged = run.step(steps.judge, registered.features, spec)
     drawn = run.step(steps.draw_overlay, judged, loaded, reconstruction, settings)
     run.seconds["total"] = time.perf_counter() - run.began
-    result = steps.assemble(
+    result = assemble(
         loaded,
         reconstruction,
         measured.health,

@@ -24,7 +24,8 @@ from metrology.saturation import saturation_level
 from storage.documents import utc_text
 from storage.frames import read_header, read_stack
 from storage.models import validate
-from storage.scene import FORMAT, MANIFEST, Camera, FringeModel, SceneModel, fringe_document, load_scene
+from storage.scene import load_scene
+from storage.scene_models import FORMAT, MANIFEST, Camera, FringeModel, SceneModel, fringe_document
 from storage.scene_names import (
     Values,
     as_grey,

@@ -15,7 +15,9 @@ from metrology.gray import continue_orders, stripe_positions
 from metrology.gray_edges import decode_stripes
 from metrology.jit import over_rows
 from metrology.noise import NoiseModel, estimate_noise
-from metrology.phase import COARSE, HETERODYNE, LATTICE, StepTables, decode_rows
+from metrology.phase.exposures import StepTables
+from metrology.phase.rows import decode_rows
+from metrology.phase.unwrapping import COARSE, HETERODYNE, LATTICE
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.saturation import saturation_level
 from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice

@@ -67,10 +67,14 @@ def _stamped(dispatcher: Any) -> Any:
     file, function = _cache_file(dispatcher), getattr(dispatcher, "py_func", None)
     if file is None or function is None:
         return dispatcher
-    lent = {name: _stamp(function.__globals__.get(name)) for name in sorted(_names(function.__code__))}
-    digest = blake2b(repr([(name, stamp) for name, stamp in lent.items() if stamp]).encode(), digest_size=8)
-    file._source_stamp = (file._source_stamp, digest.hexdigest())
+    file._source_stamp = (file._source_stamp, _lent(function))
     return dispatcher
+
+
+def _lent(function: Any) -> str:
+    """What changes with the kernels and constants that a function takes from elsewhere by name."""
+    lent = {name: _stamp(function.__globals__.get(name)) for name in sorted(_names(function.__code__))}
+    return blake2b(repr([(name, stamp) for name, stamp in lent.items() if stamp]).encode(), digest_size=8).hexdigest()
 
 
 def _cache_file(dispatcher: Any) -> Any:
@@ -90,8 +94,17 @@ def _stamp(value: Any) -> str | None:
         return repr(value)
     if isinstance(value, numpy.ndarray):
         return blake2b(value.tobytes(), digest_size=8).hexdigest()
-    file = _cache_file(value)
-    return None if file is None else repr(file._source_stamp)
+    if file := _cache_file(value):
+        return repr(file._source_stamp)
+    if isinstance(value, numba.core.dispatcher.Dispatcher):  # compiled into its callers alone
+        return repr((_code(value.py_func.__code__), _lent(value.py_func)))
+    return None
+
+
+def _code(code: CodeType) -> tuple[Any, ...]:
+    """What a function does, wherever it stands."""
+    constants = [_code(value) if isinstance(value, CodeType) else value for value in code.co_consts]
+    return code.co_code, code.co_names, code.co_varnames, constants
 
 
 def _compiled_in_turn(dispatcher: Any) -> Any:

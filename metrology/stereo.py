@@ -6,7 +6,7 @@ the left pixel's viewing ray is then solved for, with the exact lens model, so t
 coordinates around that pixel equals the left coordinate: no frame and no phase map is resampled.
 
 The kernel works through a row in chunks, in turns of scalar loops that look up and gather, and plain arithmetic that
-the compiler turns into vector instructions (see `metrology.phase` on slots and unsigned indices).
+the compiler turns into vector instructions (see `metrology.phase.chunk` on slots and unsigned indices).
 """
 
 from __future__ import annotations
@@ -215,110 +215,132 @@ def _solve(m, w, t, K, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first, end, out):  # type: ignore[no-untyped-def]
-    cl, sl, fl, cr, sr, fr = views
-    xyl, rowl, xyr, rowr = maps
-    left_table, right_table = tables
+def _centre_on(i, u, v, coordinate, planes, w):  # type: ignore[no-untyped-def]
+    """Take the right window about raw pixel (u, v) for the chunk's i-th pixel."""
+    # float32 values differ exactly, so the plane's value stays as good as the differences it came from.
+    w[_PLANE + i] = float(coordinate[v, u]) + float(planes[v, u, 0])
+    w[_PLANE_U + i] = planes[v, u, 1]
+    w[_PLANE_V + i] = planes[v, u, 2]
+    w[_CENTRE_U + i] = u
+    w[_CENTRE_V + i] = v
+
+
+@kernel
+def _find_starts(y, left, m, views, maps, table, grid, planes, camera, flags, w, start):  # type: ignore[no-untyped-def]
+    """Right pixels that show the same coordinate on the same epipolar plane, and the left rays; flags set."""
+    cl, _, fl, cr, _, _ = views
+    xyl, rowl, xyr, _ = maps
     lowest, per_bin = grid
-    half_u, half_v = halves
-    K, k, R, t = camera
-    focal = (K[0, 0], K[1, 1])
+    _, _, R, _ = camera
+    for i in range(m):
+        x = left + int(i)
+        value = cl[y, x]
+        flags[y, x] = fl[y, x]
+        start[i] = -1
+        w[_WANTED + i] = value
+        if value != value:
+            continue
+        flags[y, x] |= _UNMATCHED
+        pixel = _look_up(table, rowl[y, x], (value - lowest) * per_bin)
+        v0 = pixel >> 16
+        u0 = pixel & 0xFFFF
+        if pixel < 0 or planes[v0, u0, 0] != planes[v0, u0, 0]:
+            continue
+        start[i] = pixel
+        _centre_on(i, u0, v0, cr, planes, w)
+        xl = float(xyl[y, x, 0])
+        yl = float(xyl[y, x, 1])
+        w[_AX + i] = R[0, 0] * xl + R[0, 1] * yl + R[0, 2]
+        w[_AY + i] = R[1, 0] * xl + R[1, 1] * yl + R[1, 2]
+        w[_AZ + i] = R[2, 0] * xl + R[2, 1] * yl + R[2, 2]
+        w[_XR + i] = xyr[v0, u0, 0]
+        w[_YR + i] = xyr[v0, u0, 1]
+
+
+@kernel
+def _move_centres(m, coordinate, planes, w, start):  # type: ignore[no-untyped-def]
+    """Windows about the pixels that the first step leads to."""
+    height, width = coordinate.shape
+    for i in range(m):
+        if start[i] < 0:
+            continue
+        uc = int(np.floor(w[_PIXEL_U + i] + 0.5))
+        vc = int(np.floor(w[_PIXEL_V + i] + 0.5))
+        if uc < 0 or vc < 0 or uc >= width or vc >= height:
+            start[i] = -1
+            continue
+        pixel = (vc << 16) | uc
+        # Where the better centre has no plane, the start's may still reach far enough.
+        if pixel != start[i] and planes[vc, uc, 0] == planes[vc, uc, 0]:
+            start[i] = pixel
+            _centre_on(i, uc, vc, coordinate, planes, w)
+
+
+@kernel
+def _accept(y, left, m, views, maps, table, grid, window, planes, limits, w, start, out):  # type: ignore[no-untyped-def]
+    """Points of those solutions that lie near their window, lead back to their left pixel and are steep enough."""
+    _, sl, fl, cr, sr, fr = views
+    xyl, _, _, rowr = maps
+    lowest, per_bin = grid
+    half_u, half_v, per_window, across_u, across_v = window
     min_slope, nearest, farthest = limits
     points, sigma_z, flags = out
-    height, width = cr.shape
-    left_width = cl.shape[1]
-    nan = np.float32(np.nan)
+    for i in range(m):
+        x = left + int(i)
+        points[y, x] = np.float32(np.nan)
+        sigma_z[y, x] = np.float32(np.nan)
+        pixel = start[i]
+        u = w[_PIXEL_U + i]
+        v = w[_PIXEL_V + i]
+        if pixel < 0 or not (abs(u) <= _REACH and abs(v) <= _REACH and w[_RHO + i] > 0.0):
+            continue
+        vc = pixel >> 16
+        uc = pixel & 0xFFFF
+        back = _look_up(table, rowr[vc, uc], (cr[vc, uc] - lowest) * per_bin)
+        vb = back >> 16
+        ub = back & 0xFFFF
+        if back < 0 or abs(vb - y) > _RETURN or abs(ub - x) > _RETURN:
+            continue
+        flag = fl[y, x]
+        z = w[_DEPTH + i]
+        if not (w[_SHARE2 + i] >= min_slope * min_slope and nearest <= z <= farthest):
+            flags[y, x] = flag | _SLOPE
+            continue
+        variance = float(sr[vc, uc]) ** 2
+        if planes[vc, uc, 3] < np.inf:
+            spread = per_window + u * u * across_u + v * v * across_v
+        else:
+            fit = partial_plane(cr, uc, vc, half_u, half_v)
+            spread = fit[3] + fit[6] * u * u + fit[8] * v * v
+            spread += 2.0 * (fit[4] * u + fit[5] * v + fit[7] * u * v)
+        if planes[vc, uc, 3] > variance * _TORN_SIGMAS * _TORN_SIGMAS:
+            flag |= _EDGE
+        total = float(sl[y, x]) ** 2 + variance * spread
+        flags[y, x] = flag | (fr[vc, uc] & _EDGE)
+        points[y, x, 0] = xyl[y, x, 0] * z
+        points[y, x, 1] = xyl[y, x, 1] * z
+        points[y, x, 2] = z
+        sigma_z[y, x] = w[_RATE + i] * np.sqrt(total)
+
+
+@kernel
+def _match_rows(views, maps, tables, grid, halves, planes, camera, limits, first, end, out):  # type: ignore[no-untyped-def]
+    """See the module's text: rows first … end of the left picture, a chunk at a time."""
+    coordinate = views[3]
+    left_table, right_table = tables
+    half_u, half_v = halves
+    K, k, _, t = camera
+    focal = (K[0, 0], K[1, 1])
+    left_width = views[0].shape[1]
     across_u, across_v = window_moments(half_u, half_v)
-    per_window = 1.0 / ((2 * half_u + 1) * (2 * half_v + 1))
+    window = (half_u, half_v, 1.0 / ((2 * half_u + 1) * (2 * half_v + 1)), across_u, across_v)
     w = np.full(_SLOTS, np.nan)
     start = np.empty(_CHUNK, np.int64)
     for y in range(first, end):
         for left in range(0, left_width, int(_CHUNK)):
             m = _U(min(int(_CHUNK), left_width - left))
-            for i in range(m):
-                x = left + int(i)
-                value = cl[y, x]
-                flags[y, x] = fl[y, x]
-                start[i] = -1
-                w[_WANTED + i] = value
-                if value != value:
-                    continue
-                flags[y, x] |= _UNMATCHED
-                pixel = _look_up(right_table, rowl[y, x], (value - lowest) * per_bin)
-                v0 = pixel >> 16
-                u0 = pixel & 0xFFFF
-                if pixel < 0 or planes[v0, u0, 0] != planes[v0, u0, 0]:
-                    continue
-                start[i] = pixel
-                # float32 values differ exactly, so the plane's value stays as good as the differences it came from.
-                w[_PLANE + i] = float(cr[v0, u0]) + float(planes[v0, u0, 0])
-                w[_PLANE_U + i] = planes[v0, u0, 1]
-                w[_PLANE_V + i] = planes[v0, u0, 2]
-                w[_CENTRE_U + i] = u0
-                w[_CENTRE_V + i] = v0
-                xl = float(xyl[y, x, 0])
-                yl = float(xyl[y, x, 1])
-                w[_AX + i] = R[0, 0] * xl + R[0, 1] * yl + R[0, 2]
-                w[_AY + i] = R[1, 0] * xl + R[1, 1] * yl + R[1, 2]
-                w[_AZ + i] = R[2, 0] * xl + R[2, 1] * yl + R[2, 2]
-                w[_XR + i] = xyr[v0, u0, 0]
-                w[_YR + i] = xyr[v0, u0, 1]
+            _find_starts(y, left, m, views, maps, right_table, grid, planes, camera, out[2], w, start)
             _step_towards(m, w, t, focal)
-            for i in range(m):
-                if start[i] < 0:
-                    continue
-                uc = int(np.floor(w[_PIXEL_U + i] + 0.5))
-                vc = int(np.floor(w[_PIXEL_V + i] + 0.5))
-                if uc < 0 or vc < 0 or uc >= width or vc >= height:
-                    start[i] = -1
-                    continue
-                pixel = (vc << 16) | uc
-                if pixel == start[i]:
-                    continue
-                # Where the better centre has no plane, the start's may still reach far enough.
-                if planes[vc, uc, 0] == planes[vc, uc, 0]:
-                    start[i] = pixel
-                    w[_PLANE + i] = float(cr[vc, uc]) + float(planes[vc, uc, 0])
-                    w[_PLANE_U + i] = planes[vc, uc, 1]
-                    w[_PLANE_V + i] = planes[vc, uc, 2]
-                    w[_CENTRE_U + i] = uc
-                    w[_CENTRE_V + i] = vc
+            _move_centres(m, coordinate, planes, w, start)
             _solve(m, w, t, K, k)
-            for i in range(m):
-                x = left + int(i)
-                points[y, x, 0] = nan
-                points[y, x, 1] = nan
-                points[y, x, 2] = nan
-                sigma_z[y, x] = nan
-                pixel = start[i]
-                u = w[_PIXEL_U + i]
-                v = w[_PIXEL_V + i]
-                if pixel < 0 or not (abs(u) <= _REACH and abs(v) <= _REACH and w[_RHO + i] > 0.0):
-                    continue
-                vc = pixel >> 16
-                uc = pixel & 0xFFFF
-                back = _look_up(left_table, rowr[vc, uc], (cr[vc, uc] - lowest) * per_bin)
-                vb = back >> 16
-                ub = back & 0xFFFF
-                if back < 0 or abs(vb - y) > _RETURN or abs(ub - x) > _RETURN:
-                    continue
-                flag = fl[y, x]
-                z = w[_DEPTH + i]
-                if not (w[_SHARE2 + i] >= min_slope * min_slope and nearest <= z <= farthest):
-                    flags[y, x] = flag | _SLOPE
-                    continue
-                variance = float(sr[vc, uc]) ** 2
-                if planes[vc, uc, 3] < np.inf:
-                    spread = per_window + u * u * across_u + v * v * across_v
-                else:
-                    fit = partial_plane(cr, uc, vc, half_u, half_v)
-                    spread = fit[3] + fit[6] * u * u + fit[8] * v * v
-                    spread += 2.0 * (fit[4] * u + fit[5] * v + fit[7] * u * v)
-                if planes[vc, uc, 3] > variance * _TORN_SIGMAS * _TORN_SIGMAS:
-                    flag |= _EDGE
-                total = float(sl[y, x]) ** 2 + variance * spread
-                flags[y, x] = flag | (fr[vc, uc] & _EDGE)
-                points[y, x, 0] = xyl[y, x, 0] * z
-                points[y, x, 1] = xyl[y, x, 1] * z
-                points[y, x, 2] = z
-                sigma_z[y, x] = w[_RATE + i] * np.sqrt(total)
+            _accept(y, left, m, views, maps, left_table, grid, window, planes, limits, w, start, out)

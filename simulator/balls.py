@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from metrology.rig import Device
 from simulator.relief import Floats
 from simulator.require import require
-from simulator.trace import Float32, Hits, Light, four
+from simulator.shading import Light
+from simulator.trace import Float32, Hits, four
 
 _OFF_MM = 1e-4
 _BAND = 64  # rows at once

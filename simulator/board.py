@@ -12,8 +12,7 @@ import numpy as np
 
 from metrology.errors import SpecError
 from metrology.rig import Device
-from simulator import lens as _lens
-from simulator.compiled import entry, fingerprint, kernel
+from simulator.compiled import entry, kernel
 from simulator.lens import moved, pack_device, pixel, ray
 from simulator.relief import Floats
 from simulator.trace import Hits, four, share_bands, spread, widened
@@ -168,47 +167,40 @@ def _on_board(camera, centre, u, v, d, p):  # type: ignore[no-untyped-def]
         p[k] = centre[k] + lam * d[k]
 
 
-def _build(source_fingerprint: int) -> tuple[Any, Any]:
-    """The entry kernels; the fingerprint only serves the cache's key (see `simulator.compiled`)."""
+@entry
+def _look(board, camera, centre, d, p, top, values):  # type: ignore[no-untyped-def]
+    """Print at every pixel's centre and at its corner."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(2):
+                _on_board(camera, centre, j - 0.5 * k, top + i - 0.5 * k, d, p)
+                values[i, j, k] = _printed(board, p[0], p[1])
 
-    @entry
-    def look(board, camera, centre, d, p, top, values):  # type: ignore[no-untyped-def]
-        """Print at every pixel's centre and at its corner."""
-        for i in range(values.shape[0] if source_fingerprint else 0):
-            for j in range(values.shape[1]):
-                for k in range(2):
-                    _on_board(camera, centre, j - 0.5 * k, top + i - 0.5 * k, d, p)
-                    values[i, j, k] = _printed(board, p[0], p[1])
 
-    @entry
-    def gather(  # type: ignore[no-untyped-def]
-        board, camera, centre, projector, source, level, reference, ambient_level, few, many, d, p, busy, top,
-        first, column, row, direct, ambient,
-    ):  # fmt: skip
-        """All samples of some rows."""
-        width = busy.shape[1]
-        for i in range(busy.shape[0] if source_fingerprint else 0):
-            for j in range(width):
-                at = first[i * width + j] - first[0]
-                if first[i * width + j + 1] - first[i * width + j] == 1:
-                    column[at], row[at], direct[at], ambient[at] = -1e9, -1e9, 0.0, 0.0
+@entry
+def _gather(  # type: ignore[no-untyped-def]
+    board, camera, centre, projector, source, level, reference, ambient_level, few, many, d, p, busy, top,
+    first, column, row, direct, ambient,
+):  # fmt: skip
+    """All samples of some rows."""
+    width = busy.shape[1]
+    for i in range(busy.shape[0]):
+        for j in range(width):
+            at = first[i * width + j] - first[0]
+            if first[i * width + j + 1] - first[i * width + j] == 1:
+                column[at], row[at], direct[at], ambient[at] = -1e9, -1e9, 0.0, 0.0
+                continue
+            spread = many if busy[i, j] else few
+            for k in range(spread.shape[0]):
+                _on_board(camera, centre, j + spread[k, 0], top + i + spread[k, 1], d, p)
+                reflectance = _printed(board, p[0], p[1])
+                if reflectance < 0.0:
+                    column[at + k], row[at + k], direct[at + k], ambient[at + k] = -1e9, -1e9, 0.0, 0.0
                     continue
-                spread = many if busy[i, j] else few
-                for k in range(spread.shape[0]):
-                    _on_board(camera, centre, j + spread[k, 0], top + i + spread[k, 1], d, p)
-                    reflectance = _printed(board, p[0], p[1])
-                    if reflectance < 0.0:
-                        column[at + k], row[at + k], direct[at + k], ambient[at + k] = -1e9, -1e9, 0.0, 0.0
-                        continue
-                    column[at + k], row[at + k] = pixel(projector, p)
-                    r = math.sqrt((source[0] - p[0]) ** 2 + (source[1] - p[1]) ** 2 + source[2] ** 2)
-                    direct[at + k] = level * reflectance * abs(source[2]) / r * (reference / r) ** 2
-                    ambient[at + k] = ambient_level * reflectance
-
-    return look, gather
-
-
-_look, _gather = _build(fingerprint(_lens))
+                column[at + k], row[at + k] = pixel(projector, p)
+                r = math.sqrt((source[0] - p[0]) ** 2 + (source[1] - p[1]) ** 2 + source[2] ** 2)
+                direct[at + k] = level * reflectance * abs(source[2]) / r * (reference / r) ** 2
+                ambient[at + k] = ambient_level * reflectance
 
 
 def view_board(

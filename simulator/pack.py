@@ -10,9 +10,10 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator
 
 from metrology.errors import SpecError
 from simulator import relief as r
+from simulator.clutter import Bead, Cable, Cleco, Speck
 from simulator.pack_defects import no_dents, pack_dents
 from simulator.paint import coat
-from simulator.panel import Bead, Cable, Cleco, Hole, Panel, Rivet, Seam, Speck
+from simulator.panel import Hole, Panel, Rivet, Seam
 from simulator.relief import Floats, Relief
 from simulator.survey import sides_at, survey
 

@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.clutter import Patch, Scratch
 from simulator.marks import Stencil, Stroke, letter_coverage, letters_reach
 from simulator.overlay import COAT_TEXEL_MM
-from simulator.panel import Panel, Patch, Scratch
+from simulator.panel import Panel
 from simulator.relief import Floats
 from simulator.trace import Float32, ReflectanceMap
 

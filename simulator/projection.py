@@ -7,7 +7,6 @@ sample at any sub-pixel projector coordinate is a short look-up.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,52 +126,47 @@ def project_image(image: NDArray[np.generic], beamer: Beamer) -> Float32:
     return np.ascontiguousarray(fine)
 
 
-def _build() -> tuple[Any, Any]:
-    @entry
-    def stripes(first, along, across, direct, ambient, light, aperture, fine, margin, shifts, ambients, totals, out):  # type: ignore[no-untyped-def]
-        frames, size, height = light.shape[0], light.shape[1], aperture.size
-        for i in range(first.size - 1):
+@entry
+def _stripes(first, along, across, direct, ambient, light, aperture, fine, margin, shifts, ambients, totals, out):  # type: ignore[no-untyped-def]
+    frames, size, height = light.shape[0], light.shape[1], aperture.size
+    for i in range(first.size - 1):
+        for f in range(frames):
+            totals[f] = 0.0
+        for k in range(first[i], first[i + 1]):
             for f in range(frames):
-                totals[f] = 0.0
-            for k in range(first[i], first[i + 1]):
-                for f in range(frames):
-                    totals[f] += ambient[k] * ambients[f]
-                if direct[k] <= 0.0:
-                    continue
-                b = (across[k] + 0.5 + margin) * fine - 0.5
-                if not (b >= 0.0 and b < height - 1):
-                    continue
-                j = int(b)
-                gate = direct[k] * (aperture[j] + (b - j) * (aperture[j + 1] - aperture[j]))
-                for f in range(frames):
-                    a = (along[k] + shifts[f] + 0.5 + margin) * fine - 0.5
-                    if a >= 0.0 and a < size - 1:
-                        m = int(a)
-                        totals[f] += gate * (light[f, m] + (a - m) * (light[f, m + 1] - light[f, m]))
-            share = 1.0 / (first[i + 1] - first[i])
+                totals[f] += ambient[k] * ambients[f]
+            if direct[k] <= 0.0:
+                continue
+            b = (across[k] + 0.5 + margin) * fine - 0.5
+            if not (b >= 0.0 and b < height - 1):
+                continue
+            j = int(b)
+            gate = direct[k] * (aperture[j] + (b - j) * (aperture[j + 1] - aperture[j]))
             for f in range(frames):
-                out[f, i] = totals[f] * share
-
-    @entry
-    def image(first, column, row, direct, ambient, light, fine, margin, out):  # type: ignore[no-untyped-def]
-        height, width = light.shape
-        for i in range(first.size - 1):
-            total = 0.0
-            for k in range(first[i], first[i + 1]):
-                total += ambient[k]
-                u, v = (column[k] + 0.5 + margin) * fine - 0.5, (row[k] + 0.5 + margin) * fine - 0.5
-                if direct[k] > 0.0 and u >= 0.0 and u < width - 1 and v >= 0.0 and v < height - 1:
-                    m, n = int(u), int(v)
-                    a, b = u - m, v - n
-                    top = light[n, m] + a * (light[n, m + 1] - light[n, m])
-                    bottom = light[n + 1, m] + a * (light[n + 1, m + 1] - light[n + 1, m])
-                    total += direct[k] * (top + b * (bottom - top))
-            out[i] = total / (first[i + 1] - first[i])
-
-    return stripes, image
+                a = (along[k] + shifts[f] + 0.5 + margin) * fine - 0.5
+                if a >= 0.0 and a < size - 1:
+                    m = int(a)
+                    totals[f] += gate * (light[f, m] + (a - m) * (light[f, m + 1] - light[f, m]))
+        share = 1.0 / (first[i + 1] - first[i])
+        for f in range(frames):
+            out[f, i] = totals[f] * share
 
 
-_stripes, _image = _build()
+@entry
+def _image(first, column, row, direct, ambient, light, fine, margin, out):  # type: ignore[no-untyped-def]
+    height, width = light.shape
+    for i in range(first.size - 1):
+        total = 0.0
+        for k in range(first[i], first[i + 1]):
+            total += ambient[k]
+            u, v = (column[k] + 0.5 + margin) * fine - 0.5, (row[k] + 0.5 + margin) * fine - 0.5
+            if direct[k] > 0.0 and u >= 0.0 and u < width - 1 and v >= 0.0 and v < height - 1:
+                m, n = int(u), int(v)
+                a, b = u - m, v - n
+                top = light[n, m] + a * (light[n, m + 1] - light[n, m])
+                bottom = light[n + 1, m] + a * (light[n + 1, m + 1] - light[n + 1, m])
+                total += direct[k] * (top + b * (bottom - top))
+        out[i] = total / (first[i + 1] - first[i])
 
 
 def receive_stripes(

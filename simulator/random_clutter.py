@@ -9,9 +9,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from simulator.clutter import Cleco, Patch, Speck
 from simulator.defects import Dent, Gouge
 from simulator.marks import Stencil, Stroke, letters_reach
-from simulator.panel import Cleco, Hole, Panel, Patch, Rivet, Slot, Speck
+from simulator.panel import Hole, Panel, Rivet, Slot
 
 Find = Callable[[np.random.Generator, float, float], tuple[float, float] | None]
 Range = tuple[float, float]

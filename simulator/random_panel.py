@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from simulator.panel import Cable, Hole, Panel, Patch, Rivet, Scratch, Seam, Skin, Slot, Surface
+from simulator.clutter import Cable, Patch, Scratch
+from simulator.panel import Hole, Panel, Rivet, Seam, Skin, Slot, Surface
 from simulator.random_clutter import Clutter, with_clutter
 from simulator.spec import Placement
 

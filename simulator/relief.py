@@ -342,3 +342,24 @@ def piece_height(relief: Relief, kind: int, index: int, sides: int, x: float, y:
     if kind == CONE:
         return plate - (rivet[R_OUTER] - math.sqrt(circle(rivet, False, x, y))) * rivet[R_CONE]
     return plate - rivet[R_RING_DEPTH]
+
+
+@kernel
+def cell_of(relief: Relief, x: float, y: float) -> tuple[int, int]:
+    """Row and column of the cell of (x, y); (−1, −1) outside or where no rivet and no seam is near."""
+    column = math.floor(x - relief.frame[F_ORIGIN_X])
+    row = math.floor(y - relief.frame[F_ORIGIN_Y])
+    if row < 0 or column < 0 or row >= relief.cells.shape[0] or column >= relief.cells.shape[1]:
+        return -1, -1
+    if relief.cells[row, column, 0] < 0 and relief.cells[row, column, -1] == 0:
+        return -1, -1
+    return row, column
+
+
+@kernel
+def beside_border(relief: Relief, x: float, y: float) -> bool:
+    """Whether a ray that meets the skin at (x, y) may pass the panel's border."""
+    frame = relief.frame
+    margin = frame[F_ABOVE] + frame[F_BELOW] + 1.0
+    inner_x = x > frame[F_X_MIN] + margin and x < frame[F_X_MAX] - margin
+    return not (inner_x and y > frame[F_Y_MIN] + margin and y < frame[F_Y_MAX] - margin)

@@ -21,8 +21,9 @@ from simulator.paint import paint
 from simulator.projection import project_image, project_stripes, receive_image, receive_stripes
 from simulator.relief import Relief
 from simulator.rig import aim_frame, virtual_rig, warmed
+from simulator.shading import Light
 from simulator.spec import Placement, SimulationSpec
-from simulator.trace import Float32, Hits, Light, ReflectanceMap, trace
+from simulator.trace import Float32, Hits, ReflectanceMap, trace
 from simulator.truth import Pose, Truth, truth
 from simulator.vibration import moved_texture, sway_of
 

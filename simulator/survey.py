@@ -2,57 +2,48 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from simulator import cast as _cast
-from simulator import overlay as _overlay
-from simulator import relief as _relief
 from simulator.cast import MAX_BORDERS, cast, lit
-from simulator.compiled import entry, fingerprint
-from simulator.relief import Floats, Ints, Relief, piece_at, piece_height, plate_height, sides_of
+from simulator.compiled import entry
+from simulator.relief import Floats, Ints, Relief, cell_of, piece_at, piece_height, plate_height, sides_of
 
 
-def _build(source_fingerprint: int) -> tuple[Any, Any, Any, Any, Any]:
-    """The entry kernels; the fingerprint only serves the cache's key (see `simulator.compiled`)."""
-
-    @entry
-    def sides(relief, x, y, out):  # type: ignore[no-untyped-def]
-        for i in range(x.size if source_fingerprint else 0):
-            out[i] = sides_of(relief, x[i], y[i])
-
-    @entry
-    def plates(relief, x, y, sides, out):  # type: ignore[no-untyped-def]
-        for i in range(x.size if source_fingerprint else 0):
-            out[i] = plate_height(relief, x[i], y[i], sides[i], -1)
-
-    @entry
-    def surface(relief, x, y, out, kinds):  # type: ignore[no-untyped-def]
-        for i in range(x.size if source_fingerprint else 0):
-            row, column = _cast.cell_of(relief, x[i], y[i])
-            kind, index, side = piece_at(relief, row, column, x[i], y[i])
-            kinds[i] = kind
-            out[i] = piece_height(relief, kind, index, side, x[i], y[i])
-
-    @entry
-    def sight(relief, points, eye, borders, out):  # type: ignore[no-untyped-def]
-        for i in range(points.shape[0] if source_fingerprint else 0):
-            out[i] = lit(relief, points[i], eye, borders)
-
-    @entry
-    def meet(relief, eye, directions, borders, d, distances, kinds):  # type: ignore[no-untyped-def]
-        for i in range(directions.shape[0] if source_fingerprint else 0):
-            for k in range(3):
-                d[k] = directions[i, k]
-            hit = cast(relief, eye, d, -eye[2] / d[2], borders)
-            distances[i] = hit[0]
-            kinds[i] = -1 if hit[4] != 0.0 or hit[5] != 0.0 else hit[1]
-
-    return sides, plates, surface, sight, meet
+@entry
+def _sides(relief, x, y, out):  # type: ignore[no-untyped-def]
+    for i in range(x.size):
+        out[i] = sides_of(relief, x[i], y[i])
 
 
-_sides, _plates, _surface, _sight, _meet = _build(fingerprint(_relief, _overlay, _cast))
+@entry
+def _plates(relief, x, y, sides, out):  # type: ignore[no-untyped-def]
+    for i in range(x.size):
+        out[i] = plate_height(relief, x[i], y[i], sides[i], -1)
+
+
+@entry
+def _surface(relief, x, y, out, kinds):  # type: ignore[no-untyped-def]
+    for i in range(x.size):
+        row, column = cell_of(relief, x[i], y[i])
+        kind, index, side = piece_at(relief, row, column, x[i], y[i])
+        kinds[i] = kind
+        out[i] = piece_height(relief, kind, index, side, x[i], y[i])
+
+
+@entry
+def _sight(relief, points, eye, borders, out):  # type: ignore[no-untyped-def]
+    for i in range(points.shape[0]):
+        out[i] = lit(relief, points[i], eye, borders)
+
+
+@entry
+def _meet(relief, eye, directions, borders, d, distances, kinds):  # type: ignore[no-untyped-def]
+    for i in range(directions.shape[0]):
+        for k in range(3):
+            d[k] = directions[i, k]
+        hit = cast(relief, eye, d, -eye[2] / d[2], borders)
+        distances[i] = hit[0]
+        kinds[i] = -1 if hit[4] != 0.0 or hit[5] != 0.0 else hit[1]
 
 
 def sides_at(relief: Relief, x: Floats, y: Floats) -> Ints:

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,71 +19,34 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from metrology.rig import Device
-from simulator import cast as _cast
-from simulator import lens as _lens
-from simulator import overlay as _overlay
-from simulator import relief as _relief
-from simulator.cast import MAX_BORDERS, beside_border, cast, cell_of, lit
-from simulator.compiled import entry, fingerprint, kernel
+from simulator.cast import MAX_BORDERS, cast, lit
+from simulator.compiled import entry, kernel
 from simulator.lens import pack_device, pixel, ray
 from simulator.overlay import D_SHARP, near_dent
 from simulator.relief import (
     BACKGROUND,
-    BEAD,
-    CABLE,
     F_X_MIN,
     F_Y_MIN,
-    FLOOR,
-    HEAD,
-    HOLE,
-    PLATE,
     R_CONE,
-    R_HEAD_REFLECTANCE,
     R_IS_HOLE,
     R_OUTER,
     R_RADIUS,
-    R_RING_DEPTH,
-    R_RING_REFLECTANCE,
-    RING,
+    R_SLOT_WIDTH,
     S_CHAMFER,
-    S_DEPTH,
-    S_EDGE_REFLECTANCE,
-    S_FILLED,
-    S_FLOOR_REFLECTANCE,
-    SLOT,
     WIDTH,
     Floats,
     Relief,
-    broken,
+    beside_border,
+    cell_of,
     circle,
     coat_at,
-    exists,
     lateral,
-    piece_height,
     table,
 )  # fmt: skip
+from simulator.shading import OFF, Light, reflectance_at, shade
 
 Float32 = NDArray[np.float32]
 _BAND = 32  # rows per piece of work
-_OFF = 1e-6  # mm off the surface, where its shadow rays start
-
-
-class Light(NamedTuple):
-    """What the shading needs.
-
-    brightness : grey levels of a white matt surface facing the projector at `distance_mm`, at exposure 1.
-    ambient : grey levels of a white matt surface in the ambient light alone.
-    specular, roughness : weight and width (GGX α) of the lobe.
-    background, wall : reflectances of what lies behind the panel and of the walls of gaps.
-    """
-
-    brightness: float
-    distance_mm: float
-    ambient: float
-    specular: float
-    roughness: float
-    background: float
-    wall: float
 
 
 class ReflectanceMap(NamedTuple):
@@ -122,116 +85,6 @@ class Hits:
 
 
 @kernel
-def _reflectance(values, origin, texel, x, y):  # type: ignore[no-untyped-def]
-    """Bilinear look-up, clamped at the rim."""
-    u = min(max((x - origin[0]) / texel, 0.0), values.shape[1] - 1.001)
-    v = min(max((y - origin[1]) / texel, 0.0), values.shape[0] - 1.001)
-    i, j = int(v), int(u)
-    a, b = v - i, u - j
-    top = (1.0 - b) * values[i, j] + b * values[i, j + 1]
-    bottom = (1.0 - b) * values[i + 1, j] + b * values[i + 1, j + 1]
-    return (1.0 - a) * top + a * bottom
-
-
-@kernel
-def _paint(relief, light, kind, index, sides, wall, x, y):  # type: ignore[no-untyped-def]
-    """How a piece's own reflectance compares with the skin's."""
-    if wall:
-        return light.wall
-    if kind == BACKGROUND:
-        return light.background
-    if kind in (HEAD, SLOT):
-        return relief.rivets[index, R_HEAD_REFLECTANCE]
-    if kind in (RING, HOLE):
-        return relief.rivets[index, R_RING_REFLECTANCE]
-    if kind in (FLOOR, CABLE, BEAD):
-        return relief.seams[index, S_FLOOR_REFLECTANCE]
-    if kind == PLATE:
-        for s in range(relief.seams.shape[0]):
-            if relief.seams[s, S_CHAMFER] > 0.0 and exists(relief, s, sides):
-                t, xi = lateral(relief, s, x, y)
-                near = abs(t) < 0.5 * table(relief, s, WIDTH, xi)[0] + relief.seams[s, S_CHAMFER]
-                if near and broken(relief, s, t, xi):
-                    return relief.seams[s, S_EDGE_REFLECTANCE]
-    return 1.0
-
-
-@kernel
-def _sky(relief, kind, index, x, y):  # type: ignore[no-untyped-def]
-    """Share of the ambient light that reaches the floor of a gap: view factor of a long slot's opening."""
-    if kind == FLOOR and relief.seams[index, S_FILLED] == 0.0:
-        t, xi = lateral(relief, index, x, y)
-        half, depth = 0.5 * table(relief, index, WIDTH, xi)[0], relief.seams[index, S_DEPTH]
-        a, b = half - t, half + t
-        return 0.5 * (a / math.hypot(a, depth) + b / math.hypot(b, depth))
-    if kind == RING:
-        rivet = relief.rivets[index]
-        a = max(math.sqrt(circle(rivet, True, x, y)) - rivet[R_RADIUS], 0.0)
-        b = max(rivet[R_OUTER] - math.sqrt(circle(rivet, False, x, y)), 0.0)
-        depth = rivet[R_RING_DEPTH]
-        return 0.5 * (a / math.hypot(a, depth) + b / math.hypot(b, depth)) if depth > 0.0 else 1.0
-    return 1.0
-
-
-@kernel
-def _normal(relief, kind, index, sides, p, out):  # type: ignore[no-untyped-def]
-    """Unit normal of a piece at its point p by differences over 2 µm (good to 1e-5 rad)."""
-    h = 2e-3
-    for k in range(2):
-        x, y = p[0] + (h if k == 0 else 0.0), p[1] + (h if k == 1 else 0.0)
-        out[k] = (p[2] - piece_height(relief, kind, index, sides, x, y)) / h
-    norm = 1.0 / math.sqrt(out[0] * out[0] + out[1] * out[1] + 1.0)
-    out[0], out[1], out[2] = out[0] * norm, out[1] * norm, norm
-
-
-@kernel
-def _lobe(cos_light, cos_view, cos_half, roughness):  # type: ignore[no-untyped-def]
-    """GGX lobe relative to a matt white surface: π D G / (4 cos_light cos_view) (Walter et al. 2007)."""
-    a2 = roughness * roughness
-    bottom = cos_half * cos_half * (a2 - 1.0) + 1.0
-    distribution = a2 / (math.pi * bottom * bottom)
-    g_light = 2.0 * cos_light / (cos_light + math.sqrt(a2 + (1.0 - a2) * cos_light * cos_light))
-    g_view = 2.0 * cos_view / (cos_view + math.sqrt(a2 + (1.0 - a2) * cos_view * cos_view))
-    return math.pi * distribution * g_light * g_view / (4.0 * cos_light * cos_view)
-
-
-@kernel
-def _shade(relief, light, hit, d, source, p, n, borders):  # type: ignore[no-untyped-def]
-    """Direct and ambient grey levels of a hit at `p` on a skin of reflectance 1; its normal goes into `n`."""
-    _, kind, index, sides, wall_x, wall_y = hit
-    wall = wall_x != 0.0 or wall_y != 0.0
-    if wall:
-        n[0], n[1], n[2] = wall_x, wall_y, 0.0
-    else:
-        _normal(relief, kind, index, sides, p, n)
-    reflectance = _paint(relief, light, kind, index, sides, wall, p[0], p[1])
-    ambient = light.ambient * reflectance * _sky(relief, kind, index, p[0], p[1])
-    if wall:
-        ambient *= 0.5
-    lx, ly, lz = source[0] - p[0], source[1] - p[1], source[2] - p[2]
-    r = math.sqrt(lx * lx + ly * ly + lz * lz)
-    lx, ly, lz = lx / r, ly / r, lz / r
-    cos_light = n[0] * lx + n[1] * ly + n[2] * lz
-    cos_view = -(n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
-    if cos_light <= 1e-6 or cos_view <= 1e-6:
-        return 0.0, ambient
-    for k in range(3):
-        p[k] += _OFF * n[k]
-    bright = lit(relief, p, source, borders)
-    for k in range(3):
-        p[k] -= _OFF * n[k]
-    if not bright:
-        return 0.0, ambient
-    direct = 1.0
-    if light.specular > 0.0 and kind not in (BACKGROUND, HOLE):
-        hx, hy, hz = lx - d[0], ly - d[1], lz - d[2]
-        cos_half = (n[0] * hx + n[1] * hy + n[2] * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
-        direct += light.specular * _lobe(cos_light, cos_view, cos_half, light.roughness)
-    falloff = (light.distance_mm / r) ** 2
-    return light.brightness * reflectance * cos_light * falloff * direct, ambient
-
-
-@kernel
 def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
     """Whether a border lies within `tolerance` mm of (x, y)."""
     if beside_border(relief, x, y):
@@ -262,7 +115,7 @@ def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
             rho = math.sqrt(circle(rivet, True, x, y))
             if abs(rho - rivet[R_RADIUS]) < tolerance:
                 return True
-            if rivet[_relief.R_SLOT_WIDTH] > 0.0 and rho < rivet[R_RADIUS]:
+            if rivet[R_SLOT_WIDTH] > 0.0 and rho < rivet[R_RADIUS]:
                 return True
     if relief.cells[row, column, -1] > 0:
         for s in range(relief.seams.shape[0]):
@@ -273,75 +126,64 @@ def _near_edge(relief, x, y, tolerance):  # type: ignore[no-untyped-def]
     return False
 
 
-def _build(source_fingerprint: int) -> tuple[Any, Any]:
-    """The two entry kernels; the fingerprint only serves the cache's key (see `simulator.compiled`)."""
+@entry
+def _look(relief, camera, centre, source, tolerance, borders, d, p, top, codes, distances, near):  # type: ignore[no-untyped-def]
+    """One ray per pixel: which piece it meets how far away, lit or not, and whether a border is near."""
+    for i in range(codes.shape[0]):
+        for j in range(codes.shape[1]):
+            ray(camera, float(j), float(top + i), d)
+            hit = cast(relief, centre, d, -centre[2] / d[2] if j == 0 else distances[i, j - 1], borders)
+            lam, kind, index, sides, wall_x, wall_y = hit
+            for k in range(3):
+                p[k] = centre[k] + lam * d[k]
+            wall = wall_x != 0.0 or wall_y != 0.0
+            # On a wall the pixel and its neighbours need all their rays.
+            near[i, j] = wall or _near_edge(relief, p[0], p[1], tolerance)
+            distances[i, j] = lam
+            p[0], p[1] = p[0] + OFF * wall_x, p[1] + OFF * wall_y
+            p[2] += 0.0 if wall else OFF
+            bright = 1 if lit(relief, p, source, borders) else 0
+            codes[i, j] = ((sides * 512 + index) * 16 + kind) * 2 + bright
 
-    @entry
-    def look(relief, camera, centre, source, tolerance, borders, d, p, top, codes, distances, near):  # type: ignore[no-untyped-def]
-        """One ray per pixel: which piece it meets how far away, lit or not, and whether a border is near."""
-        if source_fingerprint == 0:
-            return
-        for i in range(codes.shape[0]):
-            for j in range(codes.shape[1]):
+
+@entry
+def _gather(  # type: ignore[no-untyped-def]
+    relief, light, values, origin, texel, camera, centre, projector, source, few, many, borders, d, p, n,
+    busy, codes, distances, top, first, column, row, direct, ambient,
+):  # fmt: skip
+    """All samples of some rows. Within a smooth pixel the surface is its tangent plane (to 0.05 µm)."""
+    width = busy.shape[1]
+    bright, dim = 0.0, 0.0
+    for i in range(busy.shape[0]):
+        for j in range(width):
+            at = first[i * width + j] - first[0]
+            spread = many if busy[i, j] else few
+            reach = 0.0
+            if not busy[i, j]:
                 ray(camera, float(j), float(top + i), d)
-                hit = cast(relief, centre, d, -centre[2] / d[2] if j == 0 else distances[i, j - 1], borders)
-                lam, kind, index, sides, wall_x, wall_y = hit
-                for k in range(3):
-                    p[k] = centre[k] + lam * d[k]
-                wall = wall_x != 0.0 or wall_y != 0.0
-                # On a wall the pixel and its neighbours need all their rays.
-                near[i, j] = wall or _near_edge(relief, p[0], p[1], tolerance)
-                distances[i, j] = lam
-                p[0], p[1] = p[0] + _OFF * wall_x, p[1] + _OFF * wall_y
-                p[2] += 0.0 if wall else _OFF
-                bright = 1 if lit(relief, p, source, borders) else 0
-                codes[i, j] = ((sides * 512 + index) * 16 + kind) * 2 + bright
-
-    @entry
-    def gather(  # type: ignore[no-untyped-def]
-        relief, light, values, origin, texel, camera, centre, projector, source, few, many, borders, d, p, n,
-        busy, codes, distances, top, first, column, row, direct, ambient,
-    ):  # fmt: skip
-        """All samples of some rows. Within a smooth pixel the surface is its tangent plane (to 0.05 µm)."""
-        if source_fingerprint == 0:
-            return
-        width = busy.shape[1]
-        bright, dim = 0.0, 0.0
-        for i in range(busy.shape[0]):
-            for j in range(width):
-                at = first[i * width + j] - first[0]
-                spread = many if busy[i, j] else few
-                reach = 0.0
-                if not busy[i, j]:
-                    ray(camera, float(j), float(top + i), d)
+                for m in range(3):
+                    p[m] = centre[m] + distances[i, j] * d[m]
+                code = codes[i, j] >> 1
+                hit = distances[i, j], code & 15, (code >> 4) & 511, code >> 13, 0.0, 0.0
+                bright, dim = shade(relief, light, hit, d, source, p, n, borders)
+                for m in range(3):
+                    reach += n[m] * (p[m] - centre[m])
+            for k in range(spread.shape[0]):
+                ray(camera, j + spread[k, 0], top + i + spread[k, 1], d)
+                if busy[i, j]:
+                    hit = cast(relief, centre, d, distances[i, j], borders)
                     for m in range(3):
-                        p[m] = centre[m] + distances[i, j] * d[m]
-                    code = codes[i, j] >> 1
-                    hit = distances[i, j], code & 15, (code >> 4) & 511, code >> 13, 0.0, 0.0
-                    bright, dim = _shade(relief, light, hit, d, source, p, n, borders)
+                        p[m] = centre[m] + hit[0] * d[m]
+                    bright, dim = shade(relief, light, hit, d, source, p, n, borders)
+                    kind = hit[1]
+                else:
+                    lam = reach / (n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
                     for m in range(3):
-                        reach += n[m] * (p[m] - centre[m])
-                for k in range(spread.shape[0]):
-                    ray(camera, j + spread[k, 0], top + i + spread[k, 1], d)
-                    if busy[i, j]:
-                        hit = cast(relief, centre, d, distances[i, j], borders)
-                        for m in range(3):
-                            p[m] = centre[m] + hit[0] * d[m]
-                        bright, dim = _shade(relief, light, hit, d, source, p, n, borders)
-                        kind = hit[1]
-                    else:
-                        lam = reach / (n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
-                        for m in range(3):
-                            p[m] = centre[m] + lam * d[m]
-                        kind = (codes[i, j] >> 1) & 15
-                    column[at + k], row[at + k] = pixel(projector, p)
-                    reflectance = 1.0 if kind == BACKGROUND else _reflectance(values, origin, texel, p[0], p[1])
-                    direct[at + k], ambient[at + k] = reflectance * bright, reflectance * dim
-
-    return look, gather
-
-
-_look, _gather = _build(fingerprint(_relief, _overlay, _cast, _lens))
+                        p[m] = centre[m] + lam * d[m]
+                    kind = (codes[i, j] >> 1) & 15
+                column[at + k], row[at + k] = pixel(projector, p)
+                reflectance = 1.0 if kind == BACKGROUND else reflectance_at(values, origin, texel, p[0], p[1])
+                direct[at + k], ambient[at + k] = reflectance * bright, reflectance * dim
 
 
 def spread(samples: int, sigma_px: float) -> Floats:

@@ -22,7 +22,7 @@ from storage.certificate import CertificateModel
 from storage.documents import check_format, read_json, utc_text
 from storage.frames import FrameHeader, read_frame, read_header, read_stack, write_frame
 from storage.models import Identifier, InnerPath, StrictModel, UtcTime, WholeNumber, validate
-from storage.scene import CAMERAS, Camera, FringeModel
+from storage.scene_models import CAMERAS, Camera, FringeModel
 
 FORMAT = "flushline-calibration/1"
 MANIFEST = "calibration.json"

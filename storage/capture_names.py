@@ -11,7 +11,7 @@ from metrology.errors import CalibrationError, SceneError
 from metrology.fringe import Axis
 from storage.calibration import FORMAT, CalibrationCapture, CaptureModel, capture_of
 from storage.models import validate
-from storage.scene import Camera, FringeModel
+from storage.scene_models import Camera, FringeModel
 from storage.scene_names import Values, as_grey, cameras_of, matching, natural
 
 AXES: tuple[Axis, ...] = ("x", "y")

@@ -20,7 +20,7 @@ from storage.documents import check_regular_file
 from storage.frames import Frame, FrameHeader, file_checksum, read_frame, read_header, write_frame
 from storage.models import InnerPath, Line, StrictModel, validate
 from storage.rig import load_rig, save_rig
-from storage.scene import MANIFEST, ScanModel, scan_document
+from storage.scene_models import MANIFEST, ScanModel, scan_document
 
 FORMAT = "flushline-cloud-scene/1"
 PICTURE, POINTS, SIGMA, RIG = "picture.png", "points.npy", "sigma.npy", "rig.json"

@@ -8,7 +8,8 @@ from metrology.errors import SceneError
 from storage import cloud_scene, scene
 from storage.cloud_scene import CloudScene, CloudSceneModel
 from storage.models import validate
-from storage.scene import MANIFEST, Scene, SceneModel, read_manifest
+from storage.scene import Scene, read_manifest
+from storage.scene_models import MANIFEST, SceneModel
 
 SceneDocument = SceneModel | CloudSceneModel
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from storage.frames import read_as_grey, read_header, write_frame
-from storage.scene import Camera
+from storage.scene_models import Camera
 
 FIELDS = ("camera", "pose", "exposure", "count", "step", "frame", "bit", "inverse")
 GREY = "grey"

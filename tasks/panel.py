@@ -16,7 +16,7 @@ from storage.archive import Store
 from storage.archive.panel_history import former_assembly
 from storage.archive.panel_scans import ScanOfPanel, newest_scans
 from storage.panel_spec import PanelSpecification, load_panel_spec, panel_spec_from
-from tasks.steps import versions
+from tasks.result import versions
 
 
 def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None) -> PanelResult:

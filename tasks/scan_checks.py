@@ -17,7 +17,8 @@ from metrology.frame_geometry import expected_gradient
 from metrology.frame_sample import FrameSample, sample_frames
 from metrology.noise import NoiseModel
 from metrology.rig import Rig
-from storage.scene import Camera, Scene
+from storage.scene import Scene
+from storage.scene_models import Camera
 from tasks.settings import SceneChecks
 
 

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import os
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import cache
-from importlib.metadata import version
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
 from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
@@ -32,43 +26,23 @@ from metrology.rig import Rig
 from metrology.rig_health import RigHealth
 from metrology.scanned_cloud import ray_health
 from storage.archive import Store
-from storage.archive.bundle import document_hash
-from storage.archive.bundle import encode as encode_files
-from storage.archive.known import KnownScene
 from storage.archive.known_defects import earlier_defects
 from storage.archive.signed import refuse_signed_off
 from storage.cloud_scene import CloudScene
 from storage.frames import FrameStack, file_checksum
 from storage.panel_spec import PanelSpecification, load_panel_spec
-from storage.rig import load_rig, rig_document
+from storage.rig import load_rig
 from storage.scan_identity import frames_digest
-from storage.scene import MANIFEST, Camera, Scene
+from storage.scene import Scene
 from storage.scene_folder import load_any_scene
+from storage.scene_models import MANIFEST, Camera
 from tasks.clock import clock_warnings
 from tasks.cloud_scan import cloud_of
+from tasks.loaded import LoadedScene
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
-from tasks.scan_checks import CheckedFrames, check_frames, contradiction_warnings, refuse_wrong_frames
+from tasks.scan_checks import CheckedFrames, check_frames, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
-
-
-@dataclass(frozen=True)
-class LoadedScene:
-    """A sound scene and the rig that measures it.
-
-    Attributes
-    ----------
-    scene : Scene or CloudScene
-    rig : Rig
-    warnings : tuple of str
-    known : KnownScene or None
-        What the store has of the scene already.
-    """
-
-    scene: Scene | CloudScene
-    rig: Rig
-    warnings: tuple[str, ...] = ()
-    known: KnownScene | None = None
 
 
 def load(
@@ -279,145 +253,11 @@ def draw_overlay(
     return overlay.draw_overlay(judged, reconstruction, title, settings.overlay)
 
 
-@dataclass(frozen=True)
-class Encoded:
-    """What is stored of a scan itself.
-
-    Attributes
-    ----------
-    preview : (h, w) uint8
-        The texture as a picture.
-    files : mapping
-        Content of the bundle's largest files.
-    """
-
-    preview: NDArray[np.uint8]
-    files: Mapping[str, bytes]
-
-
-def encode(reconstruction: Reconstruction) -> Encoded:
-    """Encode what is stored of a scan itself, while other steps look for what is in it."""
-    picture = preview(reconstruction.left.texture)
-    return Encoded(picture, encode_files(reconstruction, picture))
-
-
-def assemble(
-    loaded: LoadedScene,
-    reconstruction: Reconstruction,
-    health: RigHealth,
-    registered: Registration,
-    judged: Features,
-    drawn: Overlay,
-    encoded: Encoded,
-    settings: InspectionSettings,
-    spec: PanelSpecification,
-    seconds: Mapping[str, float],
-) -> InspectionResult:
-    """Everything that is to be stored."""
-    key = loaded.scene.key
-    warnings = [
-        *loaded.warnings,
-        *_overexposure(reconstruction, settings.checks),
-        *contradiction_warnings(reconstruction, settings.checks),
-        *registered.warnings,
-    ]
-    if health.verdict in ("warning", "unjudged"):
-        warnings.append(f"rig {loaded.rig.id}: {health.reason}")
-    warnings += _what_is_missing(reconstruction.rig)
-    if spec.example:
-        warnings.append("judged by the example limits, which are nobody's requirement; give --panel-spec")
-    elif spec.limits.panel != key.panel:
-        warnings.append(f"judged by the specification of panel {spec.limits.panel}, though the scene is of {key.panel}")
-    if drawn.outside:
-        warnings.append(f"outside the projector's field, at least in part: {', '.join(drawn.outside)}")
-    return InspectionResult(
-        key=key,
-        reconstruction=reconstruction,
-        features=judged,
-        overlay=drawn,
-        preview=encoded.preview,
-        encoded=encoded.files,
-        rig_document=rig_document(loaded.rig),
-        settings=settings.document,
-        config_hash=config_hash(settings, spec),
-        panel_spec=spec.document,
-        seconds=dict(seconds),
-        warnings=tuple(warnings),
-        versions=versions(),
-        operator=loaded.scene.operator,
-        registration=_registration_document(registered),
-        epipolar_rms_px=health.epipolar_rms_px,
-        projector_rms_px=health.projector_rms_px,
-        rig_verdict=health.verdict,
-        pattern=registered.enrolled if registered.enrolled and not registered.enrolled.empty else None,
-        files_state=loaded.scene.files_state,
-    )
-
-
-def _what_is_missing(rig: Rig) -> list[str]:
-    """What a rig of fewer than three devices does without."""
-    missing = []
-    if rig.right is None:
-        missing.append(
-            f"rig {rig.id} has one camera: gaps' edges and heads' rims come from points and rings alone, and a glint "
-            "or a shadow may be taken for a head's rim"
-        )
-    if rig.projector is None:
-        missing.append(
-            f"rig {rig.id} has no calibrated projector: the overlay is drawn over the left camera's picture"
-            + ("" if rig.right is None else _WITHOUT_PROJECTOR)
-        )
-    elif rig.screen is None:
-        missing.append(
-            f"rig {rig.id} has a projector of which scans told the columns or the rows alone: the overlay is drawn "
-            "over the left camera's picture, gaps' edges and heads' rims come from points and rings alone"
-        )
-    return missing
-
-
-def _registration_document(registered: Registration) -> dict[str, object]:
-    placement = registered.placement
-    return {
-        "status": registered.status,
-        "matched": list(registered.matched),
-        "missing": list(registered.missing),
-        "unlisted": list(registered.unlisted),
-        "rms_mm": registered.rms_mm,
-        "shift_mm": registered.shift_mm,
-        "turn_deg": registered.turn_deg,
-        "placement": None if placement is None else {"R": placement.R.tolist(), "t_mm": placement.t.tolist()},
-    }
-
-
 def publish(store: Store, result: InspectionResult, rig: Rig) -> str:
     """Store the result, and the rig for later scenes that name it; returns the run's id."""
     run_id = store.publish(result)
     store.add_rig(rig)
     return run_id
-
-
-def config_hash(settings: InspectionSettings, spec: PanelSpecification) -> str:
-    """Names settings and panel specification together."""
-    return document_hash({"settings": settings.document, "panel_spec": spec.document})
-
-
-def preview(texture: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The texture as an 8-bit picture; brightened or dimmed only where it would not fit."""
-    lit = np.nan_to_num(texture, nan=0.0, posinf=0.0, neginf=0.0)
-    high = float(np.quantile(lit[::4, ::4], 0.999))
-    scale = 250.0 / high if high > 255 else 1.0
-    return np.clip(np.rint(lit * np.float32(scale)), 0, 255).astype(np.uint8)
-
-
-def versions() -> dict[str, str]:
-    """What computed a result."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
-    packages = ("flushline", "numpy", "scipy", "numba", "opencv-python-headless", "pyarrow", "duckdb")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
 def _check_skin_is_seen(scene: Scene | CloudScene, reconstruction: Reconstruction, checks: SceneChecks) -> None:
@@ -433,35 +273,7 @@ def _check_skin_is_seen(scene: Scene | CloudScene, reconstruction: Reconstructio
     )
 
 
-def _overexposure(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:
-    """A warning where much of the skin is saturated: neither points nor a picture, so nothing is found there."""
-    # One pixel in sixteen gives the share to a thousandth.
-    sampled = (slice(None, None, 4), slice(None, None, 4))
-    left, right = reconstruction.flags[sampled], reconstruction.right
-    shares = {"": _saturated_share(left, np.isfinite(reconstruction.points[*sampled, 2]))}
-    if right:
-        seen = np.isfinite(right.coordinate[sampled])
-        shares[" of the right camera"] = _saturated_share(right.flags[sampled], seen)
-    where, share = max(shares.items(), key=lambda item: item[1])
-    if share <= checks.max_saturated_fraction:
-        return []
-    return [
-        f"overexposed: {share:.0%} of the skin is saturated in every exposure{where}; rivets and seams there are not "
-        "found or not measured; take a shorter exposure as well"
-    ]
-
-
-def _saturated_share(flags: NDArray[np.uint16], measured: NDArray[np.bool_]) -> float:
-    """Share of the skin, measured or saturated, that is saturated."""
-    saturated = (flags & PixelFlag.SATURATED) != 0
-    skin = saturated | measured
-    return float(saturated[skin].mean()) if skin.any() else 0.0
-
-
 _ONE_CAMERA = "cannot tell whether the rig still fits: with one camera nothing is seen twice; verify it by an artefact"
-_WITHOUT_PROJECTOR = (
-    ", gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed"
-)
 _CAUSE = {
     PixelFlag.SATURATED: "saturated",
     PixelFlag.LOW_MODULATION: "too dark or without fringes",

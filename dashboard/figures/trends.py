@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,34 +33,7 @@ def control_figure(
     fig = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.68, 0.32], vertical_spacing=0.06)
     fig.update_layout(figure(locale, height).layout)
     times = locale.axis_times(rows["captured_at"])
-    broken: dict[int, list[str]] = {}
-    for name, points in violations.items():
-        for point in points:
-            broken.setdefault(int(point), []).append(name)
-    text = [
-        f"{escape(r.aircraft_serial)} · {locale.time(r.captured_at)}"
-        f"<br>{locale.number(r.value, sign=True)} {quantity.unit}"
-        + (f" (mean of {locale.whole(r.n)})" if r.n > 1 else "")
-        + (f"<br>breaks rule {', '.join(broken[i])}" if i in broken else "")
-        for i, r in enumerate(rows.itertuples())
-    ]
-    fig.add_scatter(
-        x=times,
-        y=chart.values,
-        mode="lines+markers",
-        line={"color": BLUE, "width": 1.5},
-        marker={
-            "size": [9 if i in broken else 6 for i in range(len(rows))],
-            "color": [RED if i in broken else BLUE for i in range(len(rows))],
-            "symbol": ["triangle-up" if i in broken else "circle" for i in range(len(rows))],
-        },
-        text=text,
-        customdata=rows["scene_id"].astype(str),
-        hovertemplate="%{text}<extra></extra>",
-        showlegend=False,
-        row=1,
-        col=1,
-    )
+    _add_values(fig, rows, times, chart, violations, quantity, locale)
     fig.add_scatter(
         x=times,
         y=chart.moving_range,
@@ -89,35 +63,71 @@ def control_figure(
                 col=1,
             )
     _add_limits(fig, chart, limit)
-    marks = [(times.iloc[event.index], escape(event.text)) for event in events]
-    # One update for all of them: each of Plotly's `add_vline` looks through the whole figure.
-    fig.update_layout(
-        shapes=[
-            *fig.layout.shapes,
-            *(
-                {
-                    "type": "line", "xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1,
-                    "line": {"color": INK, "width": 1, "dash": "dashdot"},
-                }
-                for at, _ in marks
-            ),
-        ],
-        annotations=[
-            *fig.layout.annotations,
-            *(
-                {
-                    "x": at, "y": 1, "xref": "x", "yref": "paper", "text": text, "showarrow": False, "textangle": -90,
-                    "xanchor": "right", "yanchor": "top", "font": {"size": 10, "color": INK},
-                }
-                for at, text in marks
-            ),
-        ],
-    )  # fmt: skip
+    _add_events(fig, [(times.iloc[event.index], escape(event.text)) for event in events])
     fig.update_xaxes(tickformat=locale.axis_dates)
     fig.update_yaxes(title=f"{quantity.title}, {quantity.unit}", row=1, col=1)
     fig.update_yaxes(title="moving range", rangemode="tozero", row=2, col=1)
     fig.update_layout(margin={"r": 84, "l": 8, "t": 8, "b": 8}, clickmode="event+select")
     return fig
+
+
+def _add_values(
+    fig: go.Figure,
+    rows: pd.DataFrame,
+    times: pd.Series,
+    chart: ControlChart,
+    violations: Mapping[str, np.ndarray],
+    quantity: Quantity,
+    locale: Locale,
+) -> None:
+    """The values in the order of time; those that break a rule larger, in red, with the rule's name."""
+    broken: dict[int, list[str]] = {}
+    for name, points in violations.items():
+        for point in points:
+            broken.setdefault(int(point), []).append(name)
+    text = [
+        f"{escape(r.aircraft_serial)} · {locale.time(r.captured_at)}"
+        f"<br>{locale.number(r.value, sign=True)} {quantity.unit}"
+        + (f" (mean of {locale.whole(r.n)})" if r.n > 1 else "")
+        + (f"<br>breaks rule {', '.join(broken[i])}" if i in broken else "")
+        for i, r in enumerate(rows.itertuples())
+    ]
+    fig.add_scatter(
+        x=times,
+        y=chart.values,
+        mode="lines+markers",
+        line={"color": BLUE, "width": 1.5},
+        marker={
+            "size": [9 if i in broken else 6 for i in range(len(rows))],
+            "color": [RED if i in broken else BLUE for i in range(len(rows))],
+            "symbol": ["triangle-up" if i in broken else "circle" for i in range(len(rows))],
+        },
+        text=text,
+        customdata=rows["scene_id"].astype(str),
+        hovertemplate="%{text}<extra></extra>",
+        showlegend=False,
+        row=1,
+        col=1,
+    )
+
+
+def _add_events(fig: go.Figure, marks: Sequence[tuple[Any, str]]) -> None:
+    """Vertical lines with their texts; one update for all: each of Plotly's `add_vline` looks through the figure."""
+    lines = [
+        {
+            "type": "line", "xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1,
+            "line": {"color": INK, "width": 1, "dash": "dashdot"},
+        }
+        for at, _ in marks
+    ]  # fmt: skip
+    texts = [
+        {
+            "x": at, "y": 1, "xref": "x", "yref": "paper", "text": text, "showarrow": False, "textangle": -90,
+            "xanchor": "right", "yanchor": "top", "font": {"size": 10, "color": INK},
+        }
+        for at, text in marks
+    ]  # fmt: skip
+    fig.update_layout(shapes=[*fig.layout.shapes, *lines], annotations=[*fig.layout.annotations, *texts])
 
 
 def _add_limits(fig: go.Figure, chart: ControlChart, limit: Limit | None) -> None:

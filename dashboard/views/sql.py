@@ -62,7 +62,9 @@ def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], sav
             f"at most {context.locale.whole(MOST_ROWS)} rows and {MOST_SECONDS:g} s; the address of this page holds "
             "the query, so that you can pass it on"
         )
-    if run or st.session_state.pop(_RUN, False):
+    if run:
+        st.session_state[_RUN] = True
+    if st.session_state.get(_RUN):  # also where the page was drawn anew before the answer had come
         _run(context, sql)
     _show(context)
 
@@ -114,8 +116,10 @@ def _run(context: PageContext, sql: str) -> None:
             st.session_state[_ANSWER] = run_query(context.archive.root, sql, on_wait=lambda: _say_waiting(queue))
         queue.empty()
     except FlushlineError as problem:
+        st.session_state[_RUN] = False
         st.error(plain(problem), icon=":material/error:")
         return
+    st.session_state[_RUN] = False
     asked = [sql, *(earlier for earlier in st.session_state.get(_HISTORY, []) if earlier != sql)]
     st.session_state[_HISTORY] = asked[:_MOST_KEPT]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from flows.code_options import add_code_options
 
 if TYPE_CHECKING:
-    from storage.scene import FringeModel
+    from storage.scene_models import FringeModel
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:

@@ -136,7 +136,8 @@ def run_new(options: argparse.Namespace) -> int:
 def run_guess(options: argparse.Namespace) -> int:
     """Say what each camera's frames tell."""
     from flows.new_scene import guess_lines, guesses
-    from storage.scene import MANIFEST, load_manifest
+    from storage.scene import load_manifest
+    from storage.scene_models import MANIFEST
 
     model = load_manifest(options.folder / MANIFEST)
     paths: dict[str, list[list[Path]]] = {

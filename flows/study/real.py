@@ -21,8 +21,9 @@ from storage.archive import Store
 from storage.archive.bundle import document_hash
 from storage.panel_spec import load_panel_spec
 from storage.rig import load_rig, rig_document
-from storage.scene import MANIFEST, load_manifest
-from tasks import steps
+from storage.scene import load_manifest
+from storage.scene_models import MANIFEST
+from tasks.result import config_hash
 from tasks.settings import InspectionSettings
 
 _POSITIONS = 10
@@ -66,7 +67,7 @@ def run_real(
     claim(captured.out, "real", str(captured.folder.resolve()))
     store = Store(captured.out / "store")
     specification = load_panel_spec()
-    names = steps.config_hash(settings, specification), document_hash(rig_document(rig))
+    names = config_hash(settings, specification), document_hash(rig_document(rig))
     problems = []
     with only_run(captured.out):
         for done, folder in enumerate(folders):

@@ -21,7 +21,7 @@ from storage.archive.bundle import document_hash
 from storage.panel_spec import PanelSpecification
 from storage.rig import load_rig, rig_document, save_rig
 from storage.scene import write_scene
-from tasks import steps
+from tasks.result import config_hash
 from tasks.settings import InspectionSettings
 
 Say = Callable[[str], None]
@@ -126,7 +126,7 @@ def run_series(workshop: Workshop, series: Series, on_scan: Callable[[], None], 
 
 def _is_done(workshop: Workshop, scan: Scan, specification: PanelSpecification) -> bool:
     rig = load_rig(workshop.rig_path(scan.series.simulation, scan.rig))
-    config = steps.config_hash(workshop.settings, specification)
+    config = config_hash(workshop.settings, specification)
     return workshop.store.holds(scan.key.scene_id, config, document_hash(rig_document(rig)))
 
 

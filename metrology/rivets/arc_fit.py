@@ -150,6 +150,112 @@ def _elongation(ellipse):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _points_near(cu, cv, radius, u, v, nu, nv, rows, factor):  # type: ignore[no-untyped-def]
+    """Ridge points whose distance and normal suit a ring about (cu, cv), one a row.
+
+    Columns: x, y and the distance from the centre in the frame where the expected shape is a circle (`factor`: its
+    Cholesky factor l11, l21, l22), then u, v and the normal in the picture.
+    """
+    l11, l21, l22 = factor
+    reach = 1.5 * radius * math.sqrt(max(l11 * l11, l21 * l21 + l22 * l22)) + 3.0
+    lo = rows[min(max(int(cv - reach), 0), len(rows) - 1)]
+    hi = rows[min(max(int(cv + reach) + 1, 0), len(rows) - 1)]
+    points = np.empty((7, hi - lo))
+    n = 0
+    for i in range(lo, hi):
+        du = u[i] - cu
+        dv = v[i] - cv
+        if abs(du) > reach:
+            continue
+        p = du / l11
+        q = (dv - l21 * p) / l22
+        d = math.sqrt(p * p + q * q)
+        if d < 0.65 * radius or d > 1.45 * radius:
+            continue
+        # Normals turn with the transpose of the map.
+        gu = l11 * nu[i] + l21 * nv[i]
+        gv = l22 * nv[i]
+        g = math.sqrt(gu * gu + gv * gv)
+        if abs(p * gu + q * gv) < 0.82 * d * g:
+            continue
+        points[0, n] = p
+        points[1, n] = q
+        points[2, n] = d
+        points[3, n] = u[i]
+        points[4, n] = v[i]
+        points[5, n] = nu[i]
+        points[6, n] = nv[i]
+        n += 1
+    return points[:, :n]
+
+
+@kernel
+def _shared_radius(distance, radius):  # type: ignore[no-untyped-def]
+    """The distance from the centre that most points share, each weighted by the part of its circle that it covers."""
+    bins = int(0.8 * radius / 0.75) + 3
+    histogram = np.zeros(bins)
+    for i in range(len(distance)):
+        histogram[int((distance[i] - 0.65 * radius) / 0.75) + 1] += 1.0 / distance[i]
+    best = -1.0
+    mode = radius
+    for k in range(1, bins - 1):
+        total = histogram[k] + 0.7 * (histogram[k - 1] + histogram[k + 1])
+        if total > best:
+            best = total
+            mode = 0.65 * radius + 0.75 * (k - 0.5)
+    return mode
+
+
+@kernel
+def _circle_by_steps(x, y, radius, mode, use):  # type: ignore[no-untyped-def]
+    """Circle through the points that lie near it, with shrinking tolerance: centre and radius."""
+    tolerance = max(1.8, 0.14 * mode)
+    a = 0.0
+    b = 0.0
+    for _ in range(3):
+        for i in range(len(x)):
+            use[i] = abs(math.sqrt((x[i] - a) ** 2 + (y[i] - b) ** 2) - mode) < tolerance
+        p, q, d = _circle(x, y, use)
+        if d <= 0.0 or d > 1.6 * radius or d < 0.6 * radius or abs(p - a) + abs(q - b) > radius:
+            break
+        a = p
+        b = q
+        mode = d
+        tolerance = max(1.4, 0.75 * tolerance)
+    return a, b, mode
+
+
+@kernel
+def _points_on(ellipse, limit, u, v, nu, nv, use):  # type: ignore[no-untyped-def]
+    """Mark the points within `limit` pixels of an ellipse whose normals agree with it.
+
+    Returns the share of the ellipse's sectors that have one, and the points' mean distance.
+    """
+    c = math.cos(ellipse[4])
+    s = math.sin(ellipse[4])
+    sectors = max(12, int(2.0 * math.pi * math.sqrt(ellipse[2] * ellipse[3]) / 1.7))
+    seen = np.zeros(sectors, np.bool_)
+    count = 0
+    distance = 0.0
+    for i in range(len(u)):
+        p = (c * (u[i] - ellipse[0]) + s * (v[i] - ellipse[1])) / ellipse[2]
+        q = (c * (v[i] - ellipse[1]) - s * (u[i] - ellipse[0])) / ellipse[3]
+        f = math.sqrt(p * p + q * q) + 1e-9
+        gp = p / ellipse[2] / f
+        gq = q / ellipse[3] / f
+        g = math.sqrt(gp * gp + gq * gq)
+        d = abs(f - 1.0) / g
+        aligned = abs((gp * c - gq * s) * nu[i] + (gp * s + gq * c) * nv[i]) / g
+        use[i] = d < limit and aligned > 0.87
+        if use[i]:
+            count += 1
+            distance += d
+            sector = int((math.atan2(q, p) + math.pi) / (2.0 * math.pi) * sectors)
+            seen[min(sector, sectors - 1)] = True
+    return seen.sum() / sectors, distance / max(count, 1)
+
+
+@kernel
 def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse):  # type: ignore[no-untyped-def]
     """Ellipse through the ridge points round a candidate.
 
@@ -178,75 +284,15 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
     agreement : float
         1 − mean distance of the points in pixels.
     """
-    # Cholesky factor of the shape, and its inverse into the frame of the circle.
     l11 = math.sqrt(shape[0])
     l21 = shape[2] / l11
     l22 = math.sqrt(max(shape[1] - l21 * l21, 1e-9))
-    reach = 1.5 * radius * math.sqrt(max(shape[0], shape[1])) + 3.0
-    lo = rows[min(max(int(cv - reach), 0), len(rows) - 1)]
-    hi = rows[min(max(int(cv + reach) + 1, 0), len(rows) - 1)]
-    size = hi - lo
-    x = np.empty(size)
-    y = np.empty(size)
-    mu = np.empty(size)
-    mv = np.empty(size)
-    pu = np.empty(size)
-    pv = np.empty(size)
-    r = np.empty(size)
-    n = 0
-    for i in range(lo, hi):
-        du = u[i] - cu
-        dv = v[i] - cv
-        if abs(du) > reach:
-            continue
-        p = du / l11
-        q = (dv - l21 * p) / l22
-        d = math.sqrt(p * p + q * q)
-        if d < 0.65 * radius or d > 1.45 * radius:
-            continue
-        # Normals turn with the transpose of the map.
-        gu = l11 * nu[i] + l21 * nv[i]
-        gv = l22 * nv[i]
-        g = math.sqrt(gu * gu + gv * gv)
-        if abs(p * gu + q * gv) < 0.82 * d * g:
-            continue
-        x[n] = p
-        y[n] = q
-        mu[n] = nu[i]
-        mv[n] = nv[i]
-        pu[n] = u[i]
-        pv[n] = v[i]
-        r[n] = d
-        n += 1
-    if n < 6:
+    points = _points_near(cu, cv, radius, u, v, nu, nv, rows, (l11, l21, l22))
+    if points.shape[1] < 6:
         return 0.0, 0.0
-    x = x[:n]
-    y = y[:n]
-    bins = int(0.8 * radius / 0.75) + 3
-    histogram = np.zeros(bins)
-    for i in range(n):
-        histogram[int((r[i] - 0.65 * radius) / 0.75) + 1] += 1.0 / r[i]
-    best = -1.0
-    mode = radius
-    for k in range(1, bins - 1):
-        total = histogram[k] + 0.7 * (histogram[k - 1] + histogram[k + 1])
-        if total > best:
-            best = total
-            mode = 0.65 * radius + 0.75 * (k - 0.5)
-    use = np.empty(n, np.bool_)
-    tolerance = max(1.8, 0.14 * mode)
-    a = 0.0
-    b = 0.0
-    for _ in range(3):
-        for i in range(n):
-            use[i] = abs(math.sqrt((x[i] - a) ** 2 + (y[i] - b) ** 2) - mode) < tolerance
-        p, q, d = _circle(x, y, use)
-        if d <= 0.0 or d > 1.6 * radius or d < 0.6 * radius or abs(p - a) + abs(q - b) > radius:
-            break
-        a = p
-        b = q
-        mode = d
-        tolerance = max(1.4, 0.75 * tolerance)
+    x, y, pu, pv, mu, mv = points[0], points[1], points[3], points[4], points[5], points[6]
+    use = np.empty(len(x), np.bool_)
+    a, b, mode = _circle_by_steps(x, y, radius, _shared_radius(points[2], radius), use)
     _image_of_circle(cu, cv, l11, l21, l22, a, b, mode, ellipse)
     expected_x, expected_y = _elongation(ellipse)
     large = ellipse[2] / ellipse[3]
@@ -257,39 +303,17 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
         limit = max(0.75, 1.6 - 0.3 * step)
         if step == 0:
             limit = max(limit, 0.1 * mode)
-        c = math.cos(ellipse[4])
-        s = math.sin(ellipse[4])
-        sectors = max(12, int(2.0 * math.pi * math.sqrt(ellipse[2] * ellipse[3]) / 1.7))
-        seen = np.zeros(sectors, np.bool_)
-        count = 0
-        distance = 0.0
-        for i in range(n):
-            p = (c * (pu[i] - ellipse[0]) + s * (pv[i] - ellipse[1])) / ellipse[2]
-            q = (c * (pv[i] - ellipse[1]) - s * (pu[i] - ellipse[0])) / ellipse[3]
-            f = math.sqrt(p * p + q * q) + 1e-9
-            gp = p / ellipse[2] / f
-            gq = q / ellipse[3] / f
-            g = math.sqrt(gp * gp + gq * gq)
-            d = abs(f - 1.0) / g
-            aligned = abs((gp * c - gq * s) * mu[i] + (gp * s + gq * c) * mv[i]) / g
-            use[i] = d < limit and aligned > 0.87
-            if use[i]:
-                count += 1
-                distance += d
-                sector = int((math.atan2(q, p) + math.pi) / (2.0 * math.pi) * sectors)
-                seen[min(sector, sectors - 1)] = True
-        coverage = seen.sum() / sectors
-        distance /= max(count, 1)
+        coverage, distance = _points_on(ellipse, limit, pu, pv, mu, mv, use)
         if step == 4 or coverage < 0.5:
             break
         trial[:] = ellipse
-        if freedom > 0.0 and fit_conic(pu[:n], pv[:n], use, trial):
+        if freedom > 0.0 and fit_conic(pu, pv, use, trial):
             ex, ey = _elongation(trial)
             as_large = trial[3] >= 0.45 * radius and trial[2] <= 1.7 * radius * math.sqrt(large)
             if as_large and math.hypot(ex - expected_x, ey - expected_y) < freedom:
                 ellipse[:] = trial
                 continue
-        a, b, mode = _circle(x[:n], y[:n], use)
+        a, b, mode = _circle(x, y, use)
         if mode < 0.6 * radius or mode > 1.6 * radius:
             break
         _image_of_circle(cu, cv, l11, l21, l22, a, b, mode, ellipse)

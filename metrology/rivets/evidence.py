@@ -30,6 +30,59 @@ def _contrast(profile, shift, polarity):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _ring_profiles(image, ellipse, sectors, lowest, profile):  # type: ignore[no-untyped-def]
+    """Each sector's mean profile across an ellipse, from `lowest` pixels inside to `_REACH` outside, into `profile`.
+
+    A sector out of the picture has NaN in its first place. Returns how many those are.
+    """
+    height, width = image.shape
+    span = 2 * _REACH + 1
+    u0, v0, a, b, angle = ellipse
+    ca = math.cos(angle)
+    sa = math.sin(angle)
+    per = max(2, int(math.pi * (a + b) / sectors / 1.5 + 0.5))
+    missing = 0
+    for k in range(sectors):
+        profile[k] = 0.0
+        count = 0
+        for m in range(per):
+            t = 2.0 * math.pi * (k + (m + 0.5) / per) / sectors
+            c = math.cos(t)
+            s = math.sin(t)
+            nx = c / a
+            ny = s / b
+            norm = math.sqrt(nx * nx + ny * ny)
+            gx = (ca * nx - sa * ny) / norm
+            gy = (sa * nx + ca * ny) / norm
+            x = u0 + ca * a * c - sa * b * s
+            y = v0 + sa * a * c + ca * b * s
+            xe = x + _REACH * gx
+            ye = y + _REACH * gy
+            if xe < 1.0 or ye < 1.0 or xe > width - 3.0 or ye > height - 3.0:
+                continue
+            if x < _REACH or y < _REACH or x > width - 1.0 - _REACH or y > height - 1.0 - _REACH:
+                continue
+            count += 1
+            for o in range(lowest + _REACH, span):
+                px = x + (o - _REACH) * gx
+                py = y + (o - _REACH) * gy
+                ix = int(px)
+                iy = int(py)
+                fx = px - ix
+                fy = py - iy
+                profile[k, o] += (1.0 - fy) * ((1.0 - fx) * image[iy, ix] + fx * image[iy, ix + 1]) + fy * (
+                    (1.0 - fx) * image[iy + 1, ix] + fx * image[iy + 1, ix + 1]
+                )
+        if count == 0:
+            missing += 1
+            profile[k, 0] = np.nan
+        else:
+            for o in range(span):
+                profile[k, o] /= count
+    return missing
+
+
+@kernel
 def ring_evidence(image, ellipses, polarity, sectors, result):  # type: ignore[no-untyped-def]
     """Contrast of the ring against what the same measure finds beside it.
 
@@ -48,79 +101,32 @@ def ring_evidence(image, ellipses, polarity, sectors, result):  # type: ignore[n
     result : (n, 2) float64, output
         Median contrast over its noise, and the share of sectors above 1.5 times a single sector's noise.
     """
-    height, width = image.shape
-    span = 2 * _REACH + 1
-    profile = np.zeros((sectors, span))
+    profile = np.zeros((sectors, 2 * _REACH + 1))
     outside = np.zeros(sectors)
     within = np.zeros(sectors)
     contrast = np.zeros(sectors)
     for index in range(len(ellipses)):
-        u0, v0, a, b, angle = ellipses[index]
-        result[index, 0] = 0.0
-        result[index, 1] = 0.0
-        ca = math.cos(angle)
-        sa = math.sin(angle)
-        per = max(2, int(math.pi * (a + b) / sectors / 1.5 + 0.5))
-        lowest = -_REACH if min(a, b) > _REACH + 1.0 else -_FLANK - _SLACK
-        missing = 0
-        for k in range(sectors):
-            for o in range(span):
-                profile[k, o] = 0.0
-            count = 0
-            for m in range(per):
-                t = 2.0 * math.pi * (k + (m + 0.5) / per) / sectors
-                c = math.cos(t)
-                s = math.sin(t)
-                nx = c / a
-                ny = s / b
-                norm = math.sqrt(nx * nx + ny * ny)
-                gx = (ca * nx - sa * ny) / norm
-                gy = (sa * nx + ca * ny) / norm
-                x = u0 + ca * a * c - sa * b * s
-                y = v0 + sa * a * c + ca * b * s
-                xe = x + _REACH * gx
-                ye = y + _REACH * gy
-                if xe < 1.0 or ye < 1.0 or xe > width - 3.0 or ye > height - 3.0:
-                    continue
-                if x < _REACH or y < _REACH or x > width - 1.0 - _REACH or y > height - 1.0 - _REACH:
-                    continue
-                count += 1
-                for o in range(lowest + _REACH, span):
-                    px = x + (o - _REACH) * gx
-                    py = y + (o - _REACH) * gy
-                    ix = int(px)
-                    iy = int(py)
-                    fx = px - ix
-                    fy = py - iy
-                    profile[k, o] += (1.0 - fy) * ((1.0 - fx) * image[iy, ix] + fx * image[iy, ix + 1]) + fy * (
-                        (1.0 - fx) * image[iy + 1, ix] + fx * image[iy + 1, ix + 1]
-                    )
-            if count == 0:
-                missing += 1
-                profile[k, 0] = np.nan
-            else:
-                for o in range(span):
-                    profile[k, o] /= count
-        if missing > 0.45 * sectors:
+        result[index] = 0.0
+        sign = polarity[index]
+        both_sides = min(ellipses[index, 2], ellipses[index, 3]) > _REACH + 1.0
+        lowest = -_REACH if both_sides else -_FLANK - _SLACK
+        if _ring_profiles(image, ellipses[index], sectors, lowest, profile) > 0.45 * sectors:
             continue
         n = 0
         for k in range(sectors):
             if np.isnan(profile[k, 0]):
                 continue
-            contrast[n] = _contrast(profile[k], 0, polarity[index])
-            outside[n] = abs(_contrast(profile[k], _AWAY, polarity[index]))
-            if lowest == -_REACH:
-                within[n] = abs(_contrast(profile[k], -_AWAY, polarity[index]))
+            contrast[n] = _contrast(profile[k], 0, sign)
+            outside[n] = abs(_contrast(profile[k], _AWAY, sign))
+            if both_sides:
+                within[n] = abs(_contrast(profile[k], -_AWAY, sign))
             n += 1
         # The quieter side: a glint on the head or a seam beside it is no noise of the ring.
         noise = np.median(outside[:n])
-        if lowest == -_REACH:
+        if both_sides:
             noise = min(noise, np.median(within[:n]))
         noise = MAD * noise + 1e-9
-        hits = 0
-        for k in range(sectors):
-            if not np.isnan(profile[k, 0]) and _contrast(profile[k], 0, polarity[index]) > 1.5 * noise:
-                hits += 1
+        hits = (contrast[:n] > 1.5 * noise).sum()
         result[index, 0] = np.median(contrast[:n]) * math.sqrt(n) / noise
         result[index, 1] = hits / sectors
 

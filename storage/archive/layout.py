@@ -103,3 +103,20 @@ class Layout:
     def relative(self, path: Path) -> str:
         """A path as the tables have it."""
         return path.relative_to(self.root).as_posix()
+
+
+@dataclass(frozen=True)
+class ScenePaths:
+    """Files of a scene's current run.
+
+    Attributes
+    ----------
+    bundle : Path
+        The run's folder, with its manifest, rig and tables.
+    cloud, overlay, preview : Path
+    """
+
+    bundle: Path
+    cloud: Path
+    overlay: Path
+    preview: Path

@@ -7,13 +7,12 @@ import json
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metrology.errors import RigError, StoreError
 from storage.archive.files import disk_trouble, locked, write_first
-from storage.archive.layout import STORE_FORMAT, Layout
+from storage.archive.layout import STORE_FORMAT, Layout, ScenePaths
 from storage.documents import read_json
 from storage.models import leads_inside
 
@@ -41,23 +40,6 @@ def query_problem(problem: duckdb.Error) -> str:
     if "attached in read-only mode" in text:
         return "found a statement that writes to the read-only archive, expected a SELECT"
     return text
-
-
-@dataclass(frozen=True)
-class ScenePaths:
-    """Files of a scene's current run.
-
-    Attributes
-    ----------
-    bundle : Path
-        The run's folder, with its manifest, rig and tables.
-    cloud, overlay, preview : Path
-    """
-
-    bundle: Path
-    cloud: Path
-    overlay: Path
-    preview: Path
 
 
 class Store:
@@ -331,8 +313,7 @@ class Store:
 
     def file(self, relative: str) -> Path:
         """A file of a bundle by the path that the tables have for it; from object storage it is fetched."""
-        path = self._inside(relative)
-        self.bundles.bring_file(path)
+        self.bundles.bring_file(path := self._inside(relative))
         return path
 
     def _inside(self, relative: str) -> Path:

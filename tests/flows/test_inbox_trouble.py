@@ -19,8 +19,8 @@ from flows.inbox_job import InboxJob
 from metrology.errors import UsageError
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
-from storage.scene import SceneModel
 from storage.scene_folder import SceneDocument
+from storage.scene_models import SceneModel
 from tests.support.results import small_key
 from tests.support.small_scene import write_small_scene
 from tests.support.users import as_user, only_root, open_to_all

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from flows.study.clutter import lies_on
+from simulator.clutter import Cleco, Patch, Speck
 from simulator.defects import Dent
 from simulator.marks import Stencil
-from simulator.panel import Cleco, Hole, Panel, Patch, Speck, Surface
+from simulator.panel import Hole, Panel, Surface
 
 PANEL = Panel(
     holes=(Hole(-60.0, 40.0, 5.0),),

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from metrology.calibration.board import Board
-from metrology.calibration.calibrate import _of_one_layout, calibrate
+from metrology.calibration.calibrate import calibrate
 from metrology.calibration.detect import Detection, detect
 from metrology.calibration.detect_board import BoardView, detect_board
 from metrology.calibration.detect_projection import detect_projected_dots
@@ -21,6 +21,7 @@ from metrology.calibration.fringe_features import coded_features
 from metrology.calibration.homography import apply_homography
 from metrology.calibration.placing import symmetries
 from metrology.calibration.projected_dots import ProjectedDots
+from metrology.calibration.sightings import of_one_layout
 from metrology.errors import CalibrationError
 
 CIRCLES = Board("asymmetric_circles", 5, 7, 15.0, 8.0)
@@ -201,7 +202,7 @@ def test_a_picture_that_fits_both_layouts_is_read_as_the_others_are() -> None:
     assert part.otherwise is not None
     assert {part.layout, part.otherwise.layout} == {"new", "old"}
     seen = [Detection(pose, "left", (760, 620), of, None, None, ()) for pose, of in enumerate((sure, part))]
-    layout, kept = _of_one_layout(seen, {0: [], 1: []})
+    layout, kept = of_one_layout(seen, {0: [], 1: []})
     assert layout == "old"
     assert [detection.board.layout for detection in kept if detection.board] == ["old", "old"]
 

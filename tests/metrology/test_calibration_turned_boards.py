@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from metrology.calibration.board import Board
-from metrology.calibration.calibrate import calibrate, sightings_of
+from metrology.calibration.calibrate import calibrate
 from metrology.calibration.detect import Detection
 from metrology.calibration.detect_board import BoardView
 from metrology.calibration.frames import CAMERAS
 from metrology.calibration.fringe_features import CodedView
 from metrology.calibration.initial import start_values
 from metrology.calibration.placing import Placement, place, symmetries, upright
+from metrology.calibration.sightings import sightings_of
 from metrology.calibration.turned_boards import labelled_alike
 from metrology.errors import CalibrationError
 from metrology.rig import Rig

@@ -88,8 +88,9 @@ def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.Mon
     assert sorted(names) == [".lock", ".nbc", ".nbi"]
 
 
+@pytest.mark.parametrize("lent", ["from metrology.jit import kernel", "from numba import njit as kernel"])
 def test_a_kernel_goes_out_of_date_with_what_it_takes_from_other_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lent: str
 ) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -97,9 +98,7 @@ def test_a_kernel_goes_out_of_date_with_what_it_takes_from_other_files(
     (tmp_path / "borrower.py").write_text(entry + "@kernel\ndef outer(x):\n    return inner(x) + LENT\n")
 
     def result(factor: str, constant: str) -> float:
-        lender = (
-            f"from metrology.jit import kernel\nLENT = {constant}\n@kernel\ndef inner(x):\n    return {factor} * x\n"
-        )
+        lender = f"{lent}\nLENT = {constant}\n@kernel\ndef inner(x):\n    return {factor} * x\n"
         (tmp_path / "lender.py").write_text(lender)
         for name in ("borrower", "lender"):
             sys.modules.pop(name, None)

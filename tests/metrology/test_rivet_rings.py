@@ -10,7 +10,8 @@ from metrology.rivets import RivetSettings, detect_ellipses
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.ring import fit_ring
 from metrology.rivets.shapes import log_shape, shapes_of
-from simulator.texture import TextureSpec, paint_texture
+from simulator.texture import paint_texture
+from simulator.texture_spec import TextureSpec
 
 LIMITS = np.array([7.0, 4.0, 60.0, 0.5, 0.5, 3.0])
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from metrology.errors import SpecError
+from simulator.clutter import Bead, Cleco, Patch, Speck
 from simulator.defects import Dent, Gouge, Hail
 from simulator.marks import Stencil, Stroke
 from simulator.pack import pack
 from simulator.pack_defects import no_dents
 from simulator.paint import coat, paint
-from simulator.panel import Bead, Cleco, Hole, Panel, Patch, Rivet, Seam, Skin, Slot, Speck, Surface
+from simulator.panel import Hole, Panel, Rivet, Seam, Skin, Slot, Surface
 from simulator.projection import Beamer, _spread, project_stripes, receive_stripes
 from simulator.random_clutter import Clutter
 from simulator.random_panel import random_panel

@@ -15,6 +15,7 @@ from storage.archive import Store
 from storage.panel_spec import PanelSpecification, load_panel_spec
 from storage.scene import Scene
 from tasks import steps
+from tasks.loaded import LoadedScene
 from tasks.settings import InspectionSettings
 from tests.support.results import small_key, small_result
 
@@ -41,9 +42,9 @@ def store(tmp_path: Path) -> Store:
 
 
 @pytest.fixture
-def loaded() -> steps.LoadedScene:
+def loaded() -> LoadedScene:
     scene = Scene(Path("scene"), small_key(), "rig-a", None, None, (1.0,), (), (), None, None)  # type: ignore[arg-type]
-    return steps.LoadedScene(scene, small_result().reconstruction.rig)
+    return LoadedScene(scene, small_result().reconstruction.rig)
 
 
 def keep(first: steps.Registration, store: Store) -> None:
@@ -53,7 +54,7 @@ def keep(first: steps.Registration, store: Store) -> None:
     assert store.panels.enrol(first.enrolled, small_key().panel, small_key().station, "first")
 
 
-def run(loaded: steps.LoadedScene, spec: PanelSpecification, store: Store) -> steps.Registration:
+def run(loaded: LoadedScene, spec: PanelSpecification, store: Store) -> steps.Registration:
     """Three heads in different places of a small scene."""
     result = small_result()
     rng = np.random.default_rng(3)
@@ -64,9 +65,7 @@ def run(loaded: steps.LoadedScene, spec: PanelSpecification, store: Store) -> st
     return steps.register({"rivet": rivets}, result.reconstruction, loaded, spec, store, InspectionSettings())
 
 
-def test_the_first_scan_of_a_station_enrols_it_and_the_next_is_recognised(
-    loaded: steps.LoadedScene, store: Store
-) -> None:
+def test_the_first_scan_of_a_station_enrols_it_and_the_next_is_recognised(loaded: LoadedScene, store: Store) -> None:
     first = run(loaded, load_panel_spec(), store)
     assert first.status == "enrolled"
     assert not store.root.exists()
@@ -79,9 +78,7 @@ def test_the_first_scan_of_a_station_enrols_it_and_the_next_is_recognised(
     store.check_usable()
 
 
-def test_the_pattern_of_the_panels_specification_comes_first(
-    loaded: steps.LoadedScene, store: Store, tmp_path: Path
-) -> None:
+def test_the_pattern_of_the_panels_specification_comes_first(loaded: LoadedScene, store: Store, tmp_path: Path) -> None:
     first = run(loaded, load_panel_spec(), store)
     keep(first, store)
     assert first.enrolled is not None
@@ -93,7 +90,7 @@ def test_the_pattern_of_the_panels_specification_comes_first(
     assert [r.rivet_id for r in run(loaded, other, store).rivets] == ["R1", "R2", "R3"]
 
 
-def test_a_scan_in_which_nothing_was_found_enrols_nothing(loaded: steps.LoadedScene, store: Store) -> None:
+def test_a_scan_in_which_nothing_was_found_enrols_nothing(loaded: LoadedScene, store: Store) -> None:
     result = small_result()
     registered = steps.register({}, result.reconstruction, loaded, load_panel_spec(), store, InspectionSettings())
     assert registered.rivets == ()
@@ -115,7 +112,7 @@ def contradicting(reconstruction: Reconstruction, camera: str, share: float) -> 
 
 
 @pytest.mark.parametrize("camera", ["left", "right"])
-def test_a_scan_with_contradictory_fringes_enrols_nothing(loaded: steps.LoadedScene, store: Store, camera: str) -> None:
+def test_a_scan_with_contradictory_fringes_enrols_nothing(loaded: LoadedScene, store: Store, camera: str) -> None:
     result = small_result()
     doubts = steps.doubts(contradicting(result.reconstruction, camera, 0.25), health("ok"))
     assert doubts == (f"25% of the {camera} camera's fringes contradict each other",)
@@ -150,7 +147,7 @@ def test_the_example_gives_way_to_what_is_in_force(store: Store, tmp_path: Path)
 
 
 def test_a_pattern_without_the_scans_rivets_leaves_their_names(
-    loaded: steps.LoadedScene, store: Store, tmp_path: Path
+    loaded: LoadedScene, store: Store, tmp_path: Path
 ) -> None:
     spec = load_panel_spec(given(tmp_path))
     far = PanelLayout(tuple(NominalRivet(f"N{k}", (7.0 * k, k * k * 3.0, 0.0)) for k in range(6)))

@@ -16,6 +16,7 @@ import pytest
 from metrology.errors import SceneError
 from storage.archive import Store
 from tasks import steps
+from tasks.scan_checks import contradiction_warnings
 from tasks.settings import InspectionSettings
 
 Edit = Callable[[Path, dict[str, Any]], None]
@@ -105,5 +106,5 @@ def test_a_sound_scan_is_neither_refused_nor_warned_of(shared: Path, tmp_path: P
     folder = faulty(shared, tmp_path / "scene", lambda *_: None)
     loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
     reconstruction = steps.reconstruct_scene(loaded, InspectionSettings())
-    assert steps.contradiction_warnings(reconstruction, InspectionSettings().checks) == []
+    assert contradiction_warnings(reconstruction, InspectionSettings().checks) == []
     assert np.isfinite(reconstruction.points).any()

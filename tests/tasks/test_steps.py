@@ -16,6 +16,8 @@ from metrology.rig_health import RigHealth
 from storage.panel_spec import load_panel_spec
 from storage.scene import Scene
 from tasks import rig_check, steps
+from tasks.loaded import LoadedScene
+from tasks.result import config_hash, overexposure_warnings, preview, versions
 from tasks.settings import InspectionSettings, SceneChecks, load_settings, settings_from
 from tests.support.results import small_key, small_result
 
@@ -44,7 +46,7 @@ def test_an_overexposed_scan_says_so(lost_share: float, said: bool) -> None:
     flags, points = reconstruction.flags.copy(), reconstruction.points.copy()
     flags[lost] |= np.uint16(PixelFlag.SATURATED)
     points[lost] = np.nan
-    warnings = steps._overexposure(replace(reconstruction, flags=flags, points=points), SceneChecks())
+    warnings = overexposure_warnings(replace(reconstruction, flags=flags, points=points), SceneChecks())
     assert len(warnings) == said
     # A share of some hundred pixels looked at, to four standard deviations.
     assert not said or 0.4 < int(warnings[0].split("%")[0].removeprefix("overexposed: ")) / 100 < 0.6
@@ -54,7 +56,7 @@ def test_a_rig_that_does_not_fit_is_refused(scene: Scene, monkeypatch: pytest.Mo
     health = RigHealth(0.06, 0.004, 200, 41.5, 400, "refused", "the decoded projector coordinate is off by 41.5 px")
     monkeypatch.setattr(steps.rig_health, "epipolar_health", lambda *_: health)
     result = small_result()
-    loaded = steps.LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
+    loaded = LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
     with pytest.raises(RigError, match=r"scene: found that rig 'rig-a' does not fit the scan \(the decoded"):
         steps.check_rig(loaded, result.reconstruction, [], InspectionSettings())
 
@@ -65,7 +67,7 @@ def test_frames_that_were_mixed_up_are_named_instead(scene: Scene, monkeypatch: 
     monkeypatch.setattr(steps.rig_health, "epipolar_health", lambda *_: health)
     monkeypatch.setattr(rig_check, "find_mix_up", lambda *_: found)
     result = small_result()
-    loaded = steps.LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
+    loaded = LoadedScene(replace(scene, code=FringeCode("x", 4, (7, 6, 5))), result.reconstruction.rig)
     with pytest.raises(SceneError, match=r"fit rig 'rig-a' when left and right are exchanged, expected scene\.json to"):
         steps.check_rig(loaded, result.reconstruction, [], InspectionSettings())
 
@@ -86,8 +88,8 @@ def test_hardly_any_counterparts_are_no_darkness(scene: Scene) -> None:
 
 def test_the_preview_keeps_grey_levels_where_they_fit() -> None:
     texture = np.linspace(0, 200, 64 * 48, dtype=np.float32).reshape(48, 64)
-    assert np.abs(steps.preview(texture) - texture).max() <= 0.5
-    bright = steps.preview(texture * 20)
+    assert np.abs(preview(texture) - texture).max() <= 0.5
+    bright = preview(texture * 20)
     assert bright.max() <= 255
     assert 240 <= np.sort(bright.ravel())[-10] <= 255
 
@@ -101,8 +103,8 @@ def test_settings_are_read_and_named(tmp_path: Path) -> None:
     assert settings.seams.lines.seed == 7
     assert settings.reconstruction == InspectionSettings().reconstruction
     spec = load_panel_spec()
-    assert steps.config_hash(settings, spec) != steps.config_hash(InspectionSettings(), spec)
-    assert steps.config_hash(load_settings(), spec) == steps.config_hash(InspectionSettings(), spec)
+    assert config_hash(settings, spec) != config_hash(InspectionSettings(), spec)
+    assert config_hash(load_settings(), spec) == config_hash(InspectionSettings(), spec)
 
 
 @pytest.mark.parametrize(
@@ -125,4 +127,4 @@ def test_wrong_settings_are_named(document: dict[str, object], said: str) -> Non
 
 
 def test_versions_name_what_computes() -> None:
-    assert {"flushline", "numpy", "numba", "opencv-python-headless", "python"} <= set(steps.versions())
+    assert {"flushline", "numpy", "numba", "opencv-python-headless", "python"} <= set(versions())

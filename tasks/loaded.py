@@ -1,0 +1,29 @@
+"""A scene that was looked at, with what it needs to be measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from metrology.rig import Rig
+from storage.archive.known import KnownScene
+from storage.cloud_scene import CloudScene
+from storage.scene import Scene
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A sound scene and the rig that measures it.
+
+    Attributes
+    ----------
+    scene : Scene or CloudScene
+    rig : Rig
+    warnings : tuple of str
+    known : KnownScene or None
+        What the store has of the scene already.
+    """
+
+    scene: Scene | CloudScene
+    rig: Rig
+    warnings: tuple[str, ...] = ()
+    known: KnownScene | None = None
