@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from metrology.results import PanelKey, Rivet
 from metrology.tolerance import judge
 from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
-from storage.archive.panel_changes import compared, runs_of_panel
+from storage.archive.panel_changes import PanelRun, compared, earlier_shifts, runs_of_panel
 from storage.archive.panel_history import frames_of
 from storage.panel_spec import load_panel_spec
 from storage.report import assembled_page, assembled_record
@@ -167,3 +168,16 @@ def test_runs_that_kept_no_name_of_their_frame_have_one(nights: Store) -> None:
     assert frames_of(older, first.manifest) == frames_of(older[::-1], first.manifest)
     assert frames_of(older, first.manifest) != frames_of([{**row, "x_mm": 0.0} for row in older], first.manifest)
     assert frames_of(second.rows("panel_stations"), {}) == frames_of(first.rows("panel_stations"), {})
+
+
+def test_runs_of_one_shift_count_once() -> None:
+    start = datetime(2026, 11, 20, 8, tzinfo=UTC)
+
+    def run(hours: float) -> PanelRun:
+        at = start + timedelta(hours=hours)
+        return PanelRun(str(hours), at, frozenset([str(hours)]), {}, lambda table: (), lambda name: b"")
+
+    runs = [run(hours) for hours in (0, 0.5, 1, 24, 24.5, 48, 48.5)]
+    assert [each.run_id for each in earlier_shifts(runs[-1], runs)] == ["1", "24.5"]
+    assert [each.run_id for each in earlier_shifts(runs[2], runs)] == ["0", "0.5"]
+    assert earlier_shifts(runs[0], runs) == []
