@@ -12,12 +12,12 @@ from dashboard.data import Archive
 from dashboard.panels import PanelView
 from metrology.assembly.rows import CHANGES
 from metrology.results import PanelKey
-from storage.archive.panel_changes import compared, runs_of_panel
+from storage.archive.panel_changes import compared, earlier_shifts, runs_of_panel
 from storage.archive.panel_rework import rework_sql
 
 
 def earlier_nights(archive: Archive, view: PanelView) -> dict[str, datetime]:
-    """Assemblies of other scans before the one that is shown, by their runs, the oldest first."""
+    """The last assembly of each shift before the one that is shown, by their runs, the oldest first."""
     return _earlier(archive, archive.generation, str(view.row.aircraft_serial), str(view.row.panel))
 
 
@@ -34,7 +34,8 @@ def rework_of(archive: Archive, view: PanelView) -> pd.DataFrame:
 
 @st.cache_data(max_entries=50, show_spinner=False)
 def _earlier(_archive: Archive, generation: str, aircraft: str, panel: str) -> dict[str, datetime]:
-    return {run.run_id: run.captured_at for run in runs_of_panel(_archive.store, PanelKey(aircraft, panel))[:-1]}
+    runs = runs_of_panel(_archive.store, PanelKey(aircraft, panel))
+    return {run.run_id: run.captured_at for run in earlier_shifts(runs[-1], runs)}
 
 
 @st.cache_data(max_entries=50, show_spinner=False)

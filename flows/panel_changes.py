@@ -13,7 +13,7 @@ from metrology.errors import StoreError
 from metrology.kinds import BY_NAME
 from metrology.results import PanelKey
 from storage.archive import Store
-from storage.archive.panel_changes import compared, runs_of_panel
+from storage.archive.panel_changes import compared, earlier_shifts, runs_of_panel
 from storage.archive.panel_rework import rework_sql
 from storage.archive.work import register
 from storage.documents import utc_text
@@ -37,7 +37,7 @@ def changes_lines(store: Store, key: PanelKey, since: str | None = None) -> list
     Parameters
     ----------
     since : str, optional
-        Begins the time of an earlier assembly; the last one where nothing is given.
+        Begins the time of an earlier assembly; by default the last one of an earlier shift.
     """
     runs = runs_of_panel(store, key)
     if not runs:
@@ -45,7 +45,8 @@ def changes_lines(store: Store, key: PanelKey, since: str | None = None) -> list
             f"{store.root}: found no assembled panel {key}, expected one: 'flushline panel assemble' first"
         )
     *earlier, now = runs
-    before = next((run for run in reversed(earlier) if utc_text(run.captured_at).startswith(since or "")), None)
+    found = [run for run in earlier if utc_text(run.captured_at).startswith(since)] if since else None
+    before = next(reversed(earlier_shifts(now, runs) if found is None else found), None)
     if before is None:
         known = ", ".join(utc_text(run.captured_at) for run in earlier) or "an earlier assembly: there is none"
         raise StoreError(f"{key}: found no assembly {f'of {since}' if since else 'before'}, expected one of {known}")

@@ -38,10 +38,13 @@ class Known:
         Of the assembly before, in whose frame it lies.
     places : (n, 4) ndarray
         s, x, y, z, mm; one row with s = 0 for what is no course.
+    side : float
+        Of a course: positive where side B lies to the left of it for a viewer outside; 0 where unknown.
     """
 
     part: int
     places: Array
+    side: float = 0.0
 
 
 Names = Mapping[str, Mapping[str, Known]]
@@ -71,7 +74,7 @@ class Former:
 
 def with_frames(assembly: Assembly, layout: PanelLayout, former: Former | None) -> Assembly:
     """The assembly in the frames of the one before where it is found again there, and each frame with a name."""
-    parts = []
+    parts: list[Part] = []
     for part in assembly.parts:
         if part.nominal:
             name = pattern_frame(layout)
@@ -86,7 +89,11 @@ def with_frames(assembly: Assembly, layout: PanelLayout, former: Former | None) 
         else:
             first = assembly.scans[part.numbers[0]].key.scene_id
             parts.append(replace(part, frame_id=own_frame(first, part.fit.placements[0])))
-    return replace(assembly, parts=tuple(parts))
+    lost = ["+".join(assembly.scans[k].key.station for k in part.numbers) for part in parts if part.former is None]
+    said = [
+        f"names and places of {', '.join(lost)} are not those of the assembly before: they were not found again in it"
+    ]
+    return replace(assembly, parts=tuple(parts), warnings=(*assembly.warnings, *(said if former and lost else ())))
 
 
 def _found_again(scans: Sequence[PanelScan], part: Part, former: Former) -> tuple[int, Placement] | None:
@@ -134,16 +141,17 @@ def _short(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def known_in(former: Former | None, kind: Kind, part: Part) -> dict[str, Array]:
-    """Places (n, 4) of what earlier assemblies named in the frame of a part."""
+def known_in(former: Former | None, kind: Kind, part: Part) -> dict[str, Known]:
+    """What earlier assemblies named in the frame of a part."""
     if former is None or part.former is None:
         return {}
-    return {name: each.places for name, each in former.names.get(kind.name, {}).items() if each.part == part.former}
+    return {name: each for name, each in former.names.get(kind.name, {}).items() if each.part == part.former}
 
 
-def known_course(places: Array, known: Mapping[str, Array]) -> str | None:
+def known_course(places: Array, known: Mapping[str, Known]) -> str | None:
     """The course of an earlier assembly along which places (n, 3) lie."""
-    for name, course in known.items():
+    for name, each in known.items():
+        course = each.places
         if len(course) < 2 or len(places) == 0:
             continue
         foot = foot_on(course[:, 1:], places)
@@ -153,14 +161,14 @@ def known_course(places: Array, known: Mapping[str, Array]) -> str | None:
     return None
 
 
-def known_single(feature: PanelFeature, known: Mapping[str, Array]) -> str | None:
+def known_single(feature: PanelFeature, known: Mapping[str, Known]) -> str | None:
     """What a feature that is no course was called before: nearer than half its size."""
     row = feature.row
     if row.x_panel_mm is None or not known:
         return None
     place = np.array([row.x_panel_mm, row.y_panel_mm, row.z_panel_mm], float)
     names = list(known)
-    away = np.linalg.norm(np.array([known[name][0, 1:] for name in names]) - place, axis=1)
+    away = np.linalg.norm(np.array([known[name].places[0, 1:] for name in names]) - place, axis=1)
     reach = max([LEAST_REACH_MM, *((getattr(row, column) or 0.0) / 2 for column in feature.kind.size)])
     nearest = int(away.argmin())
     return names[nearest] if away[nearest] < reach else None
@@ -195,5 +203,5 @@ def remembered(
         there = {feature.name for feature in features[kind.name]}
         for name, known in (former.names if former else {}).get(kind.name, {}).items():
             if name not in there and known.part in part_of:
-                kept.setdefault(kind.name, {})[name] = Known(part_of[known.part], known.places)
+                kept.setdefault(kind.name, {})[name] = replace(known, part=part_of[known.part])
     return kept

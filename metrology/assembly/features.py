@@ -90,6 +90,8 @@ class PanelFeature:
         Scans that found it, and those whose values are in it.
     seen_as : tuple of str
         What the scans that found it call it.
+    side : float
+        Of a course: positive where side B lies to the left of it for a viewer outside; 0 where unknown.
     place_u95_mm : float or None
     differences : tuple of Difference
     """
@@ -103,6 +105,7 @@ class PanelFeature:
     place_u95_mm: float | None
     differences: tuple[Difference, ...] = ()
     seen_as: tuple[str, ...] = ()
+    side: float = 0.0
 
     @property
     def name(self) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.assembly.assemble import Assembly, Part
-from metrology.assembly.carried import Former, known_course, known_in, known_single
+from metrology.assembly.carried import Former, Known, known_course, known_in, known_single
 from metrology.assembly.features import PanelFeature, Sighting, single_features
 from metrology.assembly.runs import Piece, course_features
 from metrology.assembly.scan import PanelScan
@@ -161,7 +161,7 @@ def _named(
     return named
 
 
-def _name_before(kind: Kind, group: Sequence[PanelFeature], known: Mapping[str, Array]) -> str | None:
+def _name_before(kind: Kind, group: Sequence[PanelFeature], known: Mapping[str, Known]) -> str | None:
     """What the assembly before called it."""
     if not kind.is_course:
         return known_single(group[0], known)

@@ -108,6 +108,14 @@ class PanelResult:
             for each in feature.differences
         ]
 
+    @property
+    def sides(self) -> dict[str, dict[str, float]]:
+        """Where side B of each course lies (see `PanelFeature.side`), by kind and name."""
+        return {
+            kind: {feature.name: feature.side for feature in features if feature.side}
+            for kind, features in self.features.items()
+        }
+
     def feature_columns(self, kind: str) -> Sequence[dict[str, Any]]:
         """What `panel_…` tables have of each feature beside the kind's own columns."""
         ids = [scan.key for scan in self.assembly.scans]

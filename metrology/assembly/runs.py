@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.assembly.carried import known_course
+from metrology.assembly.carried import Known, known_course
 from metrology.assembly.features import PanelFeature, Sighting, combined
 from metrology.kinds import Kind
 from metrology.panel import PanelLayout, course_length, foot_on
@@ -59,14 +59,14 @@ class Piece:
 
 def course_features(
     kind: Kind, part: int, pieces: Iterable[Piece], layout: PanelLayout | None = None,
-    known: Mapping[str, Array] | None = None,
+    known: Mapping[str, Known] | None = None,
 ) -> list[list[PanelFeature]]:  # fmt: skip
     """The courses of a kind, each once: its positions in order, with s from one end.
 
     Parameters
     ----------
-    known : mapping of str to (n, 4) ndarray, optional
-        s, x, y, z along courses of the assembly before: these go on as they were counted.
+    known : mapping of str to Known, optional
+        Courses of the assembly before: these go on as they were counted, with the same sides.
     """
     sound = [piece for piece in pieces if len(piece.placed) > 1]
     return [_one_course(kind, part, group, layout, known or {}) for group in _groups(sound)]
@@ -92,23 +92,27 @@ def _is_same(piece: Piece, other: Piece) -> bool:
 
 
 def _one_course(
-    kind: Kind, part: int, pieces: Sequence[Piece], layout: PanelLayout | None, known: Mapping[str, Array]
+    kind: Kind, part: int, pieces: Sequence[Piece], layout: PanelLayout | None, known: Mapping[str, Known]
 ) -> list[PanelFeature]:
     course = _course(pieces)
     guide = _nominal(pieces, layout)
-    if guide is None and (earlier := known_course(course, known)):
-        guide = known[earlier]
+    name = next((piece.name for piece in pieces if piece.listed), None)
+    before = known.get(name or known_course(course, known) or "")
+    if guide is None and before:
+        guide = before.places
     if _is_backwards(course, guide):
         course = course[::-1]
     start = 0.0 if guide is None else float(guide[0, 0] + foot_on(guide[:, 1:], course[:1]).s[0])
-    along = [_along(kind, piece, course, start) for piece in _with_same_sides(pieces, course)]
-    name = next((piece.name for piece in pieces if piece.listed), pieces[0].name)
+    sides = [_side(piece, course) for piece in pieces]
+    side = (before.side if before else 0.0) or sides[max(range(len(pieces)), key=lambda k: len(pieces[k].placed))]
+    turned = [_turned(p) if own * side < 0 else p for p, own in zip(pieces, sides, strict=True)]
+    along = [_along(kind, piece, course, start) for piece in turned]
     rows = []
     for s, sightings in _positions(kind, along):
         feature = combined(kind, part, sightings)
         label, position = kind.id_columns
-        changed: dict[str, Any] = {label: name, position: s}
-        rows.append(replace(feature, row=replace(feature.row, **changed)))
+        changed: dict[str, Any] = {label: name or pieces[0].name, position: s}
+        rows.append(replace(feature, row=replace(feature.row, **changed), side=float(np.sign(side))))
     return rows
 
 
@@ -152,13 +156,6 @@ def _nominal(pieces: Sequence[Piece], layout: PanelLayout | None) -> Array | Non
     names = {piece.name for piece in pieces if piece.listed}
     seams = [seam for seam in layout.seams if seam.seam_id in names] if layout else []
     return np.insert(np.array(seams[0].course, float), 0, 0.0, axis=1) if seams else None
-
-
-def _with_same_sides(pieces: Sequence[Piece], course: Array) -> list[Piece]:
-    """The pieces with sides A and B as the longest one has them."""
-    sides = [_side(piece, course) for piece in pieces]
-    wanted = sides[max(range(len(pieces)), key=lambda k: len(pieces[k].placed))]
-    return [piece if side * wanted >= 0 else _turned(piece) for piece, side in zip(pieces, sides, strict=True)]
 
 
 def _side(piece: Piece, course: Array) -> float:

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 _KNOTS_MM = 150.0  # half a field: what bends over less is deviation
 _DEGREE = 3
 _STIFF = 1e-4  # weight of third differences, so that empty places are bridged by quadrics
+_FEW = 1e-6
 _ROUNDS = 5
 _LEAST_MM = 0.005  # scatter of a skin's points
 
@@ -72,4 +73,5 @@ def _stiffness(nx: int, ny: int) -> Array:
     """(nx ny, nx ny) squares of the third differences along both directions, which quadrics have none of."""
     along = [np.diff(np.eye(n), 3, axis=0) for n in (nx, ny)]
     squares = [d.T @ d for d in along]
-    return np.asarray(np.kron(squares[0], np.eye(ny)) + np.kron(np.eye(nx), squares[1]))
+    a_little = _FEW * np.eye(nx * ny)  # few points tell no surface
+    return np.asarray(np.kron(squares[0], np.eye(ny)) + np.kron(np.eye(nx), squares[1]) + a_little)

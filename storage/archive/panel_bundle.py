@@ -33,8 +33,8 @@ from storage.documents import utc_text
 from storage.panel_picture import PICTURES, encoded
 
 Row = dict[str, Any]
-REMEMBERED = "remembered"
-"""Where a panel run's manifest has names of earlier assemblies."""
+REMEMBERED, SIDES = "remembered", "sides"
+"""Where a panel run's manifest has names of earlier assemblies, and the sides of courses."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,9 @@ class PanelDocument:
     warnings : tuple of str
     versions : mapping
     remembered : mapping
-        Names of earlier assemblies that nothing in this one has, by kind: part, and places.
+        Names of earlier assemblies that nothing in this one has, by kind: part, places and side.
+    sides : mapping
+        Where side B of each course lies, by kind and name.
     pictures : sequence of mapping
         What the manifest says of the stitched pictures.
     files : mapping of str to bytes
@@ -70,6 +72,7 @@ class PanelDocument:
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     remembered: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    sides: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     pictures: Sequence[Mapping[str, Any]] = ()
     files: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -99,6 +102,7 @@ def write_panel_bundle(
         "versions": document.versions,
         "warnings": list(document.warnings),
         REMEMBERED: document.remembered,
+        SIDES: document.sides,
         PICTURES: list(document.pictures),
         "rows": {name: table.num_rows for name, table in tables.items()},
     }
@@ -117,13 +121,16 @@ def panel_document(result: PanelResult, earlier: Sequence[Row] = ()) -> PanelDoc
     files, pictures = encoded(result.pictures)
     return PanelDocument(
         result.key, result.captured_at, _panel_rows(result, earlier), result.panel_spec, scenes, result.warnings,
-        result.versions, _remembered(result.remembered), pictures, files,
+        result.versions, _remembered(result.remembered), result.sides, pictures, files,
     )  # fmt: skip
 
 
 def _remembered(names: Names) -> dict[str, dict[str, Any]]:
     return {
-        kind: {name: {"part": known.part, "places": known.places.tolist()} for name, known in of_kind.items()}
+        kind: {
+            name: {"part": known.part, "places": known.places.tolist(), "side": known.side}
+            for name, known in of_kind.items()
+        }
         for kind, of_kind in names.items()
     }
 

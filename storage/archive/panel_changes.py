@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from metrology.assembly.changes import Snapshot, changes
 from metrology.assembly.rows import ChangeRow
 from metrology.assembly.verdict import findings
-from metrology.errors import StoreError
+from metrology.errors import SpecError, StoreError
 from metrology.kinds import KINDS
 from metrology.results import PanelKey
 from metrology.tolerance import judge
@@ -29,6 +31,7 @@ from storage.panel_picture import PICTURES, read_pictures
 from storage.panel_spec import PanelSpecification, panel_spec_from
 
 Row = Mapping[str, Any]
+_SHIFT = timedelta(hours=4)  # scans farther apart are of different shifts
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,20 @@ def runs_of_panel(store: Store, key: PanelKey) -> list[PanelRun]:
     return sorted(found.values(), key=lambda run: (run.captured_at, run.run_id))
 
 
+def earlier_shifts(now: PanelRun, runs: Sequence[PanelRun]) -> list[PanelRun]:
+    """Runs of other scans before one, the newest of each shift, oldest first.
+
+    Stations that are put together as they come leave many runs a shift, which differ by a station or two. Where all
+    runs are of one shift, these are all there is to compare with.
+    """
+    earlier = [run for run in runs if run.scenes != now.scenes and run.captured_at <= now.captured_at]
+    kept = [now]
+    for run in reversed(earlier):
+        if kept[-1].captured_at - run.captured_at >= _SHIFT:
+            kept.append(run)
+    return kept[:0:-1] or earlier
+
+
 def _stored(store: Store, run: Path) -> PanelRun:
     store.bundles.bring_file(run / MANIFEST)
     manifest = read_json(run / MANIFEST, StoreError)
@@ -91,20 +108,23 @@ def _stored(store: Store, run: Path) -> PanelRun:
 
 
 def with_changes(store: Store, document: PanelDocument) -> PanelDocument:
-    """A panel as it is to be stored, compared with the last assembly of other scans."""
+    """A panel as it is to be stored, compared with the last assembly of an earlier shift."""
     manifest = {"panel_spec": document.panel_spec, PICTURES: document.pictures}
     now = PanelRun(
         "", document.captured_at, frozenset(document.scenes), manifest, document.rows.__getitem__,
         document.files.__getitem__,
     )  # fmt: skip
-    earlier = [
-        run
-        for run in runs_of_panel(store, document.key)
-        if run.scenes != now.scenes and run.captured_at <= now.captured_at
-    ]
-    found = compared(now, earlier[-1]) if earlier else []
+    found = _compared_with_last(now, earlier_shifts(now, runs_of_panel(store, document.key)))
     key = key_columns(document.key, document.captured_at)
     return replace(document, rows={**document.rows, PANEL_CHANGES.name: [key | plain_row(row) for row in found]})
+
+
+def _compared_with_last(now: PanelRun, earlier: Sequence[PanelRun]) -> list[ChangeRow]:
+    """Against the last one that can be read: a damaged one is no reason not to store what is new."""
+    for before in reversed(earlier):
+        with contextlib.suppress(StoreError, SpecError, OSError, pa.ArrowException):
+            return compared(now, before)
+    return []
 
 
 def compared(now: PanelRun, before: PanelRun) -> list[ChangeRow]:

@@ -15,7 +15,7 @@ from metrology.kinds import KINDS
 from metrology.panel import Placement
 from metrology.results import PanelKey
 from storage.archive.bundle import MANIFEST
-from storage.archive.panel_bundle import REMEMBERED
+from storage.archive.panel_bundle import REMEMBERED, SIDES
 from storage.archive.panel_scans import scan_of
 from storage.archive.rows import result_of
 from storage.archive.schema import PANEL_OF_KIND, PANEL_STATIONS, PANELS
@@ -40,11 +40,15 @@ def former_assembly(store: Store, key: PanelKey) -> Former | None:
     stations = [row for row in rows(PANEL_STATIONS.name) if row["part"] is not None]
     scans = {row["station_scene_id"]: (row["station"], row["part"], placement_of(row)) for row in stations}
     names = {kind.name: _known(manifest.get(REMEMBERED, {}).get(kind.name, {})) for kind in KINDS}
+    sides = manifest.get(SIDES, {})
     for kind in KINDS:
         found = rows(PANEL_OF_KIND[kind.name].name)
         for part in {row["part"] for row in found}:
             features = [result_of(kind.row_type, row) for row in found if row["part"] == part]
-            names[kind.name] |= {name: Known(part, places) for name, places in places_of(kind, features).items()}
+            names[kind.name] |= {
+                name: Known(part, places, sides.get(kind.name, {}).get(name, 0.0))
+                for name, places in places_of(kind, features).items()
+            }
     return Former(scans, frames_of(stations, manifest), names, partial(scan_of, store))
 
 
@@ -69,4 +73,7 @@ def frames_of(stations: Sequence[Row], manifest: Row) -> dict[int, str]:
 
 
 def _known(document: Row) -> dict[str, Known]:
-    return {name: Known(int(each["part"]), np.array(each["places"], float)) for name, each in document.items()}
+    return {
+        name: Known(int(each["part"]), np.array(each["places"], float), float(each["side"]))
+        for name, each in document.items()
+    }

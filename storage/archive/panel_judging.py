@@ -14,7 +14,7 @@ from metrology.panel import PanelLayout
 from metrology.results import Feature, PanelKey
 from metrology.tolerance import as_measured, judge
 from storage.archive.bundle import MANIFEST
-from storage.archive.panel_bundle import REMEMBERED, PanelDocument, judgement_rows, key_columns
+from storage.archive.panel_bundle import REMEMBERED, SIDES, PanelDocument, judgement_rows, key_columns
 from storage.archive.rows import result_of
 from storage.archive.schema import (
     PANEL_COVERAGE,
@@ -68,7 +68,7 @@ def judged_again(store: Store, key: PanelKey, spec: PanelSpecification) -> Panel
     files = {name: (bundle / name).read_bytes() for name in listed_files(pictures)}
     return PanelDocument(
         key, panel["captured_at"], rows, spec.document, manifest["scenes"], tuple(warnings),
-        manifest["versions"], manifest.get(REMEMBERED, {}), pictures, files,
+        manifest["versions"], manifest.get(REMEMBERED, {}), manifest.get(SIDES, {}), pictures, files,
     )  # fmt: skip
 
 

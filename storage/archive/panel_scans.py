@@ -73,13 +73,14 @@ def newest_scans(store: Store, key: PanelKey, layout: PanelLayout | None = None)
 
 
 def scan_of(store: Store, scene_id: str) -> PanelScan | None:
-    """A scan as an assembly takes it; None where the archive has it no more."""
+    """A scan as an assembly takes it; None where the archive does not have it, or not whole, any more."""
     rows = store.query(
         "SELECT aircraft_serial, panel, station, captured_at, run_id FROM scenes WHERE scene_id = ?", [scene_id]
     ).to_pylist()
-    for row in rows:
-        run = row.pop("run_id")
-        return _loaded(store, SceneKey(**row), run, _features(store, [scene_id])[scene_id], None).scan
+    with contextlib.suppress(StoreError):
+        for row in rows:
+            run = row.pop("run_id")
+            return _loaded(store, SceneKey(**row), run, _features(store, [scene_id])[scene_id], None).scan
     return None
 
 

@@ -15,7 +15,7 @@ from metrology.assembly.panel import PanelFeatures, panel_features
 from metrology.assembly.scan import PanelScan
 from metrology.kinds import KINDS, RIVET, SEAM_STATION
 from metrology.limits import PanelSpec
-from metrology.panel import PanelLayout
+from metrology.panel import PanelLayout, Placement
 from tests.support.panel_scans import SimulatedPanel, facing
 
 Array = NDArray[np.float64]
@@ -23,10 +23,14 @@ STATIONS = (-220.0, 0.0, 220.0)
 NOTHING = PanelLayout()
 
 
-def night(panel: SimulatedPanel, seed: int, stations: Sequence[int] = (1, 2, 3)) -> list[PanelScan]:
+def night(
+    panel: SimulatedPanel, seed: int, stations: Sequence[int] = (1, 2, 3), upside_down: bool = False
+) -> list[PanelScan]:
     """Scans of stations, the rig wherever it came to stand."""
     rng = np.random.default_rng(seed)
-    scans = [panel.seen(facing(x, 0.0, rng)[0], f"S{k}", rng) for k, x in enumerate(STATIONS, 1)]
+    turn = np.diag([-1.0, -1.0, 1.0]) if upside_down else np.eye(3)
+    stands = [facing(x, 0.0, rng)[0] for x in STATIONS]
+    scans = [panel.seen(Placement(p.R @ turn, p.t), f"S{k}", rng) for k, p in enumerate(stands, 1)]
     dated = [replace(scan, key=replace(scan.key, captured_at=scan.key.captured_at.replace(day=seed))) for scan in scans]
     return [dated[k - 1] for k in stations]
 
@@ -39,7 +43,8 @@ def put_together(scans: list[PanelScan], former: Former | None = None) -> tuple[
     for kind in KINDS:
         for part in {feature.part for feature in features[kind.name]}:
             rows = [feature.row for feature in features[kind.name] if feature.part == part]
-            found = {name: Known(part, places) for name, places in places_of(kind, rows).items()}
+            sides = {feature.name: feature.side for feature in features[kind.name]}
+            found = {name: Known(part, places, sides[name]) for name, places in places_of(kind, rows).items()}
             names[kind.name] = {**names.get(kind.name, {}), **found}
     placed = {scans[k].key.scene_id: (scans[k].key.station, part, place) for part, k, place in assembly.placed()}
     frames = {number: part.frame_id for number, part in enumerate(assembly.parts, 1)}
@@ -83,6 +88,21 @@ def test_names_frame_and_positions_stay_when_all_is_scanned_again(
     assert max(abs(one[s] - two[s]) for s in shared) < 1.5  # positions are rounded to a millimetre
 
 
+def test_a_step_keeps_its_sign_when_the_rig_stood_upside_down(
+    panel: SimulatedPanel, first: tuple[Assembly, PanelFeatures, Former]
+) -> None:
+    scans = night(panel, 2, upside_down=True)
+    _, features, _ = put_together(scans, first[2])
+    one, two = (
+        {round(f.row.s_mm / 2): f.row.step_mm for f in found[SEAM_STATION.name]}  # type: ignore[attr-defined]
+        for found in (features, first[1])
+    )
+    shared = sorted(one.keys() & two.keys())
+    assert len(shared) > 100
+    steps = np.array([(one[s], two[s]) for s in shared])
+    assert np.corrcoef(steps.T)[0, 1] > 0.95
+
+
 def test_a_station_that_was_left_out_one_night_gets_its_names_back(
     panel: SimulatedPanel, first: tuple[Assembly, PanelFeatures, Former]
 ) -> None:
@@ -107,6 +127,7 @@ def test_another_panel_is_numbered_for_itself(first: tuple[Assembly, PanelFeatur
     assembly, _, _ = put_together(night(other, 2), first[2])
     assert not {part.frame_id for part in assembly.parts} & {part.frame_id for part in first[0].parts}
     assert all(part.former is None for part in assembly.parts)
+    assert assembly.warnings[-1].startswith("names and places of S1+S2+S3 are not those of the assembly before")
 
 
 def test_the_same_scans_lie_where_they_lay(

@@ -103,6 +103,11 @@ def test_pictures_come_back_as_they_were_stored(made: tuple[Assembly, Array, Sti
     assert (back.left_mm, back.top_mm, back.mm_per_px) == (picture.left_mm, picture.top_mm, picture.mm_per_px)
 
 
+def test_few_points_make_a_surface_through_them() -> None:
+    skin = SmoothSkin.fitted(np.array([[0.0, 0, 1], [10, 0, 1], [0, 10, 1]]))
+    assert skin.on_grid(np.array([0.0, 10]), np.array([0.0, 10]))[:, 0] == pytest.approx(1, abs=0.02)
+
+
 def test_a_smooth_skin_follows_a_cylinder_and_no_bump() -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform([-400, -100], [400, 100], (8000, 2))

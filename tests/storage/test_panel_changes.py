@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from metrology.results import PanelKey, Rivet
 from metrology.tolerance import judge
 from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
-from storage.archive.panel_changes import compared, runs_of_panel
+from storage.archive.panel_changes import PanelRun, compared, earlier_shifts, runs_of_panel
+from storage.archive.panel_history import frames_of
 from storage.panel_spec import load_panel_spec
 from storage.report import assembled_page, assembled_record
 from storage.review import Feature, ReviewLog
@@ -143,8 +145,39 @@ def test_work_on_a_head_is_cured_or_not_by_the_scan_after(
     ]  # fmt: skip
 
 
+def test_a_damaged_earlier_run_is_no_reason_not_to_store_the_next(nights: Store, tmp_path: Path) -> None:
+    store = copied(nights, tmp_path)
+    first = store.layout.scene_folder(KEY_OF_PANEL.panel_id) / runs_of_panel(store, KEY_OF_PANEL)[0].run_id
+    (first / "panel_rivets.parquet").chmod(0o644)
+    (first / "panel_rivets.parquet").write_bytes(b"no longer")
+    assert main(["panel", "assemble", "--store", str(store.root)]) == EXIT_DONE
+    assert store.query("SELECT count(*) FROM panel_changes").column(0)[0].as_py() == 0
+    assert store.query("SELECT count(*) FROM panel_rivets").column(0)[0].as_py() == 30
+
+
 def test_the_report_says_what_changed(nights: Store, tmp_path: Path) -> None:
     page = assembled_page(assembled_record(nights, KEY_OF_PANEL))
     _, _, changed = page.partition("<h2>Changes since 2026-11-20 08:03:00 UTC</h2>")
     assert changed.index("worse") < changed.index("gone") < changed.index("<h2>Stations</h2>")
     assert page.count("<image href=") == 1
+
+
+def test_runs_that_kept_no_name_of_their_frame_have_one(nights: Store) -> None:
+    first, second = runs_of_panel(nights, KEY_OF_PANEL)
+    older = [{**row, "frame_id": None} for row in first.rows("panel_stations")]
+    assert frames_of(older, first.manifest) == frames_of(older[::-1], first.manifest)
+    assert frames_of(older, first.manifest) != frames_of([{**row, "x_mm": 0.0} for row in older], first.manifest)
+    assert frames_of(second.rows("panel_stations"), {}) == frames_of(first.rows("panel_stations"), {})
+
+
+def test_runs_of_one_shift_count_once() -> None:
+    start = datetime(2026, 11, 20, 8, tzinfo=UTC)
+
+    def run(hours: float) -> PanelRun:
+        at = start + timedelta(hours=hours)
+        return PanelRun(str(hours), at, frozenset([str(hours)]), {}, lambda table: (), lambda name: b"")
+
+    runs = [run(hours) for hours in (0, 0.5, 1, 24, 24.5, 48, 48.5)]
+    assert [each.run_id for each in earlier_shifts(runs[-1], runs)] == ["1", "24.5"]
+    assert [each.run_id for each in earlier_shifts(runs[2], runs)] == ["0", "0.5"]
+    assert earlier_shifts(runs[0], runs) == []
