@@ -65,8 +65,9 @@ def drifts(archive: Archive, since: Since) -> pd.DataFrame:
     A line through the values of a place against the order of its scans has a slope that Student's t tells from none.
     So many places are watched that some always look like it: the level is shared among all of them (Bonferroni).
     """
-    condition, parameters = since.where()
-    watched = archive.rows(drift_sql(condition), parameters)
+    # Of all stations, whatever is new: so it is asked once for every choice of what counts as new.
+    scanned = new_scans(archive, since)[["panel", "station"]].drop_duplicates()
+    watched = archive.rows(drift_sql("true")).merge(scanned, on=["panel", "station"])
     watched = watched[watched["n"] >= _FEWEST]
     r, n = watched["r"].to_numpy(float), watched["n"].to_numpy(float)
     with np.errstate(divide="ignore", invalid="ignore"):

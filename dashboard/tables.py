@@ -103,7 +103,7 @@ def fitting(height: int, rows: int) -> int:
 
 
 def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], str] | None:
-    if name == "decision":
+    if name.startswith("decision"):
         return decision_words
     if name == "reason":
         return locale.reason
@@ -116,7 +116,9 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
     if pd.api.types.is_integer_dtype(values.dtype):
         return locale.whole
     if pd.api.types.is_float_dtype(values.dtype):
-        return partial(locale.number, digits=_digits(name), sign=name in _SIGNED)
+        return partial(
+            locale.number, digits=_digits(name), sign=name.removesuffix("_left").removesuffix("_right") in _SIGNED
+        )
     return None
 
 

@@ -141,7 +141,7 @@ def _flows(context: PageContext, _selection: Selection) -> None:
         runs,
         {
             "flow": _("Flow"),
-            "run": _("Run"),
+            "run": _("Flow run"),
             "state": _("State"),
             "started": _("Started"),
             "seconds": _("Seconds"),

@@ -244,7 +244,7 @@ def _files(context: PageContext, row: Any) -> None:
     locale = context.locale
     facts = {
         _("Scan"): row.scene_id,
-        _("Run"): row.run_id,
+        _("Inspection"): row.run_id,
         _("Inspected"): locale.time(row.processed_at),
         _("Operator"): row.operator,
         _("Rig"): _("{rig} (checksum {checksum})", rig=row.rig_id, checksum=row.rig_hash),
@@ -264,7 +264,7 @@ def _files(context: PageContext, row: Any) -> None:
         _("Folder"): row.bundle_path,
     }
     rows = [(name, "–" if _absent(value) else str(value)) for name, value in facts.items()]
-    st.dataframe(pd.DataFrame(rows, columns=[_("What"), _("Value")]), hide_index=True, height=430)
+    st.dataframe(pd.DataFrame(rows, columns=[_("What"), _("Value")]), hide_index=True, height=458)
     with st.container(horizontal=True):
         for label, path, kind in (
             (_("Cloud (Parquet)"), row.cloud_path, "application/octet-stream"),
