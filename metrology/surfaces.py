@@ -7,6 +7,7 @@ along the normal, σ_h = σ_z |(x/z, y/z, 1) · n|.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,15 +41,13 @@ class Frame:
     @classmethod
     def on_plane(cls, origin: ArrayLike, normal: ArrayLike) -> Frame:
         """Frame with the given normal, turned towards the rig; its first axis lies in the rig's x-z plane."""
-        n = np.asarray(normal, float)
-        n = n / np.linalg.norm(n)
-        if n[2] > 0:
-            n = -n
-        first = np.array([-n[2], 0.0, n[0]])
-        if np.linalg.norm(first) < 1e-6:
-            first = np.array([1.0, 0.0, 0.0])
-        first /= np.linalg.norm(first)
-        return cls(np.asarray(origin, float), np.stack([first, np.cross(n, first), n]))
+        x, y, z = (float(component) for component in np.asarray(normal))
+        length = math.sqrt(x * x + y * y + z * z) * (-1.0 if z > 0 else 1.0)
+        x, y, z = x / length, y / length, z / length
+        across = math.hypot(x, z)
+        u, w = (-z / across, x / across) if across > 1e-6 else (1.0, 0.0)
+        # first = (u, 0, w), second = normal × first
+        return cls(np.asarray(origin, float), np.array([[u, 0.0, w], [y * w, z * u - x * w, -y * u], [x, y, z]]))
 
     def local(self, points: ArrayLike) -> Array:
         """(…, 3) x, y, h of points."""

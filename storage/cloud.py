@@ -76,13 +76,13 @@ def encode_cloud(reconstruction: Reconstruction) -> bytes:
         metadata={"width_px": str(width), "height_px": str(height), "rounding": "1 µm"},
     )
     # Differences from pixel to pixel, packed into as many bits as they need, leave nothing for zstd to find.
-    packed = ("u_px", "x_um", "y_um", "z_um", "sigma_z_nm")
+    packed = ("x_um", "y_um", "z_um", "sigma_z_nm")
     content = pa.BufferOutputStream()
     pq.write_table(
         pa.table(columns, schema),
         content,
         compression={name: "NONE" if name in packed else "ZSTD" for name in columns},
-        use_dictionary=["v_px"],
+        use_dictionary=False,
         write_statistics=False,
         column_encoding=dict.fromkeys(packed, "DELTA_BINARY_PACKED"),
     )

@@ -128,13 +128,13 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
         grain = _OF_GRAIN * float(np.median([s.ring.fit.noise for s in standing]))
         shown = [replace(s, grain=grain) for s in shown]
     certain = [s for s in shown if s.clear and s.stands]
-    rings = [s.ring for s in certain]
+    placed = [(s, _Place.of(s.ring, reconstruction)) for s in certain]
     found = []
     for s in shown:
         if s.stands:
-            found.append(Confirmed(s.ring, _chip(s, certain, reconstruction)))
+            found.append(Confirmed(s.ring, _chip(s, placed, reconstruction)))
         elif s.clear:
-            found.append(Confirmed(s.ring, _doubt(s.ring, rings, reconstruction)))
+            found.append(Confirmed(s.ring, _doubt(s.ring, placed, reconstruction)))
         elif not s.stroke:
             share = f"{s.ring.fit.coverage:.0%}"
             found.append(Confirmed(s.ring, f"its rim shows in {share} of all directions, and the surface has no step"))
@@ -161,16 +161,17 @@ def _bears_out(relief: HeadRelief, step: RimStep | None, settings: RivetSettings
     return on_skin and relief.significance >= settings.sure_relief and steps_up(relief.step_mm, step)
 
 
-def _doubt(ring: Ring, certain: Sequence[Ring], reconstruction: Reconstruction) -> str | None:
+def _doubt(ring: Ring, placed: Sequence[tuple[_Shown, _Place | None]], reconstruction: Reconstruction) -> str | None:
     """What speaks against a clear line at which the surface neither steps nor tilts."""
     if not _right_camera_shows(ring, reconstruction):
         return "a ring that one camera shows and the other does not"
+    certain = [s.ring for s, _ in placed]
     if len(certain) < _FEW:
         return None
     if _painted(ring, certain):
         return "a ring without a step, whose line is unlike the gaps of the fasteners here"
     place = _Place.of(ring, reconstruction)
-    others = [p for p in (_Place.of(other, reconstruction) for other in certain) if p is not None]
+    others = [p for _, p in placed if p is not None]
     if place is None or len(others) < _FEW or _usual_size(place, others) or _in_row(place, others):
         return None
     if _like_others(ring, place, certain, others):
@@ -178,15 +179,13 @@ def _doubt(ring: Ring, certain: Sequence[Ring], reconstruction: Reconstruction) 
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
 
 
-def _chip(one: _Shown, certain: Sequence[_Shown], reconstruction: Reconstruction) -> str | None:
+def _chip(one: _Shown, certain: Sequence[tuple[_Shown, _Place | None]], reconstruction: Reconstruction) -> str | None:
     """What speaks against a ring at which the surface steps: a chip or a drop lies on the skin and has an edge, too.
 
     It stands higher than the fasteners or leans more, is smaller or has a blurred border, and is in no row of theirs.
     """
-    others = [s for s in certain if s is not one]
-    placed = [(s, p) for s in others if (p := _Place.of(s.ring, reconstruction)) is not None]
-    place = _Place.of(one.ring, reconstruction)
-    if place is None or len(placed) < _FEW or one.relief.step_mm < 0:
+    placed = [(s, p) for s, p in certain if s is not one and p is not None]
+    if len(placed) < _FEW or one.relief.step_mm < 0 or (place := _Place.of(one.ring, reconstruction)) is None:
         return None
     prouder = one.relief.step_mm > _PROUDER * max(s.relief.step_mm for s, _ in placed)
     leaning = _slope(one, place) > _LEANING * max(_slope(s, p) for s, p in placed)

@@ -9,7 +9,7 @@ from metrology.cloud import Reconstruction
 from metrology.rig import Device
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.shapes import CircleShapes, log_shape
-from metrology.robust import MAD
+from metrology.robust import MAD, median
 from metrology.surfaces import Frame, monomials
 
 Array = NDArray[np.float64]
@@ -20,13 +20,13 @@ _CELL_TOLERANCE = 0.05  # in elongation and log size, between a cell and its sur
 _MIN_SHARE = 0.3  # of a cell's pixels must have points for a normal
 
 
-def image_scale(camera: Device, point: Array, normal: Array) -> Array:
-    """(2, 2) Jacobian: pixels per mm along two directions on a surface, about a point."""
-    frame = Frame.on_plane(point, normal)
+def image_scales(camera: Device, points: Array, normals: Array) -> Array:
+    """(n, 2, 2) Jacobians: pixels per mm along two directions on a surface, about each of the points (n, 3)."""
+    axes = np.array([Frame.on_plane(point, normal).axes for point, normal in zip(points, normals, strict=True)])
     step = 1e-2
-    ends = np.stack([point, point + step * frame.axes[0], point + step * frame.axes[1]])
+    ends = points[:, None] + step * np.concatenate([np.zeros((len(points), 1, 3)), axes[:, :2]], axis=1)
     pixels = camera.project(ends)
-    return np.asarray(((pixels[1:] - pixels[0]) / step).T)
+    return np.asarray(((pixels[:, 1:] - pixels[:, :1]) / step).transpose(0, 2, 1))
 
 
 def circle_shapes(reconstruction: Reconstruction, cell: int = 160) -> tuple[CircleShapes, Array]:
@@ -48,6 +48,7 @@ def circle_shapes(reconstruction: Reconstruction, cell: int = 160) -> tuple[Circ
     height, width = reconstruction.points.shape[:2]
     rows, columns = -(-height // cell), -(-width // cell)
     seen = np.full((rows, columns, 3), np.nan)
+    cells, levels, slopes = [], [], []
     for i in range(rows):
         for j in range(columns):
             # Half a cell more all round: one cell may hold little but a head.
@@ -57,18 +58,20 @@ def circle_shapes(reconstruction: Reconstruction, cell: int = 160) -> tuple[Circ
             steps = [a[part][np.isfinite(a[part])] for a in (along_u, along_v)]
             if min(len(known), len(steps[0]), len(steps[1])) < _MIN_SHARE * (cell // _STRIDE) ** 2:
                 continue
-            # 1/z = (n · ray) / (n · point): the normal up to its length.
-            focal = np.array([camera.K[0, 0], camera.K[1, 1]])
-            slope = focal * [np.median(s) for s in steps] / (_STEP * _STRIDE)
-            ray = camera.normalized(np.array([(j + 0.5) * cell, (i + 0.5) * cell]))
-            level = float(np.median(known))
-            normal = np.array([slope[0], slope[1], level - slope @ ray])
-            jacobian = image_scale(camera, np.array([ray[0], ray[1], 1.0]) / level, normal)
-            shape = ellipse_of_shape(0.0, 0.0, jacobian @ jacobian.T)
-            seen[i, j, :2] = log_shape(shape)
-            seen[i, j, 2] = np.log(shape.radius)
-    if not np.isfinite(seen).any():
+            cells.append((i, j))
+            levels.append(median(known))
+            slopes.append([median(s) for s in steps])
+    if not cells:
         return CircleShapes.round(), np.full((1, 1), np.nan)
+    # 1/z = (n · ray) / (n · point): the normal up to its length.
+    level = np.array(levels)[:, None]
+    slope = np.diag(camera.K)[:2] * slopes / (_STEP * _STRIDE)
+    rays = camera.normalized((np.array(cells, float)[:, ::-1] + 0.5) * cell)
+    normals = np.hstack([slope, level - np.sum(slope * rays, axis=1, keepdims=True)])
+    jacobians = image_scales(camera, np.hstack([rays, np.ones_like(level)]) / level, normals)
+    for (i, j), jacobian in zip(cells, jacobians, strict=True):
+        shape = ellipse_of_shape(0.0, 0.0, jacobian @ jacobian.T)
+        seen[i, j] = *log_shape(shape), np.log(shape.radius)
     smooth = _smooth_over_cells(seen)
     agrees = np.linalg.norm(seen - smooth, axis=-1, keepdims=True) < _CELL_TOLERANCE
     values = np.where(agrees, seen, smooth)

@@ -14,7 +14,7 @@ from metrology.cloud import DecodedView, Reconstruction
 from metrology.results import RivetDetection
 from metrology.rig import Device, Rig
 from metrology.rivets.ellipse import ellipse_of_shape
-from metrology.rivets.geometry import image_scale
+from metrology.rivets.geometry import image_scales
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -152,7 +152,7 @@ def truth_detection(reconstruction: Reconstruction, skin: Skin, head: Head) -> R
     level = float(skin.height(np.array(head.x), np.array(head.y)))
     centre = frame.rig([head.x, head.y, level + head.height / 2])
     normal = np.array([head.x / skin.radius_x, head.y / skin.radius_y, 1.0]) @ frame.axes
-    jacobian = image_scale(reconstruction.rig.left, centre, normal)
+    [jacobian] = image_scales(reconstruction.rig.left, centre[None], normal[None])
     pixel = reconstruction.rig.left.project(centre)
     e = ellipse_of_shape(pixel[0], pixel[1], (head.diameter / 2) ** 2 * jacobian @ jacobian.T)
     return RivetDetection(e.u, e.v, 2 * e.a, 2 * e.b, float(np.degrees(e.angle)), 1.0, rim_sigma_px=0.75)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from metrology.jit import kernel
 
 Array = NDArray[np.float64]
 
@@ -36,7 +39,9 @@ def straight_pieces(chain: Array, tolerance: float, min_length: float, generator
         part = waiting.pop()
         if len(part) < 4 or np.linalg.norm(part[-1, :2] - part[0, :2]) < 0.6 * min_length:
             continue
-        first, end = _longest_run(part[:, :2], tolerance, generator)
+        # Both ends first, which settles the matter for what is straight already.
+        pairs = np.concatenate([[[0, len(part) - 1]], generator.integers(0, len(part), (_TRIALS, 2))])
+        first, end = _longest_run(part[:, :2], pairs, tolerance)
         if np.linalg.norm(part[end - 1, :2] - part[first, :2]) < min_length:
             continue
         pieces.append(part[first:end])
@@ -44,30 +49,24 @@ def straight_pieces(chain: Array, tolerance: float, min_length: float, generator
     return pieces
 
 
-def _longest_run(points: Array, tolerance: float, generator: np.random.Generator) -> tuple[int, int]:
-    """First and end index of the longest run of neighbours within the tolerance of a line through two of the points.
-
-    The first sample is both ends, which settles the matter for what is straight already.
-    """
-    n = len(points)
-    pairs = np.concatenate([[[0, n - 1]], generator.integers(0, n, (_TRIALS, 2))])
-    best = (0, 0)
-    for sampled in (pairs[:1], pairs[1:]):
-        along = points[sampled[:, 1]] - points[sampled[:, 0]]
-        length = np.linalg.norm(along, axis=1, keepdims=True)
-        away = points[None] - points[sampled[:, 0], None]
-        # Two samples in one place make no line: no point lies on it.
-        outside = np.abs(away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]) > tolerance * length
-        outside |= length == 0
-        for row in outside:
-            borders = np.flatnonzero(np.concatenate([[True], row, [True]]))
-            runs = np.diff(borders) - 1
-            k = int(runs.argmax())
-            if runs[k] > best[1] - best[0]:
-                best = (int(borders[k]), int(borders[k] + runs[k]))
-        if best == (0, n):
+@kernel
+def _longest_run(points, pairs, tolerance):  # type: ignore[no-untyped-def]
+    """First and end index of the longest run of neighbours within the tolerance of a line through one of the pairs."""
+    first, end = 0, 0
+    for k in range(pairs.shape[0]):
+        u, v = points[pairs[k, 0], 0], points[pairs[k, 0], 1]
+        along_u, along_v = points[pairs[k, 1], 0] - u, points[pairs[k, 1], 1] - v
+        most = tolerance * math.sqrt(along_u * along_u + along_v * along_v)
+        begin = 0
+        for i in range(points.shape[0]):
+            # Two samples in one place make no line: no point lies on it.
+            if not abs((points[i, 1] - v) * along_u - (points[i, 0] - u) * along_v) <= most or most == 0.0:
+                begin = i + 1
+            elif i + 1 - begin > end - first:
+                first, end = begin, i + 1
+        if end - first == points.shape[0]:
             break
-    return best
+    return first, end
 
 
 @dataclass(frozen=True)
@@ -142,10 +141,14 @@ def _best_joint(
 
 def _end(line: Array, end: int) -> _End:
     points = line[:, :2] if end == 1 else line[::-1, :2]
-    near = points[np.linalg.norm(points - points[-1], axis=1) < _END_PX]
+    near = points[np.hypot(*(points - points[-1]).T) < _END_PX]
     middle = near.mean(axis=0)
-    _, _, axes = np.linalg.svd(near - middle, full_matrices=False)
-    direction = axes[0] if (near[-1] - near[0]) @ axes[0] >= 0 else -axes[0]
+    u, v = (near - middle).T
+    # Of the largest scatter.
+    angle = 0.5 * math.atan2(2.0 * float(u @ v), float(u @ u - v @ v))
+    direction = np.array([math.cos(angle), math.sin(angle)])
+    if (near[-1] - near[0]) @ direction < 0:
+        direction = -direction
     place = middle + ((points[-1] - middle) @ direction) * direction
     return _End(place, direction, float(np.linalg.norm(points[-1] - points[0])))
 

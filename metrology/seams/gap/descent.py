@@ -107,7 +107,7 @@ def _look(pictures, sealed, tables, borders, shared, normals, gradients, levels,
     x, grey, variance, sizes, places, tilts, eyes, lamps, px_mm, precisions, courses = pictures
     normal_equations(
         x, grey, variance, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
-        courses, True, normals, gradients, levels, costs,
+        courses, normals, gradients, levels, costs,
     )  # fmt: skip
 
 
@@ -126,7 +126,10 @@ def _cost(costs, limit, prior, shared):  # type: ignore[no-untyped-def]
 
 @kernel
 def _step(normals, gradients, costs, limit, prior, damping, borders, shared, borders_there, shared_there):  # type: ignore[no-untyped-def]
-    """One step of the borders and of what is free of the shape; none where the equations do not tell it."""
+    """One step of the borders and of what is free of the shape; none where the equations do not tell it.
+
+    Stations whose costs are not usual weigh less.
+    """
     mean, precision, free = prior[0], prior[1], prior[2]
     stations, size = costs.size, free.size
     system, right = np.empty((size, size)), np.zeros(size)
@@ -136,11 +139,15 @@ def _step(normals, gradients, costs, limit, prior, damping, borders, shared, bor
             right[i] += precision[free[i], j] * (mean[j] - shared[j])
         for j in range(i + 1):
             system[i, j] = precision[free[i], free[j]]
-            for s in range(stations):
-                system[i, j] += _trust(costs[s], limit) * normals[s, 2 + free[i], 2 + free[j]]
+    for s in range(stations):
+        trust = min(1.0, limit / max(costs[s], 1e-12))
+        for i in range(size):
+            for j in range(i + 1):
+                system[i, j] += trust * normals[s, 2 + free[i], 2 + free[j]]
+    for i in range(size):
         system[i, i] *= 1.0 + damping
     for s in range(stations):
-        trust = _trust(costs[s], limit)
+        trust = min(1.0, limit / max(costs[s], 1e-12))
         aa, ab, bb = _inverse(normals[s], damping)
         alone[s, 0] = aa * gradients[s, 0] + ab * gradients[s, 1]
         alone[s, 1] = ab * gradients[s, 0] + bb * gradients[s, 1]
@@ -165,12 +172,6 @@ def _step(normals, gradients, costs, limit, prior, damping, borders, shared, bor
             b += normals[s, 1, 2 + free[i]] * right[i]
         borders_there[s, 0] += min(max(alone[s, 0] - aa * a - ab * b, -STRIDE_MM), STRIDE_MM)
         borders_there[s, 1] += min(max(alone[s, 1] - ab * a - bb * b, -STRIDE_MM), STRIDE_MM)
-
-
-@kernel
-def _trust(cost, limit):  # type: ignore[no-untyped-def]
-    """A station's weight: one where its cost is usual."""
-    return min(1.0, limit / max(cost, 1e-12))
 
 
 @kernel

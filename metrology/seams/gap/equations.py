@@ -47,16 +47,17 @@ _LEAN_CHANGE, _SPILL, _LENS, _SHAPE = range(OUTLINE, OUTLINE + 4)
 @kernel
 def normal_equations(  # type: ignore[no-untyped-def]
     samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
-    courses, with_shape, normals, gradients, levels, costs,
+    courses, normals, gradients, levels, costs,
 ):  # fmt: skip
     """Least squares of many stations with each one's own levels eliminated.
 
-    Of each station's parameters θ (its two borders; then, `with_shape`, what is shared: both chamfers, depth, lean, the
-    chamfers' slope, the lean's change along the seam, spill, each camera's lens, and each camera's usual levels) JᵀWJ
-    goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones, plus their `courses`,
-    with the `precisions`.
+    Of each station's parameters θ (its two borders; then, where there is room, what is shared: both chamfers, depth,
+    lean, the chamfers' slope, the lean's change along the seam, spill, each camera's lens, and each camera's usual
+    levels) JᵀWJ goes into `normals`, JᵀWr into `gradients`. A station's levels keep to the usual ones, plus their
+    `courses`, with the `precisions`.
     """
     stations, cameras, most = samples.shape
+    with_shape = normals.shape[1] > 2
     columns, changes = (_SHAPE, OUTLINE) if with_shape else (2, 2)
     outline, rows = np.empty(OUTLINE), np.arange(columns)
     # The outline as it is comes last, after those with one parameter changed.

@@ -190,12 +190,11 @@ def fit_borders_from(profiles: Profiles, borders: Array, shape: State) -> State:
 def _state_at(profiles: Profiles, borders: Array, shared: Array, known: Prior, tables: Array | None = None) -> State:
     """What the pictures say there: of borders and shape; with `tables` of the known blur, of the borders alone."""
     state = _empty_state(profiles, borders, shared, known, 2 + (len(shared) if tables is None else 0))
-    with_shape = tables is None
     x, grey, variance, sizes, places, tilts, eyes, lamps, px_mm, precisions, along = _pictures(profiles)
     normal_equations(
         x, grey, variance, sizes, places, state.borders, shared,
         tables_of(profiles.normals, shared) if tables is None else tables, known.floor.sealed, tilts, eyes, lamps,
-        px_mm, precisions, along, with_shape, state.normals, state.gradients, state.levels, state.costs,
+        px_mm, precisions, along, state.normals, state.gradients, state.levels, state.costs,
     )  # fmt: skip
     return state
 
