@@ -14,7 +14,7 @@ from metrology.fringe import FringeCode
 from metrology.gray import continue_orders, stripe_positions
 from metrology.gray_edges import decode_stripes
 from metrology.jit import over_rows
-from metrology.noise import NoiseModel, estimate_noise
+from metrology.noise import NoiseModel, estimate_noise, stripe_noise
 from metrology.phase.exposures import StepTables
 from metrology.phase.rows import decode_rows
 from metrology.phase.unwrapping import COARSE, HETERODYNE, LATTICE
@@ -26,6 +26,14 @@ from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice
 # way to the next lattice point's cell; beyond the second share the order is a toss-up whatever the noise.
 _NOISE_EXPLAINS = 1e-6
 _SHARES_OF_CELL = (0.5, 0.9)
+
+
+def _noise(frames: NDArray, fringes: NDArray, code: FringeCode, saturation: float) -> NoiseModel:
+    """By the fringes' residuals; by Gray code where three steps of one count leave none."""
+    if code.gray is None or code.step_counts != (3,):
+        return estimate_noise(fringes, code, saturation)
+    levels = frames[0, code.fringe_frames :].astype(np.float32)
+    return stripe_noise(levels, levels[:2] - fringes[0].mean(0, dtype=np.float32), code.gray, saturation)
 
 
 def decode_phase(
@@ -55,7 +63,7 @@ def decode_phase(
     _check(frames, code, exposures)
     fringes = np.ascontiguousarray(frames[:, : code.fringe_frames])
     saturation = settings.saturation or saturation_level(frames, fringes)
-    noise = noise or estimate_noise(fringes, code, saturation)
+    noise = noise or _noise(frames, fringes, code, saturation)
     if not code.counts:
         return decode_stripes(frames, code, projector_size, exposures, settings, saturation)
     height, width = frames.shape[2:]

@@ -17,7 +17,7 @@ from metrology.cloud import DecodedView, PixelFlag
 from metrology.fringe import FringeCode, GrayCode
 from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
 from metrology.jit import kernel
-from metrology.noise import NoiseModel
+from metrology.noise import stripe_noise
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.robust import MAD
 
@@ -26,10 +26,7 @@ Float32 = NDArray[np.float32]
 _LIT_SIGMAS = 5.0  # of a sample's noise: what half the difference of dark and bright must exceed
 _EVEN = 12.0**-0.5  # standard deviation of an even spread over one stripe
 _LEAST_SIGMA_PX = 0.01
-_USUAL = 4.0  # standard deviations
-_LEAST_SAMPLE = 500  # pixels that tell the noise
 _CLEAR = 0.98  # of full light: pixels nearer to it are no farther from the border than that
-_CHI2_ONE_MEDIAN = 0.4549  # median of the square of a standard normal value
 
 
 def decode_stripes(
@@ -58,7 +55,7 @@ def decode_stripes(
     assert code.gray is not None
     levels, clipped = _one_exposure(frames, exposures, saturation)
     swing, texture, half = _swings(levels, code.gray)
-    noise = _noise(levels, swing, code.gray, saturation)
+    noise = stripe_noise(levels, swing[:2], code.gray, saturation)
     sigma = noise.sigma(np.maximum(texture, 0)).astype(np.float32)
     dark = half < np.maximum(settings.min_modulation * saturation / 254, _LIT_SIGMAS * sigma)
     flags = np.where(dark, int(PixelFlag.LOW_MODULATION), 0).astype(np.uint16)
@@ -95,28 +92,6 @@ def _swings(levels: Float32, gray: GrayCode) -> tuple[Float32, Float32, Float32]
     high, low = (levels[-2], levels[-1]) if gray.references else (stripes.max(0), stripes.min(0))
     middle = 0.5 * (high + low)
     return stripes - middle, middle, 0.5 * (high - low)
-
-
-def _noise(levels: Float32, swing: Float32, gray: GrayCode, saturation: float) -> NoiseModel:
-    """Read noise from what says the same twice; a usual value where too little does.
-
-    Frame and inverse add up to the same for every bit; without inverses pixels are as bright in the frames of two
-    coarse bits where both are bright or both dark.
-    """
-    if gray.bits < 2:
-        return NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
-    thin = np.s_[:, ::4, ::4]
-    if gray.inverse:  # the two finest bits are alike in all but noise
-        total = levels[0 : gray.stripe_frames : 2][thin] + levels[1 : gray.stripe_frames : 2][thin]
-        squares, frames = (total[-1] - total[-2]) ** 2, 4
-    else:
-        state = swing[:2][thin] > 0
-        squares, frames = ((levels[0:2][thin][1] - levels[0:2][thin][0]) ** 2)[state[0] == state[1]], 2
-    if squares.size < _LEAST_SAMPLE:
-        return NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
-    # Grey levels are whole: of the squares that a normal scatter may have, the mean says more than the median.
-    usual = squares[squares <= _USUAL**2 * max(float(np.median(squares)) / _CHI2_ONE_MEDIAN, 1.0)]
-    return NoiseModel(max(float(usual.mean()) / frames, 1 / 12), 0.0)
 
 
 def _numbers(swing: Float32, stripes: int) -> NDArray[np.int64]:

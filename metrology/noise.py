@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from metrology.fringe import FringeCode
+from metrology.fringe import FringeCode, GrayCode
 from metrology.jit import kernel
 
 _BINS = 64
@@ -28,6 +28,9 @@ _QUANTISATION = 1.0 / 12.0
 # … but where the light's own noise is below half a level, rounding hides it rather than adds to it.
 _ROUNDING_ADDS_NOISE = 0.25
 _REWEIGHTINGS = 5
+_THIN = 4  # every so many rows and columns of Gray code are looked at
+_STRIPE_SIGMAS = 4.0
+_CHI2_ONE_MEDIAN = 0.4549  # median of the square of a standard normal value
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,53 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
     if fine.any():
         return _fit_line(level[fine], variance[fine], counts[used][fine])
     return NoiseModel(_ROUNDING_ADDS_NOISE, 0.0)
+
+
+def stripe_noise(levels: NDArray, swing: NDArray, gray: GrayCode, saturation: float) -> NoiseModel:
+    """Noise of one camera from Gray-code frames, by what says the same twice; a usual value where too little does.
+
+    Frame and inverse add up to the same for every bit; without inverses pixels are as bright in the frames of the two
+    coarsest bits where both are bright or both dark.
+
+    Parameters
+    ----------
+    levels : (frames, h, w) array of float32
+        Gray code from the coarsest bit on, without what comes before.
+    swing : (2 or more, h, w) array
+        Levels of the coarsest bits less that between dark and bright; of frames without inverses.
+    gray : GrayCode
+    saturation : float
+    """
+    thin = np.s_[:, ::_THIN, ::_THIN]
+    usual = NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)
+    if gray.bits < 2:
+        return usual
+    if gray.inverse:  # the two finest bits are alike in all but noise
+        pairs = levels[0 : gray.stripe_frames : 2][thin] + levels[1 : gray.stripe_frames : 2][thin]
+        found = [_differing(pairs[-1] - pairs[-2], 4)]
+        return usual if found[0] is None else NoiseModel(max(found[0], _QUANTISATION), 0.0)
+    first, second, state = levels[0][thin[1:]], levels[1][thin[1:]], swing[:2][thin] > 0
+    groups = [(state[0] == side) & (state[1] == side) & (first < saturation) for side in (False, True)]
+    found = [_differing((second - first)[group], 2) for group in groups]
+    dark, bright = found
+    if dark is None or bright is None:
+        told = dark or bright
+        return usual if told is None else NoiseModel(max(told, _QUANTISATION), 0.0)
+    at = [float(np.median(first[group])) for group in groups]
+    gain = max(0.0, (bright - dark) / max(at[1] - at[0], 1.0))
+    return NoiseModel(max((dark if gain else 0.5 * (dark + bright)) - gain * at[0], _QUANTISATION), gain)
+
+
+def _differing(differences: NDArray, samples: int) -> float | None:
+    """Variance of one sample from differences that hold so many; None where there are too few.
+
+    Grey levels are whole: of the squares that a normal scatter may have, the mean says more than the median.
+    """
+    squares = np.square(differences.ravel().astype(float))
+    if squares.size < _LEAST_PIXELS_PER_BIN:
+        return None
+    limit = _STRIPE_SIGMAS**2 * max(float(np.median(squares)) / _CHI2_ONE_MEDIAN, 1.0)
+    return float(squares[squares <= limit].mean()) / samples
 
 
 def _fit_line(level: NDArray, variance: NDArray, weight: NDArray) -> NoiseModel:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _STEPS = 6
 _SETTLED_PX = 1e-3
 # Of what a projector beside the camera would give: less, and the fringes run along the baseline.
-_LEAST_RATE = 0.1
+_LEAST_RATE = 0.3
 
 
 def triangulate_one(

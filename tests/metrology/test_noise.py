@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrology.fringe import FringeCode
+from metrology.decode import decode_phase
+from metrology.fringe import FringeCode, GrayCode
 from metrology.noise import NoiseModel, estimate_noise
-from tests.support.rendered_fringes import USUAL, clean_frames, ramp
+from tests.support.rendered_fringes import USUAL, clean_frames, ramp, recorded
 
 SIZE = 1280
 
@@ -60,3 +61,13 @@ def test_nothing_to_learn_from_gives_a_cautious_model() -> None:
 def test_senseless_models_are_refused() -> None:
     with pytest.raises(ValueError, match="positive read variance"):
         NoiseModel(0.0, 0.1)
+
+
+@pytest.mark.parametrize("gray", [GrayCode(128), GrayCode(128, True)], ids=str)
+def test_three_steps_of_one_count_have_the_noise_of_their_gray_code(gray: GrayCode, rng: np.random.Generator) -> None:
+    code = FringeCode("x", 3, (64,), gray)
+    clean = clean_frames(ramp(160, 400, 1280), code, 1280, 110, 80)
+    skin = 1 + 0.1 * rng.normal(0, 1, clean.shape[1:])  # neighbours' difference would tell ten times the noise
+    view = decode_phase(recorded(clean * skin, rng, 1.5), code, 1280)
+    assert view.noise is not None
+    assert view.noise.sigma(100) == pytest.approx(1.5, rel=0.1)
