@@ -73,7 +73,7 @@ def _ring_sums(bend: Float32, radius: float, shapes: CircleShapes) -> Float32:
 def _sizes(radii: Sequence[float]) -> list[float]:
     """Radii to try, px: from the smallest to the largest, of those whose arcs are short."""
     least, most = max(min(radii) / _STEP, _SMALLEST_PX), min(max(radii), _LONG_ARCS_PX)
-    return [least * _STEP**k for k in range(int(np.log(max(most / least, 1)) / np.log(_STEP)) + 1)]
+    return [least * _STEP**k for k in range(int(np.floor(np.log(most / least) / np.log(_STEP))) + 1)]
 
 
 def _template(ellipse: Ellipse) -> Float32:

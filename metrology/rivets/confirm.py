@@ -132,7 +132,7 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     found = []
     for s in shown:
         if s.stands:
-            found.append(Confirmed(s.ring, _chip(s, placed, reconstruction)))
+            found.append(Confirmed(s.ring, _chip(s, placed, reconstruction) or _hardly_steps(s, certain)))
         elif s.clear:
             found.append(Confirmed(s.ring, _doubt(s.ring, placed, reconstruction)))
         elif not s.stroke:
@@ -194,6 +194,15 @@ def _chip(one: _Shown, certain: Sequence[tuple[_Shown, _Place | None]], reconstr
     if not (prouder or leaning) or not (smaller or _wider(one.ring, rings)) or _in_row(place, [p for _, p in placed]):
         return None
     return "it stands out of the skin unlike all fasteners here, in no row of theirs: a chip or a drop may lie there"
+
+
+def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
+    """What speaks against a ring at which the surface steps little more than paint makes it seem to."""
+    others = [s.ring for s in certain if s is not one]
+    if one.step is None or len(others) < _FEW or not _painted(one.ring, others):
+        return None
+    steps = one.step.significance if one.clear else one.step.mean_significance
+    return None if steps >= _STROKE_STEPS else "a ring that hardly steps, whose line is unlike the fasteners' gaps here"
 
 
 def _slope(one: _Shown, place: _Place) -> float:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
-from metrology.holes.recess import is_recess
 from metrology.results import RivetDetection
 from metrology.rivets.confirm import confirm_rings, steps_up
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import nearby_plane
 from metrology.rivets.ground import Ground, ground_of
+from metrology.rivets.recess import is_recess
 from metrology.rivets.relief import PlainHead, plain_heads
 from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse

@@ -72,6 +72,15 @@ def test_a_painted_ring_of_the_usual_size_is_told_by_its_line(
     assert len(doubtful) == 1
 
 
+def test_a_step_that_paint_pretends_confirms_no_line_unlike_the_gaps(rng: np.random.Generator) -> None:
+    skin = Skin()
+    for contrast, sure in ((110.0, 0), (40.0, 1)):
+        ring = replace(ROWS[0], x=0.0, y=0.0, height=0.016, contrast=contrast)
+        detections = detect_rivets(scan(skin, (*ROWS, ring), rng))
+        assert len(detections) == len(ROWS) + 1
+        assert sum(d.doubt is None for d in detections) == len(ROWS) + sure
+
+
 def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:
     detections = detect_rivets(scan(Skin(), (*ROWS, Head(-32, 6, diameter=3.4, height=0.5)), rng))
     (doubtful,) = (d for d in detections if d.doubt)
