@@ -217,7 +217,7 @@ WAVINESS = Kind(
     ),
     counts=(Count("n_waviness", "pieces of skin and directions whose waviness was asked for", of="rows"),),
     per_panel=("max(waviness_mm) AS waviness_worst_mm",),
-    subject="waviness",
+    subject="straight-edge",
     parameter="waviness",
     measure="metrology.waviness.measure:measure_waviness",
     on_request=True,

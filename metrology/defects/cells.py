@@ -130,14 +130,19 @@ def _coarse(mask: NDArray[np.generic], rows: int, columns: int) -> Mask:
 def _steep(points: Array) -> Mask:
     """Cells beside a drop that no skin and no dent of it makes: there the panel ends, and something behind begins."""
     steep = np.zeros(points.shape[:2], bool)
-    for axis, reach in ((axis, reach) for axis in (0, 1) for reach in range(1, _GAP + 1)):
-        count = points.shape[axis] - reach
-        way = points.take(range(reach, count + reach), axis) - points.take(range(count), axis)
-        off = np.abs(way[..., 2]) > _STEEPEST * np.hypot(way[..., 0], way[..., 1])
-        for between in range(reach + 1):
-            part = [slice(None), slice(None)]
-            part[axis] = slice(between, between + count)
-            steep[tuple(part)] |= off
+    z = points[..., 2]
+    for axis in (0, 1):
+        pitch = float(np.nanmedian(np.abs(np.diff(points[::8, ::8, 1 - axis], axis=axis)))) / 8
+        for reach in range(1, _GAP + 1):
+            count = z.shape[axis] - reach
+            drop = np.abs(z.take(range(reach, count + reach), axis) - z.take(range(count), axis))
+            off = drop > _STEEPEST * reach * pitch
+            if not off.any():
+                continue
+            for between in range(reach + 1):
+                part = [slice(None), slice(None)]
+                part[axis] = slice(between, between + count)
+                steep[tuple(part)] |= off
     return steep
 
 

@@ -27,6 +27,7 @@ _BEND_SD = 0.3  # of half the plate's extent over the diameter
 _WAVE_SD_MM = 0.02  # of the polynomial's terms before the plate itself tells
 _WAVE_RANGE_MM = (2e-4, 0.2)
 _FIT_CELLS = 2000  # of a plate are enough for its surface
+_UNTOLD = 25.0  # times the variance that is usual of it: hardly a cell tells a profile there
 _LEAST_CELLS = 100
 _THINNEST = 0.02  # of its extent: narrower strips tell no surface
 
@@ -101,6 +102,11 @@ class Reference:
         frame = self.frame
         surface = self.extents, self.coefficients, self.waves, ruled, heights
         depths(points, member, frame.origin, np.ascontiguousarray(frame.axes), *surface, BIN_MM, out)
+
+    def told(self, x: Array, y: Array) -> NDArray[np.bool_]:
+        """(n,) where its cells tell every profile."""
+        variances = [(profile.variance_at(x, y), float(np.median(profile.variance))) for profile in self.ruled]
+        return np.all([at < _UNTOLD * usual for at, usual in variances], axis=0) if variances else np.ones(len(x), bool)
 
     def tangent(self, point: Array) -> Frame:
         """Frame of its tangent plane at the foot of a point (3,) of the rig frame; profiles and waves are flat."""

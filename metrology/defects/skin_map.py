@@ -126,7 +126,7 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
     others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
-    doubted = tuple(_doubted(region, depth, cells, others[region.plate]) for region in regions)
+    doubted = tuple(_doubted(r, depth, cells, references[r.plate], others[r.plate]) for r in regions)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
 
@@ -160,14 +160,24 @@ def _reference(
     return fit_reference(points, sigma, seams, settings.largest_mm, like)
 
 
-def _doubted(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> Region:
-    """A region with what another reference makes of it."""
+def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other: Reference | None) -> Region:
+    """A region with what another reference makes of it.
+
+    On lines across a seam of which nothing is left, the other one's profile tells nothing: its surface alone counts.
+    """
     here = np.where(region.cells, depth[region.rows, region.columns], np.nan)
     known = np.isfinite(here)
     if other is None or not known.any():
         return region
     again = np.full(here.shape, np.nan)
-    other.depths(cells.points[region.rows, region.columns], known, again)
+    points = cells.points[region.rows, region.columns]
+    other.depths(points, known, again)
+    x, y = other.frame.local(points[known])[:, :2].T
+    told = other.told(x, y)
+    if not told.all():
+        untold = known.copy()
+        untold[known] = ~told
+        replace(other, ruled=own.ruled).depths(points, untold, again)
     off = again - here
     middle = np.abs(here) > 0.7 * np.abs(here[known]).max()
     row, column = np.nonzero(known)

@@ -69,3 +69,20 @@ def test_a_report_and_a_page_draw_it(tmp_path: Path, depth: float) -> None:
     sections = defect_sections(form(), depth, 0.004, Locale())
     assert ("straight-edge" in {trace.name for trace in sections.data}) == (depth > 0)
     assert len(defect_map(form(), Locale()).data) == 4
+
+
+def test_the_page_of_a_scene_shows_it(tmp_path: Path) -> None:
+    AppTest = pytest.importorskip("streamlit.testing.v1").AppTest
+
+    def page() -> None:
+        from dashboard.locale import Locale
+        from dashboard.views.defect import show_defect
+        from tests.storage.test_defect_form import defect, form
+
+        show_defect(Locale(), defect(), form())
+        show_defect(Locale(), defect(), None)
+
+    app = AppTest.from_function(page).run(timeout=60)
+    assert not app.exception
+    assert "straight-edge lies on the surface" in app.caption[0].value
+    assert "kept no fit" in app.info[0].value
