@@ -19,6 +19,7 @@ from dashboard.scenes import load_features, load_scene_row
 from metrology.assembly.picture import Stitched
 from metrology.errors import StoreError
 from metrology.kinds import BY_NAME, KINDS
+from metrology.panel import points_along
 from storage.archive.bundle import MANIFEST
 from storage.archive.schema import (
     PANEL_COVERAGE,
@@ -36,6 +37,7 @@ from storage.panel_spec import locations_of
 from storage.review import Feature
 
 _PICTURE_PX = 1600
+_ALONG = 20  # places of a stretch
 _SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
 
 
@@ -142,12 +144,26 @@ class PanelPicture:
 
 def locations(archive: Archive, view: PanelView) -> dict[str, str]:
     """Where features are on the aircraft (frame, stringer), by their names, where the specification says it."""
-    return _locations(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}")))
+    return locations_of(_judged_by(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}"))))
 
 
-@st.cache_data(max_entries=20, show_spinner=False)
-def _locations(manifest: str) -> dict[str, str]:
-    return locations_of(read_json(Path(manifest), StoreError).get("panel_spec") or {})
+def with_courses(archive: Archive, view: PanelView) -> PanelView:
+    """The view with `course` in its coverage: places (n, 3) along each stretch of a nominal seam, None of all else."""
+    spec = _judged_by(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}")))
+    courses = {str(seam["id"]): seam["course_mm"] for seam in spec.get("seams") or ()}
+    along = [
+        points_along(courses[name], np.linspace(row.from_mm, row.to_mm, _ALONG))
+        if (name := str(row.feature_id).split("@")[0]) in courses and pd.notna(row.from_mm)
+        else None
+        for row in view.coverage.itertuples()
+    ]
+    return replace(view, coverage=view.coverage.assign(course=pd.Series(along, view.coverage.index, dtype=object)))
+
+
+@st.cache_resource(max_entries=20, show_spinner=False)
+def _judged_by(manifest: str) -> dict[str, Any]:
+    """The document of the specification that a run was judged by."""
+    return read_json(Path(manifest), StoreError).get("panel_spec") or {}
 
 
 def stitched_pictures(archive: Archive, view: PanelView) -> dict[int, PanelPicture]:

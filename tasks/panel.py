@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from metrology.assembly.assemble import assembled
 from metrology.assembly.carried import remembered, with_frames
 from metrology.assembly.coverage import coverage
@@ -11,10 +9,13 @@ from metrology.assembly.panel import panel_features
 from metrology.assembly.picture import stitched
 from metrology.assembly.result import PanelResult
 from metrology.assembly.verdict import judgement
+from metrology.errors import StoreError
 from metrology.results import PanelKey
 from storage.archive import Store
+from storage.archive.bundle import MANIFEST
 from storage.archive.panel_history import former_assembly
-from storage.archive.panel_scans import ScanOfPanel, newest_scans
+from storage.archive.panel_scans import newest_scans
+from storage.documents import read_json
 from storage.panel_spec import PanelSpecification, load_panel_spec, panel_spec_from
 from tasks.result import versions
 
@@ -27,9 +28,8 @@ def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None
     spec : PanelSpecification, optional
         By default what is in force for the panel or, where nothing is, what its newest scan was judged by.
     """
-    spec = spec or store.panels.in_force(key.panel)
-    found = newest_scans(store, key, spec.layout if spec else None)
-    spec = spec or _judged_by(store, found)
+    spec = spec or store.panels.in_force(key.panel) or _judged_by(store, key)
+    found = newest_scans(store, key, spec.layout)
     former = former_assembly(store, key)
     assembly = with_frames(assembled([each.scan for each in found], spec.layout), spec.layout, former)
     warnings = list(assembly.warnings)
@@ -57,7 +57,15 @@ def assemble(store: Store, key: PanelKey, spec: PanelSpecification | None = None
     )
 
 
-def _judged_by(store: Store, found: Sequence[ScanOfPanel]) -> PanelSpecification:
+def _judged_by(store: Store, key: PanelKey) -> PanelSpecification:
     """The specification of the newest scan; the example where it has none."""
-    newest = max(found, key=lambda each: each.scan.key.captured_at)
-    return panel_spec_from(newest.panel_spec, store.root) if newest.panel_spec else load_panel_spec()
+    newest = store.query(
+        "SELECT bundle_path FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? "
+        "ORDER BY captured_at DESC LIMIT 1",
+        [key.aircraft_serial, key.panel],
+    ).to_pylist()
+    for row in newest:
+        manifest = read_json(store.file(f"{row['bundle_path']}/{MANIFEST}"), StoreError)
+        if manifest.get("panel_spec"):
+            return panel_spec_from(manifest["panel_spec"], store.root)
+    return load_panel_spec()

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from dashboard.figures.base import escape, figure
 from dashboard.figures.scene import add_features, mark_chosen
 from dashboard.locale import Locale
-from dashboard.palette import DIVERGING, INK, SEVERITY_COLOURS
+from dashboard.palette import DIVERGING, INK, ORANGE, SEVERITY_COLOURS
 from dashboard.panels import PanelPicture, PanelView
 from metrology.assembly.picture import FINER, Stitched
 from metrology.kinds import BY_NAME, KINDS
@@ -69,9 +69,10 @@ def _extent(view: PanelView, picture: Stitched | None) -> tuple[tuple[float, flo
         corners = [(picture.left_mm, -picture.top_mm), (picture.left_mm + width, height - picture.top_mm)]
     elif not (x.notna() & y.notna()).any():
         return (0.0, 1.0), (0.0, 1.0)
-    places = np.array([*corners, (x.min(), y.min()), (x.max(), y.max())], float)
+    ends = [(px, -py) for course in view.coverage.get("course", pd.Series()).dropna() for px, py, _ in course]
+    places = np.array([*corners, *ends, (x.min(), y.min()), (x.max(), y.max())], float)
     (left, upper), (right, lower) = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
-    air = 0.0 if corners else 0.04 * max(right - left, lower - upper)
+    air = 0.02 * max(right - left, lower - upper)
     return (left - air, right + air), (upper - air, lower + air)
 
 
@@ -139,6 +140,11 @@ def _add_stretches(fig: go.Figure, view: PanelView, locale: Locale, labelled_mm:
 def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame) -> None:
     for state, symbol in (("not measured", "square-open"), ("not seen", "square-x-open")):
         part = coverage[coverage["state"] == state]
+        for course in part["course"].dropna() if "course" in part else ():
+            fig.add_scatter(
+                x=course[:, 0], y=-course[:, 1], mode="lines", showlegend=False, hoverinfo="skip",
+                line={"color": ORANGE, "width": 5, "dash": "dot"},
+            )  # fmt: skip
         if len(part):
             fig.add_scatter(
                 x=part["x_mm"], y=-part["y_mm"].astype(float), mode="markers", name=state,

@@ -25,6 +25,7 @@ from dashboard.panels import (
     of_finding,
     panel_names,
     stitched_pictures,
+    with_courses,
 )
 from dashboard.picking import clickable_chart
 from dashboard.reports import offer_report
@@ -163,6 +164,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
         grounds = [_PICTURE, _DEVIATION, _PLAIN]
         shown = st.segmented_control("Ground", grounds, label_visibility="collapsed", **one_of("map", grounds))
         picture = None if shown == _PLAIN else picture
+    view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
     clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
     st.caption("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move.")

@@ -89,7 +89,11 @@ def with_frames(assembly: Assembly, layout: PanelLayout, former: Former | None) 
         else:
             first = assembly.scans[part.numbers[0]].key.scene_id
             parts.append(replace(part, frame_id=own_frame(first, part.fit.placements[0])))
-    lost = ["+".join(assembly.scans[k].key.station for k in part.numbers) for part in parts if part.former is None]
+    lost = [
+        "+".join(assembly.scans[k].key.station for k in part.numbers)
+        for part in parts
+        if part.former is None and not part.nominal
+    ]
     said = [
         f"names and places of {', '.join(lost)} are not those of the assembly before: they were not found again in it"
     ]

@@ -33,11 +33,10 @@ Features = dict[str, list[Any]]
 
 @dataclass(frozen=True)
 class ScanOfPanel:
-    """A scan, the run that it is taken from, what that run was judged by, and what its left camera saw."""
+    """A scan, the run that it is taken from, and what its left camera saw."""
 
     scan: PanelScan
     run_id: str
-    panel_spec: Mapping[str, Any]
     texture: NDArray[np.uint8]
 
 
@@ -96,7 +95,7 @@ def _loaded(store: Store, key: SceneKey, run_id: str, features: Features, layout
         _across(paths.bundle / FITS),
         _nominal(manifest, paths.bundle / MANIFEST, layout),
     )
-    return ScanOfPanel(scan, run_id, manifest.get("panel_spec") or {}, read_preview(paths.preview))
+    return ScanOfPanel(scan, run_id, read_preview(paths.preview))
 
 
 def _features(store: Store, scenes: Sequence[str]) -> dict[str, Features]:

@@ -6,12 +6,15 @@ import contextlib
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from streamlit.testing.v1 import AppTest
 
+from dashboard import panels
 from dashboard.data import Archive
 from dashboard.figures.panel import panel_figure
 from dashboard.locale import locale_of
@@ -71,6 +74,23 @@ def test_the_map_of_deviations_is_small_enough_for_a_page(nights: Path) -> None:
     left, width = picture.stitched.left_mm, picture.stitched.size_mm[0]
     assert left <= heat.x0 < heat.x0 + heat.dx * (heat.z.shape[1] - 1) <= left + width
     assert not figure.layout.images
+
+
+def test_a_stretch_that_nobody_saw_is_drawn_along_its_nominal_course(
+    nights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive(nights)
+    view = load_panel(archive, "MSN-1", "P")
+    assert view is not None
+    row = {"feature_id": "J01@0-40", "x_mm": 20.0, "y_mm": 5.0, "from_mm": 0.0, "to_mm": 40.0, "state": "not seen",
+           "reason": None}  # fmt: skip
+    seam = {"id": "J01", "course_mm": [[500, 5, 0], [900, 5, 0]]}
+    monkeypatch.setattr(panels, "_judged_by", lambda manifest: {"seams": [seam]})
+    view = panels.with_courses(archive, replace(view, coverage=pd.DataFrame([row])))
+    figure = panel_figure(view, None, locale_of(None, None))
+    [line] = [trace for trace in figure.data if trace.line.dash == "dot"]
+    assert (min(line.x), max(line.x), set(line.y)) == (500, 540, {-5})
+    assert figure.layout.xaxis.range[1] > 540
 
 
 def test_a_panel_of_a_version_without_pictures_is_shown_as_marks(nights: Path, tmp_path: Path, open_page: Open) -> None:
