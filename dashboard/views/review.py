@@ -34,7 +34,7 @@ from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
-from dashboard.views.scene import HOW_DECIDED, close_up
+from dashboard.views.feature import HOW_DECIDED, close_up
 from dashboard.words import N_, _, language
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
