@@ -89,7 +89,7 @@ MORE = {
     "WHERE open_work ORDER BY decided_at",
     N_("Rigs and when they are due"): "SELECT * FROM rigs\n"
     "ORDER BY least(calibration_due_at, verification_due_at) NULLS LAST",
-    N_("Seconds per scene and rig"): "SELECT rig_id, count(*) AS scenes, median(seconds_total) AS seconds\n"
+    N_("Seconds per scan and rig"): "SELECT rig_id, count(*) AS scenes, median(seconds_total) AS seconds\n"
     "FROM scenes GROUP BY rig_id ORDER BY scenes DESC",
 }
 """Further examples."""

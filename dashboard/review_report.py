@@ -13,7 +13,7 @@ from dashboard.locale import Locale
 from dashboard.palette import decision_words
 from dashboard.pictures import around, data_uri, load_picture
 from dashboard.scenes import find_feature, load_features, load_scene_row
-from dashboard.words import N_, _, language
+from dashboard.words import N_, _, speak
 from metrology.errors import FlushlineError
 from metrology.verdicts import SEVERITIES
 from storage.archive.work import Standing
@@ -44,14 +44,15 @@ def csv_report(rows: pd.DataFrame, locale: Locale) -> bytes:
     return text.encode(ENCODING)
 
 
-def html_report(rows: pd.DataFrame, archive: Archive, locale: Locale, title: str) -> bytes:
-    """Findings as one HTML page with pictures of the first ones, dispositions and traceability."""
+def html_report(rows: pd.DataFrame, archive: Archive, locale: Locale, title: str, spoken: str) -> bytes:
+    """Findings as one HTML page in a language, with pictures of the first ones, dispositions and traceability."""
+    speak(spoken)  # made when it is asked for, which is no run of the page
     findings = [_finding(row, archive, locale, i < _MOST_PICTURES) for i, row in enumerate(rows.to_dict("records"))]
     page = rendered(
         "dashboard",
         "review.html",
         title=title + ": " + _("Tolerance review"),
-        language=language(),
+        language=spoken,
         colours={name: look.paper for name, look in SEVERITIES.items() if name},
         findings=findings,
         heads=[_(head) for head in _HEADS],

@@ -30,7 +30,7 @@ def seconds_figure(nights: pd.DataFrame, locale: Locale, height: int = 400) -> g
                 marker_color=colour,
                 hovertemplate="%{y:.2f} s<extra>" + _(step.replace("_", " ")) + "</extra>",
             )
-    fig.update_yaxes(title=_("s per scene"))
+    fig.update_yaxes(title=_("s per scan"))
     fig.update_xaxes(**({"type": "category", "autorange": "reversed"} if few else {"tickformat": locale.axis_dates}))
     return fig
 

@@ -31,7 +31,7 @@ from dashboard.picking import clickable_chart
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
 from dashboard.tables import show_table
-from dashboard.views.scene import close_up
+from dashboard.views.feature import close_up
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
 from storage.archive.work import said

@@ -34,8 +34,8 @@ from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
-from dashboard.views.scene import HOW_DECIDED, close_up
-from dashboard.words import N_, _
+from dashboard.views.feature import HOW_DECIDED, close_up
+from dashboard.words import N_, _, language
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
 from storage.review import Feature, ShownFinding
@@ -248,7 +248,7 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
             )
             st.download_button(
                 _("HTML report"),
-                lambda: html_report(rows, context.archive, context.locale, context.settings.title),
+                partial(html_report, rows, context.archive, context.locale, context.settings.title, language()),
                 "review.html",
                 "text/html",
                 on_click="ignore",

@@ -77,7 +77,7 @@ def accepted_before(connection: duckdb.DuckDBPyConnection, review: Review, scene
     ).fetchall()
     changes = {(scene, name): values for scene, name, *values in pairs}
     found: dict[str, Accepted] = {}
-    for entry in review.entries:
+    for entry in sorted(review.current().values(), key=lambda entry: entry.number):
         feature = entry.feature
         if feature is None or feature.kind != "defect" or (entry.scene_id, feature.id) not in changes:
             continue

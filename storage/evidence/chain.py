@@ -21,7 +21,7 @@ from storage.documents import read_json, utc_text
 from storage.evidence.rig_facts import RigFacts, rig_facts
 from storage.evidence.verifications import Verification, verified
 from storage.panel_spec import judged_by
-from storage.review import Entry, Feature, ReviewLog
+from storage.review import Entry, Feature, Review, ReviewLog
 
 if TYPE_CHECKING:
     from storage.archive.store import Store
@@ -238,7 +238,7 @@ def decision_link(found: Sources, feature: Feature, verdict: str) -> Link:
     """What a person decided about a feature; it needs a decision where it does not pass."""
     if found.review_problem:
         return Link("decision", found.review_problem, missing=True)
-    about = [entry for entry in found.decisions if entry.feature == feature]
+    about = Review(found.decisions).held(str(found.scene["scene_id"]), feature)
     if about:
         comment = f": {about[-1].comment}" if about[-1].comment else ""
         return Link("decision", f"{about[-1].said}{comment} (entry {about[-1].number}, {about[-1].checksum[:12]}…)")

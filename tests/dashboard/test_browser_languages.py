@@ -23,6 +23,14 @@ def test_a_language_is_kept_over_pages_and_clicks_are_answered_in_it(server: tup
     assert box["y"] + box["height"] <= 768
     record.click()
     page.get_by_text("Wählen Sie einen Entscheid").wait_for()
+    page.get_by_role("button", name="Export").click()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="HTML-Bericht").click()
+    report = Path(download.value.path()).read_text()
+    assert "Toleranzprüfung" in report
+    assert "Überstand +0,238" in report
+    assert str(server[1]) not in report  # who reads it needs no path of the server
+    page.keyboard.press("Escape")
     page.get_by_role("button", name="Einstellungen").click()
     page.get_by_role("combobox", name="Sprache").click()
     page.get_by_role("option", name="English").click()

@@ -346,7 +346,7 @@ def test_a_querys_csv_has_harmless_names_and_its_numbers() -> None:
 def test_html_report_is_one_safe_page(archive: Archive) -> None:
     rows = findings(archive, Wanted()).head(5)
     rows.loc[0, "reason"] = "<script>alert(1)</script>"
-    page = html_report(rows, archive, Locale(), "Hall <7>").decode()
+    page = html_report(rows, archive, Locale(), "Hall <7>", "en").decode()
     assert "<script>" not in page
     assert "Hall &lt;7&gt;" in page
     assert page.count("data:image/jpeg") == 5

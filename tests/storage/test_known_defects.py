@@ -25,12 +25,14 @@ def index(depths: dict[str, float | None]) -> duckdb.DuckDBPyConnection:
     return connection
 
 
-def decided(number: int, scene: str, disposition: Disposition) -> Entry:
+def decided(number: int, scene: str, disposition: Disposition | None) -> Entry:
     said = {
         "format": "flushline-review/1", "number": number, "at": f"2026-11-0{number}T10:00:00Z", "who": "Ada",
         "action": "disposition", "scene_id": scene, "run_id": "r", "feature_kind": "defect", "feature_id": "D01",
         "disposition": disposition, "comment": "", "shown": {}, "previous": "0",
     }  # fmt: skip
+    if disposition is None:
+        said |= {"format": "flushline-review/4", "action": "undo"}
     return Entry.of_document(json.dumps(said))
 
 
@@ -49,6 +51,14 @@ def test_what_was_decided_otherwise_since_is_not_accepted() -> None:
     review = Review((decided(1, "first", "use as is"), decided(2, "second", "repair")))
     assert accepted_before(connection, review, "third") == {}
     assert "D01" in accepted_before(connection, review, "second")
+
+
+def test_what_was_undone_is_as_it_was_before() -> None:
+    connection = index({"first": 0.2, "second": 0.2, "third": 0.2})
+    entries = [decided(1, "first", "use as is"), decided(2, "first", "repair"), decided(3, "first", None)]
+    assert "D01" in accepted_before(connection, Review(tuple(entries)), "third")
+    entries.append(decided(4, "first", None))
+    assert accepted_before(connection, Review(tuple(entries)), "third") == {}
 
 
 def test_without_a_depth_the_change_is_not_known_and_an_index_without_defects_has_none() -> None:

@@ -18,6 +18,7 @@ from metrology.tolerance import Limit, PanelSpec, judge
 from storage.archive import Store
 from storage.archive.decisions import close_work, dispose, shown_finding, sign_off, undo
 from storage.archive.work import open_work, said, standings
+from storage.evidence.chain import trace
 from storage.review import Disposition, Feature, ReviewLog, ShownFinding, ShownScene
 from tests.support.results import copied, small_key, small_result
 
@@ -174,6 +175,9 @@ def test_a_decision_is_undone_by_a_further_entry(store: Store) -> None:
     assert stand(store) == "1 waiting"
     assert log.read().current() == {}
     assert len(ReviewLog(store.root).read().entries) == 6  # nothing was taken out
+    [decision] = [link for link in trace(store, f"{SCENE}/R1") if link.name == "decision"]
+    assert decision.missing
+    assert "nobody decided" in decision.said
     dispose(store.root, "m.weber", [seen(store)], "use as is")
     sign_off(store.root, "m.weber", seen_scene(store))
     with pytest.raises(UsageError, match="expected an open scene"):
