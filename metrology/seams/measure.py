@@ -133,7 +133,8 @@ def _places(track: Track, s_mm: Array, ground: _Ground) -> list[_Place]:
     across = towards_b(directions, origins, ground.upright)
     ahead = ground.reconstruction.rig.left.project(np.stack([origins, origins + across]))
     px_mm = np.linalg.norm(ahead[1] - ahead[0], axis=-1)
-    halves, inner = 0.5 * widths_px / px_mm, (0.5 * widths_px + settings.guard_px) / px_mm
+    halves = 0.5 * widths_px / px_mm
+    inner = halves + settings.guard_px / px_mm
     u, v = np.clip(np.round(pixels).astype(int), 0, np.array(ground.heads.shape[::-1]) - 1).T
     over_a_rivet = ground.heads[v, u]
 

@@ -29,8 +29,9 @@ _RENDERING, _RENDERING_FOUND = 0.004, 0.002
 # Blur spreads such an error over 2√π σ = 2.5 px at a usual σ of 0.7 px, which is so many bins: of as many one counts.
 _ALIKE_BINS = 7.5
 _USUAL_MISFIT = _ALIKE_BINS * (_RENDERING_FOUND / _RENDERING) ** 2
-# Steps of a station's borders where the shape is known: at most so many, and the last one is shorter than this, mm.
-_BORDER_ITERATIONS, _SETTLED_MM = 10, 1e-4
+# Steps of the stations' borders where the shape is known: at most so many, while one is longer than this, mm; a station
+# whose own are shorter than the last number stays. What is left would come up to micrometres in the shape's next fit.
+_BORDER_ITERATIONS, _SETTLED_MM, _STILL_MM = 10, 1e-4, 1e-8
 # From skin A to skin B.
 ACROSS = np.array([-1.0, 1.0])
 
@@ -175,15 +176,16 @@ def fit_borders_from(profiles: Profiles, borders: Array, shape: State) -> State:
         here = state.at(moving)
         own = here.normals * (1.0 + damping[:, None, None] * np.eye(2)) + 1e-9 * np.eye(2)
         moves = (_inverses(own) @ here.gradients[..., None])[..., 0].clip(-STRIDE_MM, STRIDE_MM)
+        longest = np.abs(moves).max(axis=1)
+        if longest.max() < _SETTLED_MM:
+            break
         moved = here.borders + moves
         keep_apart(moved, shape.shared)
         new = _state_at(careful.at(moving), moved, shape.shared, shape.known, tables)
         better = new.costs < here.costs
         state = state.with_stations(moving[better], new.at(better))
-        unsettled = np.abs(moves).max(axis=1) >= _SETTLED_MM
+        unsettled = longest >= _STILL_MM
         moving, damping = moving[unsettled], np.where(better, 0.2 * damping, 8.0 * damping)[unsettled]
-        if not len(moving):
-            break
     return state
 
 

@@ -70,7 +70,7 @@ def usable_points(reconstruction: Reconstruction) -> Mask:
 
 def strip(
     reconstruction: Reconstruction, usable: Mask, centre_px: Array, frame: Frame, half_length: float, extent: float,
-    every: int = 1, radius: NDArray[np.int64] | None = None,
+    every: int = 1,
 ) -> Array:  # fmt: skip
     """Points near a section plane.
 
@@ -85,16 +85,16 @@ def strip(
         Largest |x|, mm.
     every : int
         Only pixels on every so many diagonals (u + v) are taken.
-    radius : (2,) ndarray of int, optional
-        How far from the centre to look, px, where it is known already.
 
     Returns
     -------
     (n, 5) ndarray
         x, y, h, σ_h and the pixel's index into the flattened image.
     """
-    if radius is None:
-        radius = _radius(reconstruction, centre_px, frame, half_length, extent)
+    rig = reconstruction.rig
+    reach = np.array([[extent, half_length, 0], [-extent, half_length, 0], [extent, -half_length, 0]])
+    corners = rig.left.project(frame.rig(np.concatenate([reach, -reach]))) - centre_px
+    radius = np.ceil(np.abs(corners).max(axis=0)).astype(np.int64) + 2
     found: Array = _strip(
         reconstruction.points,
         reconstruction.sigma_z,
@@ -108,15 +108,6 @@ def strip(
         every,
     )
     return found.T
-
-
-def _radius(
-    reconstruction: Reconstruction, centre_px: Array, frame: Frame, half_length: float, extent: float
-) -> NDArray[np.int64]:
-    """(2,) pixels from the centre to the farthest corner of a strip."""
-    reach = np.array([[extent, half_length, 0], [-extent, half_length, 0], [extent, -half_length, 0]])
-    corners = reconstruction.rig.left.project(frame.rig(np.concatenate([reach, -reach]))) - centre_px
-    return np.asarray(np.ceil(np.abs(corners).max(axis=0)).astype(np.int64) + 2)
 
 
 @kernel
@@ -180,24 +171,21 @@ def section_at(
     other_courses : sequence of (m, 2) ndarray
         Other seams' courses in the left image: what lies beyond them is another plate.
     """
-    frame = Frame(origin, _axes(direction, towards_b, -origin))
-    # Facing the camera, a strip looks as wide as it ever does.
-    radius = _radius(reconstruction, centre_px, frame, half_length, outer)
 
     def fitted(frame: Frame, band: float, every: int) -> SkinFit | None:
-        points = strip(reconstruction, usable, centre_px, frame, half_length, outer, every, radius)
+        points = strip(reconstruction, usable, centre_px, frame, half_length, outer, every)
         if other_courses:
             v, u = np.divmod(points[:, 4], usable.shape[1])
             points = points[~beyond(np.stack([u, v], axis=1), centre_px, other_courses)]
         return fit_skin_lines(points, -inner, inner, band)
 
+    frame = _frame(origin, direction, towards_b, -origin / np.linalg.norm(origin))
     for band in _TURNING_BANDS_MM:
         fit = fitted(frame, band, _SPARSE)
         if fit is None:
             return "too few points of skin beside the seam"
         slope, along = 0.5 * (fit.solution[1] + fit.solution[3]), 0.5 * (fit.solution[5] + fit.solution[6])
-        normal = frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1]
-        frame = Frame(origin, _axes(direction, towards_b, normal))
+        frame = _frame(origin, direction, towards_b, frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1])
     fit = fitted(frame, _SKIN_BAND_MM, 1)
     if fit is None:
         return "too few points of skin beside the seam"
@@ -209,24 +197,17 @@ def section_at(
     return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches)
 
 
-@kernel
-def _axes(direction, towards_b, normal):  # type: ignore[no-untyped-def]
+def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:
     """x across from A to B, h along the normal, y along the seam (right-handed: either way along it)."""
-    axes = np.empty((3, 3))
-    _cross(direction, normal, axes[0])
-    length = np.sqrt((axes[0] ** 2).sum())
-    axes[0] /= length if (axes[0] * towards_b).sum() > 0 else -length
+    across = _cross(direction, normal)
+    across /= np.sqrt(across @ across)
+    if across @ towards_b < 0:
+        across = -across
     # The section plane is normal to the seam, so the frame's y is the seam's direction and h follows from it.
-    _cross(axes[0], direction, axes[2])
-    axes[1] = direction
-    if (axes[2] * normal).sum() < 0:
-        axes[1:] *= -1.0
-    return axes
+    along = direction if _cross(across, direction) @ normal > 0 else -direction
+    return Frame(origin, np.stack([across, along, _cross(across, along)]))
 
 
-@kernel
-def _cross(a, b, product):  # type: ignore[no-untyped-def]
-    """a × b of two vectors."""
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        product[i] = a[j] * b[k] - a[k] * b[j]
+def _cross(a: Array, b: Array) -> Array:
+    """a × b of two vectors; numpy's own takes most of a section's time."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
