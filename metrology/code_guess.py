@@ -146,9 +146,10 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
     assert code.gray is not None
     orders = [(lsb, turned) for turned in ((False, True) if code.gray.inverse else (False,)) for lsb in (False, True)]
     read = {order: _numbers(levels, code, *order, lit) for order in orders}
-    smoothness = {order: _smooth(number, lit) for order, number in read.items()}
-    lsb, turned = max(orders, key=lambda order: smoothness[order])
-    smooth, number = smoothness[lsb, turned], read[lsb, turned]
+    smoothness = {order: _smooth(number, lit) for order, (number, _) in read.items()}
+    # In a wrong order few bits are told apart, and the stripes of few bits are always smooth.
+    lsb, turned = max(orders, key=lambda order: (read[order][1], smoothness[order]))
+    smooth, number = smoothness[lsb, turned], read[lsb, turned][0]
     if smooth < _LEAST_AGREEMENT:
         raise SceneError(
             f"found stripes whose numbers jump between neighbouring pixels (smooth in {smooth:.0%}), expected "
@@ -188,8 +189,8 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
 
 def _numbers(
     levels: NDArray, code: FringeCode, lsb: bool, inverse_first: bool, lit: NDArray[np.bool_]
-) -> NDArray[np.int64]:
-    """(h, w) stripe numbers with the bits in either order; of a code alone those of the stripes that are resolved."""
+) -> tuple[NDArray[np.int64], int]:
+    """(h, w) stripe numbers with the bits in either order, of a code alone the resolved ones; and how many bits."""
     gray = code.gray
     assert gray is not None
     stripes = levels[code.fringe_frames : code.fringe_frames + gray.stripe_frames]
@@ -203,7 +204,7 @@ def _numbers(
         swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
     swing = swing[::-1] if lsb else swing
     bits = len(swing) if code.counts else resolved_bits(swing, lit)
-    return stripe_numbers(swing[:bits] > 0)
+    return stripe_numbers(swing[:bits] > 0), bits
 
 
 def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:

@@ -313,3 +313,21 @@ def test_one_camera_and_its_projector_inspect_by_commands(tmp_path: Path, capsys
     save_rig(replace(small_rig(), projector=None), tmp_path / "cameras.json")
     assert run("inspect", folder, "--rig", tmp_path / "cameras.json", "--store", tmp_path / "store") == 2
     assert "found one camera to measure with" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_gray_code_alone_from_the_finest_bit_on(
+    inverse: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = FringeCode("x", 0, (), GrayCode(160, inverse))
+    views = {
+        camera: np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in frames])
+        for camera, frames in scan(code).items()
+    }
+    per_bit = 2 if inverse else 1
+    order = [per_bit * bit + i for bit in reversed(range(8)) for i in range(per_bit)]
+    folder = save(tmp_path, {camera: frames[order] for camera, frames in views.items()}, SINGLE[: code.frames])
+    arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "--gray", "160", "--rig", "small")
+    assert run("scene", "new", folder, *arguments, *(["--inverse"] if inverse else [])) == 0
+    assert "from the finest bit on" in capsys.readouterr().out
+    assert abs(np.median(measured(folder))) < 0.1
