@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import get_args
 
 from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_dir
@@ -18,10 +19,13 @@ from babel.messages.pofile import read_po, write_po
 
 from dashboard.reasons import PATTERNS
 from dashboard.words import ENGLISH, LANGUAGES, po_file
+from metrology.acceptance import PanelVerdict
+from metrology.assembly.rows import CHANGES as PANEL_CHANGES
 from metrology.kinds import KINDS
 from metrology.statistics import NELSON_RULES, WESTERN_ELECTRIC_RULES
 from metrology.steps import TIMED
 from metrology.verdicts import DECISIONS, SEVERITIES
+from storage.archive import panel_rework
 from storage.archive.changes import CHANGES
 from storage.archive.work import DECIDED, OPEN_WORK, WAITING
 from storage.review import DISPOSITIONS
@@ -42,13 +46,15 @@ _OTHERS = (
     "unjudged",
     "viewer",
     "reviewer",
+    "not seen",
 )
-"""Kinds of defects, and words of the review log, of the table `scenes`, and of roles."""
+"""Kinds of defects, and words of the review log, of the table `scenes`, of coverage and of roles."""
 
 
 def declared() -> Iterator[str]:
     """Words that are declared outside of the pages and shown on them."""
     yield from (*DECISIONS, *(look.words for look in SEVERITIES.values()), *DISPOSITIONS)
+    yield from (*get_args(PanelVerdict), *PANEL_CHANGES, *panel_rework.STATES)
     yield from (*CHANGES, WAITING, OPEN_WORK, DECIDED, *_OTHERS, *PATTERNS)
     yield from (step.replace("_", " ") for step in TIMED)
     yield from (rule.meaning for rule in (*NELSON_RULES, *WESTERN_ELECTRIC_RULES))

@@ -11,7 +11,7 @@ import streamlit as st
 
 from dashboard.findings import feature_words
 from dashboard.locale import NOTHING, Locale
-from dashboard.palette import decision_words
+from dashboard.palette import decision_words, quantity_words
 from dashboard.picking import Picked, clicked_row, fresh_key
 from dashboard.words import N_, _
 from metrology.kinds import KINDS
@@ -85,7 +85,7 @@ def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale)
 
 
 _NARROW = ("reason",)
-_WORDS = ("state", "disposition", "rig_verdict", "status", "what", "kind")
+_WORDS = ("state", "disposition", "rig_verdict", "status", "what", "kind", "change", "verdict")
 """Columns of words that have a translation."""
 _HELP = {
     "value_mm": N_("Height of a rivet head, + proud of the skin; step of a seam, side B above side A"),
@@ -105,6 +105,8 @@ def fitting(height: int, rows: int) -> int:
 def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], str] | None:
     if name.startswith("decision"):
         return decision_words
+    if name == "quantity":
+        return quantity_words
     if name == "reason":
         return locale.reason
     if name == "feature_id":

@@ -12,6 +12,7 @@ from metrology.cloud import DecodedView
 from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
+from metrology.gray import runs_along_rows
 from metrology.reconstruct import usual_size
 from storage.scene import MANIFEST, load_scene
 
@@ -42,6 +43,11 @@ def describe_scene(folder: Path, sheet: Path) -> list[str]:
             f"{camera}: decoded {lit.mean():.0%} of the pixels, modulation {strength:.1f} grey levels, "
             f"noise {view.noise.sigma(100) if view.noise else 0:.2f}, residual {usual:.1%} of the modulation"
         )
+        if lit.any() and runs_along_rows(view.coordinate) != (scene.code.axis == "x"):
+            lines.append(
+                f"note: {camera}: the coordinate changes {'down' if scene.code.axis == 'x' else 'across'} the image: "
+                "where the camera is not turned, these are frames of the other --axis"
+            )
         rows.append(_row(camera, view, off, scene.code, size))
     sheet.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(sheet), np.vstack(rows)):

@@ -132,11 +132,21 @@ def new_scene(
     lines: list[str] = []
     fringe = shown.model_dump(mode="json", exclude_defaults=True)
     if guess:
-        found = guesses(shown.code, listed, labels)
+        told = shown.direction < 0 and shown.gray is None  # without Gray code only the user knows
+        found = guesses(shown.code, _as_stepped(shown, listed) if told else listed, labels)
         lines = guess_lines(found)
         best = _common(found)
+        if len(found) == 1 and best.others:
+            offsets = ", ".join(
+                f"{psi:.3f}" for psi in sorted((best.code.phase_offsets_rad or (0.0,))[:1] + best.others)
+            )
+            raise SceneError(
+                f"{folder}: found that counts {', '.join(map(str, shown.code.counts))} agree with the phase offsets "
+                f"{offsets} rad alike, expected the one of the patterns, which one camera must know: "
+                "--offset RAD (-1.571: sine; cosine: --offset 0 --as-declared)"
+            )
         fringe = fringe_document(best.code)
-        fringe |= {"direction": -1} if best.direction < 0 else {}
+        fringe |= {"direction": -1} if best.direction < 0 or told else {}
         if best.lsb_first and "gray" in fringe:
             fringe["gray"] |= {"first": "lsb"}
         if best.inverse_first and "gray" in fringe:
@@ -157,6 +167,11 @@ def new_scene(
     _refuse_contradictions(model, folder)
     (folder / MANIFEST).write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
     return lines
+
+
+def _as_stepped(shown: FringeModel, listed: Listed) -> Listed:
+    """The frames with their steps forward."""
+    return {camera: [list(shown.ordered(paths)) for paths in of] for camera, of in listed.items()}
 
 
 def guesses(
@@ -201,8 +216,10 @@ def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
             offsets = one.code.phase_offsets_rad
             alike = len(set(offsets)) <= 1
             told = f"{offsets[0]:.3f}" if offsets and alike else ", ".join(f"{o:.3f}" for o in offsets) or "0"
-            said.append(f"phase offset {told} rad")
-            said.append("steps forward" if one.direction > 0 else "steps backward (direction -1)")
+            more = " (others agree as well: where the projector matters, --offset says which)" if one.others else ""
+            said.append(f"phase offset {told} rad{more}")
+            if one.code.gray:
+                said.append("steps forward" if one.direction > 0 else "steps backward (direction -1)")
         if one.code.gray:
             inverse = ", each bit's inverse first" if one.inverse_first else ""
             said.append(f"Gray code from the {'finest' if one.lsb_first else 'coarsest'} bit on{inverse}")

@@ -7,6 +7,7 @@ numbers rise, and the borders of stripes lie at one phase.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ _LEAST_AMPLITUDE = 0.02  # of the range
 _LEAST_PIXELS = 500
 _LEAST_AGREEMENT = 0.7  # length of the mean of unit vectors: below, there is no one fraction
 _SAME = 0.04  # of a lattice step: offsets this near are alike
+_APART = 0.1  # radians: offsets farther apart are not the same one
 _NEAR = 12  # pixels over which stripe numbers are seen to rise
 _USUAL = (0.0, -np.pi / 2, np.pi / 2, np.pi)  # cosine, sine and their negatives
 
@@ -43,6 +45,8 @@ class CodeGuess:
         From 0, chance, to 1.
     inverse_first : bool
         Whether each bit's inverse comes before the bit.
+    others : tuple of float
+        Offsets at which the counts agree as well; the coordinate is then another part of the projector's width.
     """
 
     direction: int
@@ -50,6 +54,7 @@ class CodeGuess:
     code: FringeCode
     agreement: float
     inverse_first: bool = False
+    others: tuple[float, ...] = ()
 
 
 def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGuess:
@@ -60,7 +65,7 @@ def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGues
     frames : (code.frames, h, w) ndarray of uint8 or uint16
         Of one exposure: count by count, step by step, then Gray code, as shown.
     code : FringeCode
-        Its offsets and shift are not looked at.
+        Its shift is not looked at; its offset is taken where it fits, one for all counts.
     saturation : float
         Grey level from which a sample counts as saturated.
 
@@ -75,7 +80,7 @@ def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGues
     if lit.sum() < _LEAST_PIXELS:
         raise SceneError(f"found {int(lit.sum())} pixels with fringes or stripes, expected at least {_LEAST_PIXELS}")
     if plain.gray is None:
-        return _from_counts(turns[:, lit].astype(float), plain)
+        return _from_counts(turns[:, lit].astype(float), plain, code.phase_offsets_rad)
     return _from_stripes(levels, turns, lit, plain)
 
 
@@ -94,8 +99,8 @@ def _phases(levels: NDArray, code: FringeCode, saturation: float) -> tuple[NDArr
     return np.array(turns).reshape(-1, *levels.shape[1:]), lit
 
 
-def _from_counts(turns: Array, code: FringeCode) -> CodeGuess:
-    """Offsets from the fractions of the lattice coordinates; the usual ones where they fit."""
+def _from_counts(turns: Array, code: FringeCode, declared: tuple[float, ...]) -> CodeGuess:
+    """Offsets from the fractions of the lattice coordinates; those declared, or else the usual ones, where they fit."""
     if len(code.counts) == 1:
         return CodeGuess(1, False, code, 1.0)
     lattice = order_lattice(code.counts)
@@ -108,17 +113,32 @@ def _from_counts(turns: Array, code: FringeCode) -> CodeGuess:
         )
     fraction = np.angle(mean) / (2 * np.pi)
     alike = np.ones(len(code.counts)) / (2 * np.pi)
-    candidates = [*_USUAL, *np.linspace(-np.pi, np.pi, 721)]
-    missed = [float(np.abs(_fraction(lattice.to_lattice @ (alike * psi) - fraction)).max()) for psi in candidates]
-    best = int(np.argmin(missed[: len(_USUAL)]))
-    if missed[best] > _SAME:
-        best = int(np.argmin(missed))
-    if missed[best] <= _SAME:
-        offsets = np.full(len(code.counts), candidates[best])
+    others: list[float] = []
+
+    def missed(psi: float) -> float:
+        return float(np.abs(_fraction(lattice.to_lattice @ (alike * psi) - fraction)).max())
+
+    fitting = _alike(missed)
+    if len(set(declared)) == 1 and missed(declared[0]) <= _SAME:
+        offsets = np.array(declared)
+    elif fitting:
+        usual = [psi for psi in _USUAL if missed(psi) <= _SAME]
+        best = usual[0] if usual else min(fitting, key=abs)
+        others = [psi for psi in fitting if abs(np.angle(np.exp(1j * (psi - best)))) > _APART]
+        offsets = np.full(len(code.counts), best)
     else:
         f = lattice.counts
         offsets = 2 * np.pi * (lattice.basis - np.outer(f, f @ lattice.basis) / (f @ f)) @ fraction
-    return CodeGuess(1, False, replace(code, phase_offsets_rad=tuple(float(o) for o in offsets)), agreement)
+    told = replace(code, phase_offsets_rad=tuple(float(o) for o in offsets))
+    return CodeGuess(1, False, told, agreement, others=tuple(others))
+
+
+def _alike(missed: Callable[[float], float]) -> list[float]:
+    """Offsets, one for all counts, at which the fractions are hit; counts such as 1, 8, 64 leave several of them."""
+    grid = np.linspace(-np.pi, np.pi, 721)[:-1]
+    off = np.array([missed(float(psi)) for psi in grid])
+    least = (off <= np.roll(off, 1)) & (off < np.roll(off, -1)) & (off <= _SAME)
+    return [float(psi) for psi in grid[least]]
 
 
 def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code: FringeCode) -> CodeGuess:
@@ -126,9 +146,10 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
     assert code.gray is not None
     orders = [(lsb, turned) for turned in ((False, True) if code.gray.inverse else (False,)) for lsb in (False, True)]
     read = {order: _numbers(levels, code, *order, lit) for order in orders}
-    smoothness = {order: _smooth(number, lit) for order, number in read.items()}
-    lsb, turned = max(orders, key=lambda order: smoothness[order])
-    smooth, number = smoothness[lsb, turned], read[lsb, turned]
+    smoothness = {order: _smooth(number, lit) for order, (number, _) in read.items()}
+    # In a wrong order few bits are told apart, and the stripes of few bits are always smooth.
+    lsb, turned = max(orders, key=lambda order: (read[order][1], smoothness[order]))
+    smooth, number = smoothness[lsb, turned], read[lsb, turned][0]
     if smooth < _LEAST_AGREEMENT:
         raise SceneError(
             f"found stripes whose numbers jump between neighbouring pixels (smooth in {smooth:.0%}), expected "
@@ -168,8 +189,8 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
 
 def _numbers(
     levels: NDArray, code: FringeCode, lsb: bool, inverse_first: bool, lit: NDArray[np.bool_]
-) -> NDArray[np.int64]:
-    """(h, w) stripe numbers with the bits in either order; of a code alone those of the stripes that are resolved."""
+) -> tuple[NDArray[np.int64], int]:
+    """(h, w) stripe numbers with the bits in either order, of a code alone the resolved ones; and how many bits."""
     gray = code.gray
     assert gray is not None
     stripes = levels[code.fringe_frames : code.fringe_frames + gray.stripe_frames]
@@ -183,7 +204,7 @@ def _numbers(
         swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
     swing = swing[::-1] if lsb else swing
     bits = len(swing) if code.counts else resolved_bits(swing, lit)
-    return stripe_numbers(swing[:bits] > 0)
+    return stripe_numbers(swing[:bits] > 0), bits
 
 
 def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:

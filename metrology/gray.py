@@ -20,6 +20,8 @@ from metrology.jit import kernel
 _SURE_STRIPES_PER_FRINGE = 2
 # Of the coarse bits' swing: what a bit must have for its stripes to be told apart.
 _RESOLVED = 0.4
+# Of neighbours, how many see the same stripe or the next: where stripes are narrower than pixels, fewer do.
+_FOLLOWING = 0.7
 # A pixel is sure of its order where its phase is at least this share of a fringe away from the wrap.
 _SURE_SHARE = 0.25
 
@@ -64,7 +66,8 @@ def stripe_numbers(bits: Iterable[NDArray[np.bool_]]) -> NDArray[np.int64]:
 def resolved_bits(swing: NDArray, lit: NDArray[np.bool_]) -> int:
     """How many bits, from the most significant one on, have stripes that the camera resolves.
 
-    Stripes finer than the camera's pixels or blur leave no more than noise of their bit's swing.
+    Stripes finer than the camera's blur leave no more than noise of their bit's swing; of stripes finer than its pixels
+    neighbours skip some.
 
     Parameters
     ----------
@@ -77,9 +80,20 @@ def resolved_bits(swing: NDArray, lit: NDArray[np.bool_]) -> int:
     sizes = np.array([np.median(np.abs(bit[lit][::7])) for bit in swing])
     poor = sizes < _RESOLVED * sizes.max()
     finest = len(swing)
-    while finest > 1 and poor[finest - 1]:
+    while finest > 1 and (poor[finest - 1] or not _follow(swing[:finest], lit)):
         finest -= 1
     return finest
+
+
+def _follow(swing: NDArray, lit: NDArray[np.bool_]) -> bool:
+    """Whether lit neighbours see the same stripe or the next one, along both image directions, mostly."""
+    for axis in (0, 1):
+        thin = np.s_[:, ::7] if axis == 0 else np.s_[::7]
+        number, seen = stripe_numbers(bit[thin] > 0 for bit in swing), lit[thin]
+        both = seen[1:] & seen[:-1] if axis == 0 else seen[:, 1:] & seen[:, :-1]
+        if both.any() and np.mean(np.abs(np.diff(number, axis=axis))[both] <= 1) < _FOLLOWING:
+            return False
+    return True
 
 
 def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode, size: int) -> None:

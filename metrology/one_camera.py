@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
-from metrology.errors import RigError
+from metrology.errors import RigError, SceneError
 from metrology.fringe import FringeCode
 from metrology.jit import over_rows
 from metrology.reconstruction_settings import ReconstructionSettings
@@ -23,6 +23,8 @@ _STEPS = 6
 _SETTLED_PX = 1e-3
 # Of what a projector beside the camera would give: less, and the fringes run along the baseline.
 _LEAST_RATE = 0.3
+_SPARSE = 8  # every so many rows and columns tell the direction
+_FAR = 5.0  # baselines: a distance at which the directions are compared
 
 
 def triangulate_one(
@@ -43,6 +45,7 @@ def triangulate_one(
     settings = settings or ReconstructionSettings()
     projector = rig.with_projector()
     _check_baseline(rig, projector, code)
+    _check_direction(left, rig, projector, code)
     view = without_ripple(left, code, size)
     height, width = view.coordinate.shape
     points = np.empty((height, width, 3), np.float32)
@@ -102,6 +105,24 @@ def _project(seen: Array, device: Device) -> Array:
     yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
     K = device.K
     return np.stack([K[0, 0] * xd + K[0, 1] * yd + K[0, 2], K[1, 1] * yd + K[1, 2]], axis=-1)
+
+
+def _check_direction(view: DecodedView, rig: Rig, projector: Device, code: FringeCode) -> None:
+    """Refuse a coordinate that falls where it must rise: what both devices see of one skin comes in one order."""
+    axis = 0 if code.axis == "x" else 1
+    middle = np.array([rig.left.width, rig.left.height]) / 2
+    rays = rig.left.rays(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    away = _FAR * float(np.linalg.norm(projector.centre))
+    at = projector.project(rays * (away / rays[:, 2:]))[:, axis]
+    coordinate = view.coordinate[::_SPARSE, ::_SPARSE]
+    steps = [np.diff(coordinate, axis=1), np.diff(coordinate, axis=0)]
+    seen = [float(np.median(step[np.isfinite(step)])) if np.isfinite(step).any() else 0.0 for step in steps]
+    if float(np.dot(at[1:] - at[0], seen)) < 0:
+        raise SceneError(
+            "found a projector coordinate that falls where the rig's projector lets it rise, expected both in one "
+            "order: most likely the steps were shown backward (`scene new --direction -1`), or the frames are mirrored "
+            "or turned"
+        )
 
 
 def _check_baseline(rig: Rig, projector: Device, code: FringeCode) -> None:

@@ -28,6 +28,7 @@ _ORDERS = (1, 2)  # of what passes for fringe
 _UNEVEN = (1, 2)  # times the phase: of frames that are not alike
 _LEAST_SHOWN = 0.15  # of its amplitude, what second differences must show of a ripple: it is told by nothing else
 _ROWS = 400  # are looked at
+_TOLD = 32.0  # χ² of a ripple's two amplitudes: what is less is noise, whose neighbours are alike, and stays
 _FEWEST = 5000
 _OUTLIER = 5.0
 _ROUNDS = 3
@@ -107,13 +108,18 @@ def _shifted(noise: Array, reach: int) -> Array:
 
 
 def _fitted(terms: Array, bend: Array, expected: Array) -> tuple[Array, Array]:
-    """Amplitudes by robust least squares, and what they leave."""
+    """Amplitudes by robust least squares, 0 where noise may have made them, and what they leave."""
     weights, left = np.zeros(terms.shape[1]), bend
     for _ in range(_ROUNDS if terms.shape[1] else 0):
         middle = np.median(left)
         near = np.abs(left - middle) < _OUTLIER * MAD * np.median(np.abs(left - middle))
         scale = 1.0 / expected[near]
         design = np.column_stack([terms[near], np.ones(near.sum())]) * scale[:, None]
-        weights = np.linalg.lstsq(design.T @ design, design.T @ (bend[near] * scale), rcond=None)[0][:-1]
+        normal = design.T @ design
+        weights = np.linalg.lstsq(normal, design.T @ (bend[near] * scale), rcond=None)[0][:-1]
         left = bend - terms @ weights
+    if len(weights):
+        spread = (MAD * np.median(np.abs(left) / expected)) ** 2 * np.diag(np.linalg.pinv(normal))[:-1]
+        told = (weights**2 / np.maximum(spread, 1e-30)).reshape(-1, 2).sum(1) > _TOLD
+        weights = weights * np.repeat(told, 2)
     return weights, left

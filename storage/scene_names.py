@@ -13,6 +13,7 @@ from storage.scene_models import Camera
 
 FIELDS = ("camera", "pose", "exposure", "count", "step", "frame", "bit", "inverse")
 GREY = "grey"
+_PICTURES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".pgm")
 _LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a")
 
 Values = dict[str, str]
@@ -41,13 +42,16 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
         else:
             expression += "[^/]*" if part == "*" else re.escape(part)
     wanted = re.compile(expression)
-    found = {}
+    found, other = {}, []
     for path in sorted(folder.rglob("*")):
         relative = path.relative_to(folder).as_posix()
         if not relative.startswith(f"{GREY}/") and path.is_file() and (fits := wanted.fullmatch(relative)):
             found[path] = fits.groupdict()
+        elif path.suffix.lower() in _PICTURES:
+            other.append(relative)
     if not found:
-        raise SceneError(f"{folder}: found no file that fits {pattern!r}, expected the frames")
+        there = f"; there are {len(other)} others, such as {other[0]}" if other else ""
+        raise SceneError(f"{folder}: found no file that fits {pattern!r}, expected the frames{there}")
     return found
 
 
@@ -104,7 +108,11 @@ def by_count_and_step(found: Mapping[Path, Values], camera: str, code: FringeCod
         own = [path for path, values in mine.items() if name in ("", values.get("count"))]
         own.sort(key=lambda path: natural(mine[path].get("step", path.name)))
         if len(own) != steps:
-            raise SceneError(f"camera {camera!r}, count {name}: found {len(own)} steps, expected {steps}")
+            called = ", ".join(mine[path].get("step", path.name) for path in own[:4])
+            raise SceneError(
+                f"{f'camera {camera!r}' if camera else 'one camera (no {camera} in the pattern)'}, count {name}: "
+                f"found {len(own)} steps ({called}{', …' if len(own) > 4 else ''}), expected {steps}"
+            )
         listed += own
     return listed
 

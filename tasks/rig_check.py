@@ -8,6 +8,7 @@ import numpy as np
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.errors import FlushlineError, RigError, SceneError
+from metrology.gray import runs_along_rows
 from metrology.mix_ups import find_mix_up
 from metrology.reconstruct import coordinate_size, reconstruct
 from metrology.rig import Rig
@@ -56,6 +57,21 @@ def mixed_up(scene: Scene, reconstruction: Reconstruction, settings: HealthSetti
     )
 
 
+def _along_the_baseline(scene: Scene, reconstruction: Reconstruction) -> SceneError | None:
+    """What is to be said where the decoded coordinate does not change from camera to camera, but across that."""
+    base = np.abs(reconstruction.rig.with_right().centre)
+    _, views = zip(*reconstruction.cameras.values(), strict=True)
+    beside = bool(base[0] > base[1])
+    if any(runs_along_rows(view.coordinate) == beside for view in views):
+        return None
+    way, other = ("down", "y" if scene.code.axis == "x" else "x") if beside else ("across", "x")
+    return SceneError(
+        f"{scene.folder}: found a coordinate that changes {way} the images of cameras that stand "
+        f"{'beside' if beside else 'above'} each other, as fringes along their line leave it, expected fringes across "
+        f"that line: the frames of the projector's other axis (most likely these are of axis {other!r})"
+    )
+
+
 def unmatched(
     scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None
 ) -> FlushlineError | None:
@@ -65,7 +81,8 @@ def unmatched(
     lost = (reconstruction.flags & (PixelFlag.UNMATCHED | PixelFlag.SLOPE)) != 0
     if matched >= _LEAST_MATCHED * min(left, right) or lost.mean() < matched:
         return None
-    return mixed_up(scene, reconstruction, settings) or RigError(
+    told = mixed_up(scene, reconstruction, settings) or _along_the_baseline(scene, reconstruction)
+    return told or RigError(
         f"{scene.folder}: found counterparts for {matched:.1%} of the pixels though the left camera sees fringes on "
         f"{left:.0%} and the right one on {right:.0%}: rig {reconstruction.rig.id!r} does not fit the scan, expected "
         "the rig that took it: calibrate the rig again, or give the rig that took the scan"

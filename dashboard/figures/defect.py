@@ -9,6 +9,7 @@ from plotly.subplots import make_subplots
 from dashboard.figures.base import figure
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
+from dashboard.words import _
 from metrology.fits import DefectForm
 
 _LEAST_SCALE_MM = 0.02
@@ -28,17 +29,17 @@ def defect_map(form: DefectForm, locale: Locale, height: int = 300) -> go.Figure
         zmin=-limit,
         zmax=limit,
         colorbar={"title": {"text": "mm"}, "thickness": 10, "tickformat": "+.2f"},
-        hovertemplate="%{z:+.3f} mm<extra>%{x:.1f}, %{y:.1f} mm from the deepest point</extra>",
+        hovertemplate="%{z:+.3f} mm<extra>%{x:.1f}, %{y:.1f} mm " + _("from the deepest point") + "</extra>",
         hoverongaps=False,
     )
     x, y = np.vstack([form.outline, form.outline[:1]]).T
-    _line(fig, x, y, INK, "dot", "outline at half depth")
+    _line(fig, x, y, INK, "dot", _("outline at half depth"))
     for name, turn, colour, dash in (
-        ("along", form.turn, GREEN, "solid"),
-        ("across", form.turn + 0.5 * np.pi, PURPLE, "dash"),
+        (_("section along"), form.turn, GREEN, "solid"),
+        (_("section across"), form.turn + 0.5 * np.pi, PURPLE, "dash"),
     ):
         ends = form.reach_mm * np.array([-1.0, 1.0])
-        _line(fig, ends * np.cos(turn), ends * np.sin(turn), colour, dash, f"section {name}")
+        _line(fig, ends * np.cos(turn), ends * np.sin(turn), colour, dash, name)
     fig.update_xaxes(visible=False, constrain="domain", range=_within(form.corner[0], form.step_mm, columns))
     fig.update_yaxes(
         visible=False, range=_within(form.corner[1], form.step_mm, rows)[::-1], scaleanchor="x", constrain="domain"
@@ -58,14 +59,17 @@ def _line(fig: go.Figure, x: np.ndarray, y: np.ndarray, colour: str, dash: str, 
 
 def defect_sections(form: DefectForm, depth: float, u95: float, locale: Locale, height: int = 420) -> go.Figure:
     """Both sections with the skin as it would be, a straight-edge laid over a dent, and the depth."""
-    titles = "along the defect", "across the defect"
+    titles = _("along the defect"), _("across the defect")
     fig = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.12, subplot_titles=titles)
     fig.update_layout(figure(locale, height).layout)
     sections = form.shown()
     for row, section in enumerate(sections, 1):
-        lines = [("skin as it would be", section.skin, BLUE, "dot", 2), ("surface", section.surface, INK, "solid", 3)]
+        lines = [
+            (_("skin as it would be"), section.skin, BLUE, "dot", 2),
+            (_("surface"), section.surface, INK, "solid", 3),
+        ]
         if depth > 0:
-            lines.append(("straight-edge", 0 * section.t, ORANGE, "solid", 3))
+            lines.append((_("straight-edge"), 0 * section.t, ORANGE, "solid", 3))
         for name, heights, colour, dash, width in lines:
             fig.add_scatter(
                 x=section.t,
@@ -85,7 +89,7 @@ def defect_sections(form: DefectForm, depth: float, u95: float, locale: Locale, 
     low, high = float(shown.min()), float(shown.max())
     air = max(_AIR * (high - low), 0.01)
     fig.update_yaxes(range=[low - air, high + air], tickformat="+.2f", title="mm", automargin=True, zeroline=False)
-    fig.update_xaxes(title="from the deepest point, mm", row=2, col=1)
+    fig.update_xaxes(title=_("from the deepest point, mm"), row=2, col=1)
     fig.update_layout(margin={"t": 44}, legend={"y": 1.08})
     return fig
 

@@ -9,8 +9,9 @@ import plotly.graph_objects as go
 from dashboard.figures.base import escape, figure
 from dashboard.figures.scene import add_features, mark_chosen
 from dashboard.locale import Locale
-from dashboard.palette import DIVERGING, INK, ORANGE, SEVERITY_COLOURS
+from dashboard.palette import DIVERGING, INK, ORANGE, SEVERITY_COLOURS, quantity_words
 from dashboard.panels import PanelPicture, PanelView
+from dashboard.words import _
 from metrology.assembly.picture import FINER, Stitched
 from metrology.kinds import BY_NAME, KINDS
 from metrology.verdicts import SEVERITIES
@@ -48,7 +49,7 @@ def panel_figure(
     for severity in reversed(SEVERITIES):
         for kind in reversed(KINDS):
             add_features(fig, kind, view.features[kind.name], severity, locale)
-    _add_uncovered(fig, view.coverage)
+    _add_uncovered(fig, view.coverage, locale)
     _add_names(fig, view, over_picture=picture is not None)
     mark_chosen(fig, view.features, chosen, INK)
     ticks = _ticks(*y)
@@ -132,12 +133,12 @@ def _add_stretches(fig: go.Figure, view: PanelView, locale: Locale, labelled_mm:
         worst = locale.number(row.value, sign=True)
         fig.add_annotation(
             x=middle["u_px"], y=middle["v_px"], showarrow=False, yshift=18 if labelled % 2 else -18,
-            text=escape(f"{row.quantity} {worst}, {locale.number(row.length_mm, 0)} mm"),
+            text=escape(f"{quantity_words(row.quantity)} {worst}, {locale.number(row.length_mm, 0)} mm"),
             font={"size": 11, "color": "white"}, bgcolor="rgba(0,0,0,0.6)", borderpad=2,
         )  # fmt: skip
 
 
-def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame) -> None:
+def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame, locale: Locale) -> None:
     for state, symbol in (("not measured", "square-open"), ("not seen", "square-x-open")):
         part = coverage[coverage["state"] == state]
         for course in part["course"].dropna() if "course" in part else ():
@@ -147,9 +148,12 @@ def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame) -> None:
             )  # fmt: skip
         if len(part):
             fig.add_scatter(
-                x=part["x_mm"], y=-part["y_mm"].astype(float), mode="markers", name=state,
+                x=part["x_mm"], y=-part["y_mm"].astype(float), mode="markers", name=_(state),
                 marker={"symbol": symbol, "size": 13, "color": INK, "line": {"width": 2}},
-                text=[f"<b>{escape(r.feature_id)}</b> {state}<br>{escape(r.reason or '')}" for r in part.itertuples()],
+                text=[
+                    f"<b>{escape(r.feature_id)}</b> {_(state)}<br>{escape(locale.reason(r.reason or ''))}"
+                    for r in part.itertuples()
+                ],
                 hovertemplate="%{text}<extra></extra>",
             )  # fmt: skip
 

@@ -12,8 +12,9 @@ from streamlit.delta_generator import DeltaGenerator
 from dashboard.address import one_of, put
 from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
 from dashboard.figures.panel import panel_figure
-from dashboard.findings import feature_from_parameter, feature_parameter
+from dashboard.findings import feature_from_parameter, feature_parameter, feature_words, standings_words
 from dashboard.frame import PageContext, go, link, plain
+from dashboard.locale import Locale
 from dashboard.panel_changes import changes_since, earlier_nights, rework_of
 from dashboard.panels import (
     InScan,
@@ -32,13 +33,13 @@ from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
 from dashboard.tables import show_table
 from dashboard.views.feature import close_up
+from dashboard.words import N_, _, capital
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
-from storage.archive.work import said
 from storage.report import panel_report
 from storage.review import Feature
 
-TITLE = "Panel"
+TITLE = N_("Panel")
 _BADGES = {
     "accepted": ("green", ":material/check:"),
     "accepted with conditions": ("orange", ":material/rule:"),
@@ -46,9 +47,9 @@ _BADGES = {
     "incomplete": ("gray", ":material/pending:"),
     "no rules": ("gray", ":material/help:"),
 }
-_PICTURE, _DEVIATION, _PLAIN = "Picture", "Deviation", "Marks only"
-_CLOSE_UP, _FINDINGS, _CHANGES, _RULES = "Close-up", "Findings", "Changes", "Rules"
-_COVERAGE, _SCANS = "Coverage", "Scans"
+_PICTURE, _DEVIATION, _PLAIN = N_("Picture"), N_("Deviation map"), N_("Marks only")
+_CLOSE_UP, _FINDINGS, _CHANGES, _RULES = N_("Close-up"), N_("Findings"), N_("Changes"), N_("Rules")
+_COVERAGE, _SCANS = N_("Coverage"), N_("Scans")
 
 
 def render(context: PageContext) -> None:
@@ -78,11 +79,11 @@ def _choose(context: PageContext, left: DeltaGenerator, right: DeltaGenerator) -
     first, second = known.iloc[0][["aircraft_serial", "panel"]]
     aircraft = list(dict.fromkeys(known["aircraft_serial"].astype(str)))
     serial = left.selectbox(
-        "Aircraft", aircraft, help="The feature that is looked at stays when you change it.",
+        _("Aircraft"), aircraft, help=_("The feature that is looked at stays when you change it."),
         **one_of("aircraft", aircraft, str(first)),
     )  # fmt: skip
     panels = sorted(known[known["aircraft_serial"] == serial]["panel"].astype(str))
-    name = right.selectbox("Panel", panels, **one_of("panel", panels, str(second)))
+    name = right.selectbox(_("Panel"), panels, **one_of("panel", panels, str(second)))
     return str(serial), str(name)
 
 
@@ -96,9 +97,13 @@ def _newest(context: PageContext, aircraft: str, panel: str) -> list[Any]:
 
 def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str) -> None:
     st.info(
-        f"The scans of {plain(aircraft)} {plain(panel)} were not put together yet, so there is no map of the panel. "
-        "`flushline panel assemble` does it; it follows each inspection of a panel by itself where a panel has "
-        "several stations or a pattern.",
+        _(
+            "The scans of {aircraft} {panel} were not put together yet, so there is no map of the panel. "
+            "`flushline panel assemble` does it; it follows each inspection of a panel by itself where a panel has "
+            "several stations or a pattern.",
+            aircraft=plain(aircraft),
+            panel=plain(panel),
+        ),
         icon=":material/grid_off:",
     )
     _scans(context, scenes)
@@ -118,31 +123,47 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
     row, locale = view.row, context.locale
     colour, icon = _BADGES.get(str(row.verdict), ("gray", ":material/help:"))
     with st.container(horizontal=True, vertical_alignment="center"):
-        st.badge(plain(row.verdict), color=colour, icon=icon)  # type: ignore[arg-type]
+        st.badge(plain(_(str(row.verdict))), color=colour, icon=icon)  # type: ignore[arg-type]
         st.markdown(f":small[{plain(locale.reason(row.verdict_reason))}]")
         signed = context.archive.review().sign_offs()
         names = {signed[s.scene_id].who for s in scenes if s.scene_id in signed}
         if scenes and all(s.scene_id in signed for s in scenes):
-            st.badge(f"signed off by {plain(', '.join(sorted(names)))}", color="green", icon=":material/lock:")
+            who = plain(", ".join(sorted(names)))
+            st.badge(_("signed off by {names}", names=who), color="green", icon=":material/lock:")
         elif names:
             count = sum(s.scene_id in signed for s in scenes)
-            st.badge(f"{count} of {len(scenes)} scans signed off", color="gray", icon=":material/lock_open:")
-    counted = [f"{kind.subject}s: {locale.whole(_number(view, kind))}" for kind in KINDS if _number(view, kind)]
-    missing = [
-        f"{locale.whole(n)} {words}"
-        for n, words in ((row.n_not_measured, "not measured"), (row.n_not_seen, "not seen"))
-        if n == n and n
+            part = _("{n} of {all} scans signed off", n=count, all=len(scenes))
+            st.badge(part, color="gray", icon=":material/lock_open:")
+    counted = [
+        f"{_(kind.counts[0].column.removeprefix('n_'))}: {locale.whole(_number(view, kind))}"
+        for kind in KINDS
+        if _number(view, kind)
     ]
-    covered = f"of {locale.whole(row.n_expected)} expected places " + (", ".join(missing) or "all measured")
-    st.caption(
-        f"{locale.whole(row.n_scenes)} scans, the newest {locale.time(row.captured_at)} · {', '.join(counted)} · "
-        f"{locale.whole(row.area_cm2)} cm² of skin seen · "
-        + (covered if row.n_expected == row.n_expected and row.n_expected else "no pattern says what there should be")
-        + (f" · scan next: {plain(row.next_station)}" if isinstance(row.next_station, str) else "")
-    )
+    said = [
+        _("{n} scans, the newest {time}", n=locale.whole(row.n_scenes), time=locale.time(row.captured_at)),
+        ", ".join(counted),
+        _("{area} cm² of skin seen", area=locale.whole(row.area_cm2)),
+        _covered(row, locale),
+    ]
+    if isinstance(row.next_station, str):
+        said.append(_("scan next: {station}", station=plain(row.next_station)))
+    st.caption(" · ".join(said))
     texts = [str(text) for text in (row.warnings if row.warnings is not None else ())]
     if texts:
         st.markdown(f":small[:orange[:material/warning:] {' · '.join(map(plain, texts))}]")
+
+
+def _covered(row: Any, locale: Locale) -> str:
+    """How much of what there should be was measured."""
+    if not (row.n_expected == row.n_expected and row.n_expected):
+        return _("what there should be is not known: no specification or earlier scan says it")
+    missing = [
+        f"{locale.whole(n)} {_(words)}"
+        for n, words in ((row.n_not_measured, "not measured"), (row.n_not_seen, "not seen"))
+        if n == n and n
+    ]
+    places = _("of {n} expected places", n=locale.whole(row.n_expected))
+    return f"{places} {', '.join(missing) or _('all measured')}"
 
 
 def _number(view: PanelView, kind: Any) -> int:
@@ -154,7 +175,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
     if len(view.parts) > 1:
         parts = view.parts
         of_chosen = _part_of(view, chosen)
-        part = st.segmented_control("Part", parts, label_visibility="collapsed",
+        part = st.segmented_control(_("Part"), parts, label_visibility="collapsed",
                                     **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
         number = parts.index(str(part or parts[0])) + 1
         view = view.of_part(number)
@@ -162,12 +183,14 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
     shown = None
     if picture is not None:
         grounds = [_PICTURE, _DEVIATION, _PLAIN]
-        shown = st.segmented_control("Ground", grounds, label_visibility="collapsed", **one_of("map", grounds))
+        shown = st.segmented_control(
+            _("Ground"), grounds, format_func=_, label_visibility="collapsed", **one_of("map", grounds)
+        )
         picture = None if shown == _PLAIN else picture
     view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
     clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
-    st.caption("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move.")
+    st.caption(_("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move."))
 
 
 def _part_of(view: PanelView, chosen: Feature | None) -> int:
@@ -202,7 +225,7 @@ def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: st
 
 def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen: Feature | None) -> None:
     names = [_CLOSE_UP, _FINDINGS, _CHANGES, _RULES, _COVERAGE, _SCANS]
-    shown = st.segmented_control("View", names, label_visibility="collapsed", **one_of("view", names))
+    shown = st.segmented_control(_("View"), names, format_func=_, label_visibility="collapsed", **one_of("view", names))
     if shown == _FINDINGS:
         _findings(context, view)
     elif shown == _CHANGES:
@@ -215,7 +238,7 @@ def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen
     elif shown == _SCANS:
         _scans(context, scenes)
     elif chosen is None:
-        st.info("Nothing was found on this panel.")
+        st.info(_("Nothing was found on this panel."))
     else:
         _feature(context, view, chosen)
 
@@ -226,9 +249,10 @@ def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
     kind = BY_NAME[chosen.kind]
     location = locations(context.archive, view).get(chosen.id.split("@")[0] if kind.is_course else chosen.id)
     where = f" · {plain(location)}" if location else ""
-    st.markdown(f"**{kind.subject.capitalize()} {plain(chosen.id)}** of the panel{where}")
+    name = f"**{capital(_(kind.subject))} {plain(feature_words(chosen.id, context.locale))}**"
+    st.markdown(_("{name} of the panel", name=name) + where)
     if found is None:
-        st.info("No scan in the panel has this feature at this place.")
+        st.info(_("No scan in the panel has this feature at this place."))
         return
     _on_a_night(context, found)
 
@@ -241,58 +265,61 @@ def _on_a_night(context: PageContext, found: InScan) -> None:
     scene, features = found.scene, found.features
     if len(names) > 1:
         night = st.select_slider(
-            "Night", names, str(scene.scene_id), format_func=times.__getitem__,
+            _("Night"), names, str(scene.scene_id), format_func=times.__getitem__,
             key=f"night-{scene.scene_id}-{found.feature}",
         )  # fmt: skip
         if night != scene.scene_id:
             earlier = load_scene_row(context.archive, night)
             if earlier is not None:
                 scene, features = earlier, load_features(context.archive, earlier)
-    st.caption(f"as station {plain(scene.station)} saw it, {context.locale.time(scene.captured_at)}")
+    at = context.locale.time(scene.captured_at)
+    st.caption(_("as station {station} saw it, {time}", station=plain(scene.station), time=at))
     close_up(context, scene, features, found.feature)
-    link("review", "Decide in the review", ":material/fact_check:", aircraft=scene.aircraft_serial, panel=scene.panel,
-         scene=scene.scene_id, feature=feature_parameter(found.feature))  # fmt: skip
+    link("review", _("Decide in the review"), ":material/fact_check:", aircraft=scene.aircraft_serial,
+         panel=scene.panel, scene=scene.scene_id, feature=feature_parameter(found.feature))  # fmt: skip
 
 
 def _findings(context: PageContext, view: PanelView) -> None:
     rows = view.findings.rename(columns={"value": "value_mm", "value_u95": "u95_mm"})
     if rows.empty:
-        st.success("Every feature of the panel is within its limits.", icon=":material/check:")
+        st.success(_("Every feature of the panel is within its limits."), icon=":material/check:")
         return
     names = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
     columns = {
-        "feature_id": "Feature", "quantity": "Quantity", "value_mm": "Worst", "u95_mm": "± U95",
-        "length_mm": "Length, mm", "decision": "Verdict", "reason": "Why",
+        "feature_id": _("Feature"), "quantity": _("Quantity"), "value_mm": _("Worst"), "u95_mm": _("± U95"),
+        "length_mm": _("Length, mm"), "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
     show_table(rows, columns, context.locale, "panel-findings", 470, names, _look_at, st.query_params.get("feature"))
-    st.caption("A stretch of a seam is one finding. Select one to see its worst place.")
+    st.caption(_("A stretch of a seam is one finding. Select one to see its worst place."))
 
 
 def _changes(context: PageContext, view: PanelView) -> None:
     """What changed since one of the nights before."""
     nights = {run: context.locale.time(at) for run, at in earlier_nights(context.archive, view).items()}
     if not nights:
-        st.info("This is the first assembly of the panel: there is no other to compare it with.")
+        st.info(_("This is the first assembly of the panel: there is no other to compare it with."))
         return
     names = list(nights)
     since = names[-1]
     if len(names) > 1:
-        since = st.select_slider("Since", names, names[-1], format_func=nights.__getitem__, key=f"since-{names[-1]}")
+        since = st.select_slider(_("Since"), names, names[-1], format_func=nights.__getitem__, key=f"since-{names[-1]}")
     else:
-        st.caption(f"since {nights[since]}")
+        st.caption(_("since {time}", time=nights[since]))
     rows = changes_since(context.archive, view, since)
     if rows.empty:
-        st.success("Neither then nor now is anything beyond its limits.", icon=":material/check:")
+        st.success(_("Neither then nor now is anything beyond its limits."), icon=":material/check:")
         return
     columns = {
-        "change": "Change", "feature_id": "Feature", "value_mm": "Now", "before_mm": "Then",
-        "difference_mm": "Difference", "difference_u95_mm": "± U95", "decision": "Verdict", "reason": "Why",
+        "change": _("Change"), "feature_id": _("Feature"), "value_mm": _("Now"), "before_mm": _("Then"),
+        "difference_mm": _("Difference"), "difference_u95_mm": _("± U95"), "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
     keys = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
     show_table(rows, columns, context.locale, "panel-changes", 330, keys, _look_at, st.query_params.get("feature"))
     st.caption(
-        "Both nights judged by today's limits. Worse and better: by more than the U95 of the difference. New: in order "
-        "then, or not seen. Select one to look at it."
+        _(
+            "Both nights judged by today's limits. Worse and better: by more than the U95 of the difference. New: in "
+            "order then, or not seen. Select one to look at it."
+        )
     )
 
 
@@ -300,10 +327,10 @@ def _rework(context: PageContext, view: PanelView) -> None:
     rows = rework_of(context.archive, view)
     if rows.empty:
         return
-    st.markdown("**Rework, repair and re-scan**")
+    st.markdown("**" + _("Rework, repair and re-scan") + "**")
     rows["feature"] = rows["panel_feature"].fillna(rows["name"])
-    columns = {"feature": "Feature", "disposition": "Decided", "who": "By", "decided_at": "When", "state": "Outcome",
-               "comment": "Comment"}  # fmt: skip
+    columns = {"feature": _("Feature"), "disposition": _("Decided"), "who": _("By"), "decided_at": _("When"),
+               "state": _("Outcome"), "comment": _("Comment")}  # fmt: skip
     keys = [
         feature_parameter(Feature(kind, str(name)))
         for kind, name in zip(rows["feature_kind"], rows["feature"], strict=True)
@@ -313,25 +340,31 @@ def _rework(context: PageContext, view: PanelView) -> None:
 
 def _rules(context: PageContext, view: PanelView) -> None:
     if view.rules.empty:
-        st.info("The specification that judged this panel has no acceptance rules: nothing says when it is accepted.")
+        st.info(
+            _("The specification that judged this panel has no acceptance rules: nothing says when it is accepted.")
+        )
     else:
-        columns = {"rule": "Rule", "applies_to": "Of", "verdict": "Outcome", "reason": "What was found"}
+        columns = {"rule": _("Rule"), "applies_to": _("Of"), "verdict": _("Outcome"), "reason": _("What was found")}
         show_table(view.rules, columns, context.locale, "panel-rules", 260)
-    st.markdown("**Verdicts so far**")
-    columns = {"judged_at": "Judged", "panel_spec": "By", "verdict": "Verdict", "reason": "Why"}
+    st.markdown("**" + _("Verdicts so far") + "**")
+    columns = {"judged_at": _("Judged"), "panel_spec": _("By"), "verdict": _("Verdict"), "reason": _("Why")}
     show_table(view.verdicts.iloc[::-1], columns, context.locale, "panel-verdicts", 200)
 
 
 def _coverage(context: PageContext, view: PanelView) -> None:
     missing = view.coverage[view.coverage["state"] != "measured"]
     if view.coverage.empty:
-        st.info("No pattern says what there should be, so nothing can be missing. A specification with nominal places "
-                "(`flushline panel`) tells what was not looked at.")  # fmt: skip
+        st.info(
+            _(
+                "No pattern says what there should be, so nothing can be missing. A specification with nominal places "
+                "(`flushline panel`) tells what was not looked at."
+            )
+        )
     elif missing.empty:
-        st.success("Every expected fastener and stretch of seam was measured.", icon=":material/check:")
+        st.success(_("Every expected fastener and stretch of seam was measured."), icon=":material/check:")
     else:
-        columns = {"feature_id": "Expected", "state": "State", "from_mm": "From, mm", "to_mm": "To, mm",
-                   "reason": "Why"}  # fmt: skip
+        columns = {"feature_id": _("Expected"), "state": _("State"), "from_mm": _("From, mm"), "to_mm": _("To, mm"),
+                   "reason": _("Why")}  # fmt: skip
         show_table(missing, columns, context.locale, "panel-coverage", 470)
 
 
@@ -342,16 +375,16 @@ def _scans(context: PageContext, scenes: Sequence[Any]) -> None:
             "scene_id": str(scene.scene_id),
             "station": scene.station,
             "captured_at": scene.captured_at,
-            "findings": said(context.archive.standings(str(scene.scene_id))),
+            "findings": standings_words(context.archive.standings(str(scene.scene_id))),
             "signed": signed[scene.scene_id].who if scene.scene_id in signed else "–",
             "reason": "; ".join(map(str, scene.warnings if scene.warnings is not None else ())),
         }
         for scene in scenes
     )
-    columns = {"station": "Station", "captured_at": "Scanned", "findings": "Findings", "signed": "Signed off",
-               "reason": "Warnings"}  # fmt: skip
+    columns = {"station": _("Station"), "captured_at": _("Scanned"), "findings": _("Findings"),
+               "signed": _("Signed off"), "reason": _("Warnings")}  # fmt: skip
     show_table(rows, columns, context.locale, "panel-scans", 300, list(rows["scene_id"]), _open_scene)
-    st.caption("Select a scan to open its picture.")
+    st.caption(_("Select a scan to open its picture."))
 
 
 def _open_scene(scene: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from datetime import UTC, datetime
 from pathlib import Path
 
 
@@ -30,6 +31,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     load.add_argument("--size", type=parse_size, metavar="WxH", help="camera images, where the files do not tell")
     load.add_argument("--unit", help="of the translations: mm (default), cm, m, in, or millimetres of one")
     load.add_argument("--projector-size", type=parse_size, metavar="WxH", help="where the files tell only its lens")
+    load.add_argument(
+        "--calibrated-at",
+        metavar="TIME",
+        help="ISO 8601 with zone; by default when the newest of the files was written",
+    )
     load.add_argument("--projector-of", type=Path, metavar="RIG", help="rig file to take the projector from")
     load.set_defaults(run=run_import)
     fit = actions.add_parser(
@@ -85,7 +91,6 @@ def run_check(options: argparse.Namespace) -> int:
 def run_import(options: argparse.Namespace) -> int:
     """Read other programs' files, write a rig file."""
     from dataclasses import replace
-    from datetime import UTC, datetime
 
     from metrology.rig import PROJECTOR_OF
     from metrology.rig_plausibility import rig_facts
@@ -94,7 +99,7 @@ def run_import(options: argparse.Namespace) -> int:
     from storage.rig import load_rig, save_rig
 
     other = load_rig(options.projector_of) if options.projector_of else None
-    moment = datetime.now(UTC)
+    moment = _calibrated_at(options)
     rig = load_opencv_rig(
         options.files,
         options.id,
@@ -109,6 +114,20 @@ def run_import(options: argparse.Namespace) -> int:
     save_rig(rig, options.out)
     print("\n".join([*rig_facts(rig), str(options.out)]))
     return 0
+
+
+def _calibrated_at(options: argparse.Namespace) -> datetime:
+    """As it is said, or when the newest of the files was written; now, where there is none of them."""
+    from metrology.errors import UsageError
+    from metrology.moments import moment_of
+
+    if options.calibrated_at:
+        try:
+            return moment_of(options.calibrated_at)
+        except ValueError as problem:
+            raise UsageError(f"--calibrated-at: found {problem}, expected ISO 8601 with zone") from None
+    written = [path.stat().st_mtime for path in options.files if path.exists()]
+    return datetime.fromtimestamp(int(max(written)), UTC) if written else datetime.now(UTC)
 
 
 def run_fit(options: argparse.Namespace) -> int:

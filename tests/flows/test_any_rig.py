@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from flows.cli import main
 from flows.contact_sheet import residuals
 from metrology.fringe import FringeCode, GrayCode
-from metrology.reconstruct import reconstruct
+from metrology.one_camera import triangulate_one
+from metrology.reconstruct import decode, reconstruct
 from storage.rig import load_rig, save_rig
 from storage.scene import load_scene
 from tests.support.rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, seen_coordinate, small_rig
@@ -171,7 +172,7 @@ def test_wrong_declarations_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     assert "found {cam}, expected camera" in capsys.readouterr().err
     (folder / "R" / "f6_2.png").unlink()
     assert run("scene", "new", folder, *pattern, "--counts", "7", "6", "5") == 2
-    assert "count 6: found 3 steps, expected 4" in capsys.readouterr().err
+    assert "count 6: found 3 steps (0, 1, 3), expected 4" in capsys.readouterr().err
     assert not (folder / "scene.json").exists()
 
 
@@ -257,6 +258,47 @@ def test_a_rig_without_projector_inspects_by_commands(tmp_path: Path, capsys: py
     assert "no calibrated projector" in said.out + said.err
 
 
+def test_fringes_along_the_line_between_the_cameras_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_rig(replace(small_rig(), projector=None), tmp_path / "small.json")
+    views, v = {}, np.arange(240.0)[:, None] * np.ones((240, 320))
+    code = FringeCode("x", 4, (7, 6, 5))
+    for camera in ("left", "right"):
+        lines = code.lines((v.ravel() + 40) / 320).reshape(-1, 240, 320)
+        noise = np.random.default_rng(len(camera)).normal(0, 1.5, lines.shape)
+        views[camera] = np.clip(30 + 160 * lines + noise, 0, 255).astype(np.uint8)
+    folder = save(tmp_path / "scan", views, COUNTS)
+    arguments = ("--pattern", "{camera}/f{count}_{step}.png", "--counts", "7", "6", "5", "--rig", "small")
+    assert run("scene", "new", folder, *arguments) == 0
+    assert "the coordinate changes down the image" in capsys.readouterr().out
+    assert run("inspect", folder, "--rig", tmp_path / "small.json", "--store", tmp_path / "store") == 2
+    assert "most likely these are of axis 'y'" in capsys.readouterr().err
+
+
+def test_what_one_camera_cannot_tell_of_the_steps_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_rig(replace(small_rig(), right=None), tmp_path / "one.json")
+    code = FringeCode("x", 4, (1, 4, 16), None, (0.3,) * 3)
+    folder = save(
+        tmp_path / "scan", {"left": scan(code, -1)["left"]}, [f"f{n}_{i}.png" for n in (1, 4, 16) for i in range(4)]
+    )
+    arguments = ("--pattern", "f{count}_{step}.png", "--counts", "1", "4", "16", "--rig", "small")
+    assert run("scene", "new", folder, *arguments) == 2
+    assert "agree with the phase offsets" in capsys.readouterr().err
+    assert run("scene", "new", folder, *arguments, "--offset", "-0.3") == 0
+    inspect = ("inspect", folder, "--rig", tmp_path / "one.json", "--store", tmp_path / "store")
+    assert run(*inspect) == 2
+    assert "most likely the steps were shown backward" in capsys.readouterr().err
+    assert run("scene", "new", folder, *arguments, "--offset", "0.3", "--direction", "-1") == 0
+    assert json.loads((folder / "scene.json").read_text())["fringe"]["direction"] == -1
+    scene, rig = load_scene(folder), load_rig(tmp_path / "one.json")
+    cloud = triangulate_one(decode(scene.frames("left"), scene.code, 320), rig, scene.code, 320)
+    off = (cloud.points @ PLANE_NORMAL - PLANE_DISTANCE)[cloud.flags == 0]
+    assert abs(np.median(off)) < 0.1
+
+
 def test_one_camera_and_its_projector_inspect_by_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_rig(replace(small_rig(), right=None), tmp_path / "small.json")
     views = {"left": scan(FringeCode("x", 4, (7, 6, 5)))["left"]}
@@ -271,3 +313,21 @@ def test_one_camera_and_its_projector_inspect_by_commands(tmp_path: Path, capsys
     save_rig(replace(small_rig(), projector=None), tmp_path / "cameras.json")
     assert run("inspect", folder, "--rig", tmp_path / "cameras.json", "--store", tmp_path / "store") == 2
     assert "found one camera to measure with" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_gray_code_alone_from_the_finest_bit_on(
+    inverse: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = FringeCode("x", 0, (), GrayCode(160, inverse))
+    views = {
+        camera: np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in frames])
+        for camera, frames in scan(code).items()
+    }
+    per_bit = 2 if inverse else 1
+    order = [per_bit * bit + i for bit in reversed(range(8)) for i in range(per_bit)]
+    folder = save(tmp_path, {camera: frames[order] for camera, frames in views.items()}, SINGLE[: code.frames])
+    arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "--gray", "160", "--rig", "small")
+    assert run("scene", "new", folder, *arguments, *(["--inverse"] if inverse else [])) == 0
+    assert "from the finest bit on" in capsys.readouterr().out
+    assert abs(np.median(measured(folder))) < 0.1

@@ -1,10 +1,14 @@
-"""The page "bring your own rig": its commands that need no pictures run as they are written, from its inputs."""
+"""The page "bring your own rig": its commands run as they are written, from inputs made for them.
+
+Calibrations from pictures and `fit-projector` are run by tests/flows/test_own_rig.py and test_calibrate_cameras.py.
+"""
 
 from __future__ import annotations
 
 import csv
 import re
 import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +16,15 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 
-from flows.cli import main
+from flows.cli import build_parser, main
+from flows.code_options import fringe_model
+from metrology.fringe import FringeCode
 from storage.opencv_rig import save_opencv_rig
-from storage.rig import load_rig
+from storage.rig import load_rig, save_rig
 from tests.support.calibration_bench import bench_rig, bench_state, see
+from tests.support.rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, seen_coordinate, small_rig
 
 PAGE = Path(__file__).parents[2] / "docs" / "any-rig.md"
 ALONE = ("flushline patterns", "flushline rig import", "flushline calibrate points.csv")
@@ -25,6 +33,65 @@ ALONE = ("flushline patterns", "flushline rig import", "flushline calibrate poin
 def commands() -> list[str]:
     blocks = re.findall(r"^```\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     return [line for block in blocks for line in block.splitlines() if line.startswith(ALONE)]
+
+
+def frames_commands() -> list[str]:
+    """Those that make, check and inspect scans, in the page's order."""
+    starts = ("flushline scene", "flushline capture check", "flushline inspect")
+    blocks = re.findall(r"^```\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return [line for block in blocks for line in block.splitlines() if line.startswith(starts)]
+
+
+def write_frames(command: str) -> None:
+    """The frames that a command's pattern and code speak of, with those that it skips."""
+    options = build_parser().parse_args(shlex.split(command)[1:])
+    code = fringe_model(options).code
+    shown = scan(code, 320, ("left", "right") if "{camera}" in options.pattern else ("left",))
+    shutil.rmtree("scan", ignore_errors=True)
+    called = getattr(options, "labels", None) or options.periods or code.counts
+    for camera, frames in shown.items():
+        blocks = {"fringes": frames[: code.fringe_frames], "gray": frames[code.fringe_frames :],
+                  "white": frames[:0], "black": frames[:0], "skip:1": frames[:1], "skip:10": frames[:10]}  # fmt: skip
+        if "white" in (options.sequence or ()):
+            blocks |= {"white": frames[-2:-1], "black": frames[-1:], "gray": frames[code.fringe_frames : -2]}
+        if options.sequence:
+            frames = np.concatenate([blocks[token] for token in options.sequence])
+        for time in ("5", "10") if "{exposure}" in options.pattern else ("10",):
+            for number, frame in enumerate(frames):
+                told = {"camera": camera[0].upper(), "exposure": time, "frame": f"{number:02d}"}
+                if "{count}" in options.pattern:
+                    told |= {"count": str(called[code.count_of[number]]), "step": str(code.step_of[number])}
+                path = Path("scan") / options.pattern.format(**told)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                assert cv2.imwrite(str(path), (frame * (int(time) / 10)).round().astype(np.uint8))
+
+
+def scan(code: FringeCode, size: int, cameras: tuple[str, ...]) -> dict[str, NDArray[np.uint8]]:
+    """Each camera's frames of a plane before the small rig; patterns are taken between the projector's pixels."""
+    rig, rng = small_rig(), np.random.default_rng(5)
+    views = {}
+    for camera in cameras:
+        seen = seen_coordinate(rig, plane_depth(rig.devices[camera], PLANE_NORMAL, PLANE_DISTANCE), "x")
+        across = np.nan_to_num(np.gradient(seen, axis=1))
+        parts = [np.nan_to_num(seen) + share * across for share in (-0.5, -0.25, 0.0, 0.25, 0.5)]  # a pixel is no point
+        taken = [code.lines((part.ravel() + 0.5) / (code.size_px or size)) for part in parts]
+        lines = np.mean(taken, axis=0).reshape(-1, *seen.shape)
+        levels = np.where(np.isfinite(seen), 30 + 160 * lines, 4) + rng.normal(0, 1.0, lines.shape)
+        views[camera] = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    return views
+
+
+def test_the_page_s_scans_are_made_checked_and_inspected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_rig(replace(small_rig(), projector=None, id="my-rig"), tmp_path / "rig.json")
+    save_rig(replace(small_rig(), right=None, id="my-rig"), tmp_path / "one-camera.json")
+    run = frames_commands()
+    assert len(run) == 13
+    for number, command in enumerate(run):
+        if "--pattern" in command:
+            write_frames(command)
+        store = ["--store", f"store-{number}"] if command.startswith("flushline inspect") else []
+        assert main(shlex.split(command)[1:] + store) == 0, command
 
 
 def write_points(path: Path) -> None:
@@ -64,20 +131,29 @@ def write_inputs(folder: Path) -> None:
     model.mkdir()
     (model / "cameras.txt").write_text("1 PINHOLE 1280 1024 1800 1800 640.5 512.5\n")
     (model / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 -1 0 0 1 b.png\n\n")
+    K = np.array([[1800.0, 0, 640], [0, 1800.0, 512], [0, 0, 1]])
     storage = cv2.FileStorage(str(folder / "procam.yml"), cv2.FILE_STORAGE_WRITE)
     turn = cv2.Rodrigues(np.radians([0.0, 8.0, 0.0]))[0]
-    for name, value in (("cam_K", [[1800.0, 0, 640], [0, 1800.0, 512], [0, 0, 1]]), ("cam_kc", [[0.0] * 5]),
+    for name, value in (("cam_K", K), ("cam_kc", [[0.0] * 5]),
                         ("proj_K", [[1400.0, 0, 512], [0, 1400.0, 500], [0, 0, 1]]), ("proj_kc", [[0.0] * 5]),
                         ("R", turn), ("T", turn @ [[-150.0], [0.0], [0.0]])):  # fmt: skip
         storage.write(name, np.array(value, float))
     storage.release()
+    (folder / "matrices").mkdir()
+    beside = np.array([[-120.0], [0.0], [0.0]])
+    none = np.zeros((1, 5))
+    for name, value in (("K_left", K), ("K_right", K), ("dist_left", none), ("dist_right", none), ("R", np.eye(3)),
+                        ("T", beside)):  # fmt: skip
+        np.savetxt(folder / "matrices" / f"{name}.txt", value)
+    for name, shift in (("P1", 0 * beside), ("P2", beside)):
+        np.savetxt(folder / f"{name}.txt", K @ np.column_stack([np.eye(3), shift]))
 
 
 def test_the_page_s_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_inputs(tmp_path)
     monkeypatch.chdir(tmp_path)
     run = commands()
-    assert len(run) == 10
+    assert len(run) == 13
     for command in run:
         assert main(shlex.split(command)[1:]) == 0, command
         if command.startswith("flushline rig import"):

@@ -56,3 +56,16 @@ def test_fringes_along_the_baseline_are_refused() -> None:
     frames, _ = plane_scan(small_rig(), code, np.random.default_rng(4))
     with pytest.raises(RigError, match="found fringes along the line from the camera to the projector"):
         triangulate_one(decode(frames, code, 240), rig, code, 240)
+
+
+def test_flicker_leaves_no_ripple() -> None:
+    """Light that changes by a hundredth from frame to frame ripples the coordinate with the phase and twice of it."""
+    rig, rng = small_rig(), np.random.default_rng(4)
+    frames, _ = plane_scan(rig, CODE, rng, 0.5)
+    bright = np.clip(1 + 0.01 * rng.standard_normal(CODE.frames), 0.97, 1.03)[None, :, None, None]
+    uneven = np.rint(frames * bright).clip(0, 255).astype(np.uint8)
+    one = replace(rig, right=None)
+    steady, _ = deviations(triangulate_one(decode(frames, CODE, 320), one, CODE, 320))
+    off, sigma = deviations(triangulate_one(decode(uneven, CODE, 320), one, CODE, 320))
+    assert np.std(off) < 1.15 * np.std(steady)
+    assert np.std(off / sigma) < 1.2
