@@ -19,6 +19,7 @@ from metrology.seams.finding.band_kernel import (
 from metrology.seams.finding.bands import fit_bands
 from metrology.seams.finding.linking import link
 from metrology.seams.finding.medians import row_medians
+from metrology.seams.finding.segments import _longest_run
 from tests.support.seam_textures import Band, paint
 
 
@@ -260,3 +261,16 @@ def test_row_medians(rng):
         if on.any():
             assert median == np.median(row[on])
     assert row_medians(values, kept[0])[3:5] == pytest.approx(np.median(values[3:5][:, kept[0]], axis=1), nan_ok=True)
+
+
+def test_longest_run(rng):
+    points = np.cumsum(rng.normal([1.0, 0.0], [0.1, 0.4], (60, 2)), axis=0)
+    pairs = np.vstack([[[7, 7]], rng.integers(0, 60, (9, 2))])  # two samples in one place make no line
+    best = (0, 0)
+    for first, second in pairs:
+        along, away = points[second] - points[first], points - points[first]
+        on_line = np.abs(away @ [-along[1], along[0]]) <= 0.8 * np.linalg.norm(along)
+        ends = np.flatnonzero(np.diff(np.r_[False, on_line & along.any(), False]))
+        best = max([best, *zip(ends[::2], ends[1::2], strict=True)], key=lambda run: run[1] - run[0])
+    assert 3 < best[1] - best[0] < 60
+    assert _longest_run(points, pairs, 0.8) == best
