@@ -216,15 +216,25 @@ def _side_of(text: str) -> int | None:
     return None
 
 
-def side_of_file(parts: Iterable[str]) -> int | None:
-    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml."""
+def side_of_file(parts: Iterable[str], first: int = 0) -> int | None:
+    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one."""
     for part in parts:
         for word in re.findall(r"[A-Za-z]+", part):
             if word.lower() in ("left", "l", "right", "r"):
                 return _SIDES[word.lower()]
+    number = _number_of(parts)
+    return None if number is None else {first: 1, first + 1: 2}.get(number)
+
+
+def first_number(names: Iterable[Iterable[str]]) -> int:
+    """What the left camera is numbered in several files' names: 1 where there is a 2 and no 0, else 0."""
+    numbers_ = {_number_of(list(parts)) for parts in names}
+    return int(2 in numbers_ and 0 not in numbers_)
+
+
+def _number_of(parts: Iterable[str]) -> int | None:
     numbered = [re.search(r"(?:cam|camera)_?(\d)", part, re.IGNORECASE) for part in parts]
-    number = next((int(match[1]) for match in numbered if match), None)
-    return None if number is None else {0: 1, 1: 2}.get(number)
+    return next((int(match[1]) for match in numbered if match), None)
 
 
 def _size(arrays: Mapping[str, Array]) -> Found:

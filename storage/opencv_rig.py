@@ -18,7 +18,7 @@ from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
 from metrology.rig_plausibility import check_rig
 from storage import other_rigs
 from storage.calibration_documents import flat, read_document
-from storage.calibration_names import from_names, side_of_file
+from storage.calibration_names import first_number, from_names, side_of_file
 from storage.lens_names import check_lens_names
 from storage.projection_matrices import from_projections
 
@@ -61,9 +61,10 @@ def load_opencv_rig(
     if unit is not None and unit not in MM_PER_UNIT and not _is_length(unit):
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
     found: dict[str, Array] = {}
-    for path in paths:
-        for file in _files(Path(path)):
-            found |= _read(file, found)
+    files = [file for path in paths for file in _files(Path(path))]
+    first = first_number((file.stem, file.parent.name) for file in files)
+    for file in files:
+        found |= _read(file, found, first)
     found |= other_rigs.pose_of_both(found)
     named = ", ".join(str(path) for path in paths)
     alone = "M3" in found and "M2" not in found
@@ -120,8 +121,11 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
     partial.replace(path)
 
 
-def _read(path: Path, before: Mapping[str, Array]) -> dict[str, Array]:
-    """What a file says by OpenCV's names; `before` is what others said, for a camera's file that names no side."""
+def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Array]:
+    """What a file says by OpenCV's names; `before` is what others said, for a camera's file that names no side.
+
+    `first` is the number of the left camera in names.
+    """
     try:
         if path.is_dir():
             return other_rigs.from_colmap(path)
@@ -129,10 +133,10 @@ def _read(path: Path, before: Mapping[str, Array]) -> dict[str, Array]:
         if (known := other_rigs.from_document(document, path)) is not None:
             return known
         check_lens_names(document)
-        side = side_of_file([path.stem, path.parent.name]) or (2 if "M1" in before and "M2" not in before else 1)
+        side = side_of_file([path.stem, path.parent.name], first) or (2 if "M1" in before and "M2" not in before else 1)
         values = flat(document)
         named = from_names(values, side)
-        return named if {"M1", "M2"} & set(named) else named | from_projections(values)
+        return named if {"M1", "M2"} & set(named) else named | from_projections(values, first)
     except (KeyError, ValueError, TypeError, IndexError) as problem:
         raise RigError(f"{path}: found no {problem}, expected a whole calibration") from None
     except RigError as problem:

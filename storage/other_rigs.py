@@ -70,7 +70,7 @@ def from_document(document: Mapping[str, Any], path: Path) -> Found | None:
         return {key: value for number, names in both for key, value in _rectified(values, names, number).items()}
     if (alone := _rectified_names(values, "")) is not None:
         said = f"{document.get('camera_name', '')} {path.name}".lower()
-        right = "right" in said or np.ravel(values[alone["P"]])[3] != 0 or side_of_file([path.stem]) == 2
+        right = "right" in said or np.ravel(values[alone["P"]])[3] != 0
         return _rectified(values, alone, 2 if right else 1)
     return None
 

@@ -14,25 +14,24 @@ from storage.calibration_names import side_of_file
 
 Array = NDArray[np.float64]
 
-_NAME = re.compile(
-    r"(?:^|[^a-z])(p|proj|projection|pmat|projmat|projectionmatrix|matrix|camera|cam|c)(?:[^a-z]|$)", re.I
-)
 _LEAST_DETERMINANT = 1e-12
 _NO_SKEW = 1e-4  # of the focal length: what rounding of printed numbers leaves
 
 
-def from_projections(values: Mapping[str, Any]) -> dict[str, Array]:
+def from_projections(values: Mapping[str, Any], first: int) -> dict[str, Array]:
     """M, D, and each camera's pose, of every 3×4 matrix whose name tells its camera; images are taken as undistorted.
 
     Parameters
     ----------
     values : mapping
         Flat names to values.
+    first : int
+        The number of the left camera in names: 0 or 1.
     """
     found: dict[str, Array] = {}
     for name, value in values.items():
         matrix = numbers(value)
-        side = _side(name)
+        side = _side(name, first)
         if side is None or matrix is None or matrix.shape not in ((3, 4), (12,), (1, 12)):
             continue
         taken = _taken_apart(matrix.reshape(3, 4))
@@ -42,9 +41,9 @@ def from_projections(values: Mapping[str, Any]) -> dict[str, Array]:
     return found
 
 
-def _side(name: str) -> int | None:
-    """1 or 2: a side by a word or letter, or the last number, of which 1 and 2 are left and right, as are 0 and 1."""
-    if (side := side_of_file([name])) is not None:
+def _side(name: str, first: int) -> int | None:
+    """1 or 2: by a word or letter, a camera's number, or the last number, of which 1 is left."""
+    if (side := side_of_file([name], first)) is not None:
         return side
     spelled = re.search(r"(left|right|(?<=[a-z])[LR](?![a-z]))", name)
     if spelled:

@@ -364,6 +364,15 @@ def as_files_posed_to_a_board(rig: Rig, folder: Path) -> list[Path]:
     return paths
 
 
+def as_files_numbered_from_1(rig: Rig, folder: Path) -> list[Path]:
+    """cam1 and cam2, the right one first on the command line, and what lies between them."""
+    paths = [folder / f"cam{number}.npz" for number in (2, 1)]
+    for path, device in zip(paths, (rig.right, rig.left), strict=True):
+        np.savez(path, K=device.K, dist=device.distortion, image_size=[device.width, device.height])
+    np.savez(folder / "stereo.npz", R=rig.right.R, T=rig.right.t)
+    return [*paths, folder / "stereo.npz"]
+
+
 def as_posed_to_a_board(rig: Rig, folder: Path) -> list[Path]:
     turn, values = Rotation.from_euler("xyz", [5, -8, 3], degrees=True).as_matrix(), {}
     for number, device in enumerate(rig.cameras.values(), start=1):
@@ -401,6 +410,7 @@ def as_posed_to_a_board(rig: Rig, folder: Path) -> list[Path]:
         (as_tables, 5),
         (as_files_posed_to_a_board, 5),
         (as_posed_to_a_board, 5),
+        (as_files_numbered_from_1, 5),
         (plain({"K1": "KK_left", "K2": "KK_right", "D1": "kc_left", "D2": "kc_right"}), 5),
         (plain({"K1": "intrinsic_left", "K2": "intrinsic_right", "D1": "distort_left", "D2": "distort_right"}), 5),
         (plain({"R": "R_LR", "T": "t_LR"}), 5),
@@ -456,7 +466,10 @@ def test_each_program_s_rig_is_the_same(
         np.testing.assert_allclose(one.t, other.t, atol=1e-4)
 
 
-@pytest.mark.parametrize("names", [("P1.txt", "P2.txt"), ("camL_proj.csv", "camR_proj.csv"), ("left.npy", "right.npy")])
+@pytest.mark.parametrize(
+    "names",
+    [("P1.txt", "P2.txt"), ("cam1_P.txt", "cam2_P.txt"), ("camL_proj.csv", "camR_proj.csv"), ("left.npy", "right.npy")],
+)
 def test_projection_matrices_tell_undistorted_cameras(cameras: Rig, tmp_path: Path, names: tuple[str, str]) -> None:
     world = np.eye(4)
     world[:3, :3], world[:3, 3] = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix(), [5.0, 6.0, 900.0]
