@@ -106,7 +106,7 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
     if name.startswith("decision"):
         return decision_words
     if name == "quantity":
-        return quantity_words
+        return lambda value: quantity_words(str(value))
     if name == "reason":
         return locale.reason
     if name == "feature_id":
