@@ -162,8 +162,9 @@ def _covered(row: Any, locale: Locale) -> str:
         for n, words in ((row.n_not_measured, "not measured"), (row.n_not_seen, "not seen"))
         if n == n and n
     ]
+    everything = _("all measured")
     places = _("of {n} expected places", n=locale.whole(row.n_expected))
-    return f"{places} {', '.join(missing) or _('all measured')}"
+    return f"{places} {', '.join(missing) if missing else everything}"
 
 
 def _number(view: PanelView, kind: Any) -> int:

@@ -173,8 +173,9 @@ def _values(kind: Kind, course: Sequence[Any], along: Array, every_mm: float) ->
             yield from ((k, _text(kind, course[k])) for k in _labelled(sizes, along, run, every_mm))
             continue
         worst = max(range(run.start, run.stop), key=lambda k: (_beyond(course[k]), sizes[k]))
-        length = (along[run.stop - 1] - along[run.start]) * (n := run.stop - run.start) / (n - 1)
-        yield worst, f"{_text(kind, course[worst])} ({length:.0f} mm)"
+        text, n = _text(kind, course[worst]), run.stop - run.start
+        length = (along[run.stop - 1] - along[run.start]) * n / max(n - 1, 1)
+        yield worst, f"{text} ({length:.0f} mm)" if length else text
 
 
 def _beyond(row: Any) -> float:

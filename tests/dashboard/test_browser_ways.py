@@ -43,7 +43,7 @@ def page(server: tuple[str, Path], chromium: Any) -> Iterator[Any]:
 def test_from_what_is_new_to_its_picture_its_trend_and_its_panel(server: tuple[str, Path], page: Any) -> None:
     home = server[0]
     page.goto(home)
-    page.get_by_role("radio", name="New 5").or_(page.get_by_role("button", name="New 5")).first.wait_for()
+    page.get_by_role("radio", name="New 6").or_(page.get_by_role("button", name="New 6")).first.wait_for()
     settle(page)
     click_row(page, 0)
     at(page, "scene", scene=LAST, feature="rivet:R04")
