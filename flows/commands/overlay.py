@@ -23,6 +23,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument(
         "--out", type=Path, required=True, metavar="PATH", help="PNG, or SVG by its ending; a folder for a panel"
     )
+    parser.add_argument(
+        "--names", action="store_true",
+        help="drawn anew, with the names that features have in their assembled panel, or else on their scan",
+    )  # fmt: skip
+    parser.add_argument(
+        "--work", action="store_true", help="drawn anew, with names: only rework, repair and re-scan that is open"
+    )
     parser.set_defaults(run=run)
 
 
@@ -32,17 +39,36 @@ def run(options: argparse.Namespace) -> int:
     from storage.archive.store import Store
 
     if options.aircraft and options.panel and not options.scene_id:
+        if options.names or options.work:
+            raise UsageError("overlay: found --names or --work with a whole panel, expected them with a SCENE_ID")
         return _panel(options)
     if not options.scene_id or options.aircraft or options.panel:
         raise UsageError("overlay: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL")
     if options.out.suffix.lower() not in (".png", ".svg"):
         raise UsageError(f"overlay: found the ending {options.out.suffix!r} of {options.out}, expected .png or .svg")
+    if options.names or options.work:
+        return _anew(options)
     overlay = Store(options.store).paths(options.scene_id).overlay
     source = overlay.with_suffix(".svg") if options.out.suffix.lower() == ".svg" else overlay
     if not source.is_file():
         raise StoreError(f"{source}: found no such file, expected the scene's overlay; the bundle is damaged")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, options.out)
+    print(options.out)
+    return 0
+
+
+def _anew(options: argparse.Namespace) -> int:
+    from storage.archive.store import Store
+    from storage.png import encode
+    from storage.report.redrawn import redrawn_overlay
+
+    overlay = redrawn_overlay(Store(options.store), options.scene_id, options.work)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    if options.out.suffix.lower() == ".svg":
+        options.out.write_text(overlay.svg(), encoding="utf-8")
+    else:
+        options.out.write_bytes(encode(overlay.image()))
     print(options.out)
     return 0
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
 from metrology.kinds import KINDS
 from metrology.overlay.features import Canvas, Wish, mark_course, mark_rings
@@ -16,7 +15,7 @@ from metrology.overlay.layout import Layout
 from metrology.overlay.legend import draw_legend, entries
 from metrology.overlay.marks import COLOURS, GRAVEST_FIRST, Label, Stroke
 from metrology.overlay.paint import paint, paint_svg, text_size
-from metrology.overlay.skin_map import map_skin, screen
+from metrology.overlay.skin_map import MeasuredSkin, map_skin, screen
 from metrology.results import Features
 from metrology.verdicts import DECISIONS
 
@@ -86,9 +85,10 @@ class Overlay:
 
 def draw_overlay(
     features: Features,
-    reconstruction: Reconstruction,
+    reconstruction: MeasuredSkin,
     title: Sequence[str],
     settings: OverlaySettings | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> Overlay:
     """Draw the verdicts of one scene for the projector, or over the left image where the rig has none.
 
@@ -96,10 +96,13 @@ def draw_overlay(
     ----------
     features : mapping
         Judged results by kind; what has no position is left out.
-    reconstruction : Reconstruction
+    reconstruction : MeasuredSkin
         Gives the rig, and the skin's place and direction.
     title : sequence of str
         Lines above the legend: station, date.
+    names : mapping of str to str, optional
+        Write the features' names before their values: these, or else their own (of a course that of its first id
+        column).
     """
     settings = settings or OverlaySettings()
     projector = screen(reconstruction.rig)
@@ -108,7 +111,7 @@ def draw_overlay(
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)
     text_px = settings.text_height_mm * skin.px_per_mm
-    canvas = Canvas(reconstruction, layout, skin.px_per_mm, settings.line_width_px, settings.label_every_mm)
+    canvas = Canvas(reconstruction, layout, skin.px_per_mm, settings.line_width_px, settings.label_every_mm, names)
     # The place of a missing fastener is drawn once: as the hole that is there.
     replaced = {getattr(row, "fastener_id", None) for rows in features.values() for row in rows}
     for kind in KINDS:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
 from metrology.kinds import Kind, load
 from metrology.overlay.layout import Layout
 from metrology.overlay.marks import BAR_END_MM, Stroke, arrow_marks, circle_points, rivet_marks, seam_marks
-from metrology.overlay.skin_map import screen
+from metrology.overlay.skin_map import MeasuredSkin, screen
 from metrology.results import MISSING, Feature, Severity
 from metrology.skin_normal import skin_normal
 from metrology.verdicts import DECISIONS
@@ -43,25 +42,32 @@ class Canvas:
 
     Attributes
     ----------
-    reconstruction : Reconstruction
+    reconstruction : MeasuredSkin
     layout : Layout
     px_per_mm : float
         Projector pixels per millimetre of skin.
     line_width : int
     label_every_mm : float
+    names : mapping of str to str, or None
+        What is written before the values, by the names of single features and of courses; without it, nothing is.
     strokes, wishes : list
     outside : list of str
         Names of what the projector's field does not reach, at least in part.
     """
 
-    reconstruction: Reconstruction
+    reconstruction: MeasuredSkin
     layout: Layout
     px_per_mm: float
     line_width: int
     label_every_mm: float
+    names: Mapping[str, str] | None = None
     strokes: list[Stroke] = field(default_factory=list)
     wishes: list[Wish] = field(default_factory=list)
     outside: list[str] = field(default_factory=list)
+
+    def named(self, name: str, text: str) -> str:
+        """A label's text, behind the name of its feature where names are written."""
+        return text if self.names is None else f"{self.names.get(name, name)} {text}"
 
 
 def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
@@ -83,7 +89,9 @@ def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
         extent = np.concatenate([mark.points for mark in marks])
         for mark in marks:
             layout.occupy(mark.points, mark.width)
-        canvas.wishes.append(Wish(name, _text(kind, row), outline.mean(0), layout.extent(extent), row.severity))
+        canvas.wishes.append(
+            Wish(name, canvas.named(name, _text(kind, row)), outline.mean(0), layout.extent(extent), row.severity)
+        )
 
 
 def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
@@ -110,7 +118,7 @@ def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
             severity = course[k].severity
             if projector.inside(places[k]):
                 reach = BAR_END_MM[severity] * canvas.px_per_mm
-                canvas.wishes.append(Wish(name, text, places[k], np.full(2, reach), severity))
+                canvas.wishes.append(Wish(name, canvas.named(name, text), places[k], np.full(2, reach), severity))
 
 
 def _is_long(kind: Kind, row: Any) -> bool:
@@ -118,7 +126,7 @@ def _is_long(kind: Kind, row: Any) -> bool:
     return bool(kind.along) and row.major_px is not None and row.major_px > _LONG * row.minor_px
 
 
-def _ring(kind: Kind, row: Feature, reconstruction: Reconstruction) -> Array | None:
+def _ring(kind: Kind, row: Feature, reconstruction: MeasuredSkin) -> Array | None:
     """Outline of a feature in projector pixels; None where it has no position.
 
     Of what is longer than wide it begins at an end of its length.
@@ -136,7 +144,7 @@ def _ring(kind: Kind, row: Feature, reconstruction: Reconstruction) -> Array | N
     return circle_points(centre, normal, diameter / 2, project)
 
 
-def _ellipse(kind: Kind, row: Any, reconstruction: Reconstruction, centre: Array, normal: Array) -> Array:
+def _ellipse(kind: Kind, row: Any, reconstruction: MeasuredSkin, centre: Array, normal: Array) -> Array:
     """(n, 3) the outline that a feature has in the left image, on the tangent plane of the skin, mm."""
     left, turn = reconstruction.rig.left, np.radians(getattr(row, kind.along))
     t = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS, endpoint=False)[:, None]

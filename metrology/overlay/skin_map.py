@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
 from metrology.errors import UsageError
 from metrology.rig import Device, Rig
 
@@ -18,6 +18,18 @@ _CELL_PX = 8.0
 _FIT_ROUNDS = 10
 _OFF_PANEL_MM = 10.0
 _STRIDE = 8  # left pixels between samples of the cloud
+
+
+class MeasuredSkin(Protocol):
+    """What an overlay needs of a scan: the rig, and (h, w, 3) points in its frame, mm; NaN where none."""
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that took it."""
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """Entry [v, u]: the point that the left camera's pixel (u, v) sees."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +64,7 @@ class SkinMap:
         return np.asarray(inside / cells)
 
 
-def map_skin(reconstruction: Reconstruction) -> SkinMap:
+def map_skin(reconstruction: MeasuredSkin) -> SkinMap:
     """The measured skin in the projector's image."""
     grid = reconstruction.points[::_STRIDE, ::_STRIDE].astype(float)
     valid = np.isfinite(grid[..., 2])

@@ -21,8 +21,10 @@ from storage.archive.schema import OF_KIND
 from storage.panel_spec import load_panel_spec
 from storage.report import panel_page, panel_record, rows_csv, scene_page, scene_record
 from storage.report.overlays import write_overlays
+from storage.report.redrawn import redrawn_overlay
 from storage.review import Feature, ReviewLog, ShownFinding
 from tests.support.results import small_key, small_result
+from tests.support.week import fill
 
 VOID = {"meta", "img", "br", "link", "image", "line", "ellipse", "rect", "circle", "polygon", "polyline", "path"}
 
@@ -167,6 +169,28 @@ def test_overlays_of_a_panel_make_a_folder_with_an_index(store: Store, tmp_path:
     assert (index.parent / "S3.svg").is_file()
     assert 'href="S3.png"' in page
     assert 'href="S3.svg"' in page
+
+
+def test_an_overlay_of_the_open_work_alone_with_names(tmp_path: Path) -> None:
+    root = fill(tmp_path / "store")
+    store = Store(root)
+    (row,) = store.query(
+        "SELECT scene_id, run_id FROM latest_scenes WHERE aircraft_serial = 'MSN-0425' AND station = 'S2'"
+    ).to_pylist()
+    scene, run = row["scene_id"], row["run_id"]
+    with pytest.raises(StoreError, match="no open rework"):
+        redrawn_overlay(store, scene, work_alone=True)
+    ReviewLog(root).dispose("B. Engineer", [ShownFinding(scene, run, Feature("rivet", "R04"))], "rework")
+    of_panel = store.query(
+        "SELECT rivet_id, own FROM (SELECT rivet_id, unnest(seen_by) AS scene, unnest(seen_as) AS own "
+        f"FROM panel_rivets) WHERE scene = '{scene}'"
+    ).to_pylist()
+    names = {row["own"]: row["rivet_id"] for row in of_panel}
+    labels = {label.feature: label.text for label in redrawn_overlay(store, scene).labels if label.feature}
+    assert names["R04"] != "R04"
+    assert labels["R04"].startswith(f"{names['R04']} +0.24")
+    work = [label.text for label in redrawn_overlay(store, scene, work_alone=True).labels if label.feature]
+    assert work == [labels["R04"]]
 
 
 def test_what_the_store_does_not_hold_is_said(store: Store) -> None:
