@@ -156,7 +156,7 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
 def _covered(row: Any, locale: Locale) -> str:
     """How much of what there should be was measured."""
     if not (row.n_expected == row.n_expected and row.n_expected):
-        return _("what there should be is not known: no specification or earlier scan says it")
+        return _("expected places: not known")
     missing = [
         f"{locale.whole(n)} {_(words)}"
         for n, words in ((row.n_not_measured, "not measured"), (row.n_not_seen, "not seen"))
@@ -221,7 +221,7 @@ def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
 
 def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
     meaning = f"panel {aircraft} {panel} released with {len(scenes)} scans; verdict {verdict}"
-    offer_sign_off_of(context, scenes, plain(f"panel {aircraft} {panel}"), meaning)
+    offer_sign_off_of(context, scenes, _("panel {name}", name=plain(f"{aircraft} {panel}")), meaning)
 
 
 def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen: Feature | None) -> None:

@@ -28,6 +28,7 @@ from dashboard.words import N_, _, capital
 from metrology.errors import FlushlineError, StoreError
 from metrology.kinds import HOLE, KINDS, RIVET, SEAM_STATION, Kind
 from storage.archive.views import NEWEST_FIRST
+from storage.archive.work import OPEN_WORK
 from storage.cloud import StoredCloud
 from storage.report import scene_report
 from storage.review import Feature
@@ -191,6 +192,20 @@ def _overlay(context: PageContext, row: Any) -> None:
         svg = path.with_suffix(".svg")
         if svg.is_file():
             st.download_button("SVG", svg.read_bytes(), f"{row.scene_id}_overlay.svg", "image/svg+xml")
+        drawings = [(_("With names"), "named", False)]
+        if any(standing.state == OPEN_WORK for standing in context.archive.standings(str(row.scene_id))):
+            drawings.append((_("Open work only"), "work", True))
+        for label, what, work_alone in drawings:
+            draw = partial(_redrawn, context, str(row.scene_id), work_alone)
+            st.download_button(label, draw, f"{row.scene_id}_{what}.png", "image/png", on_click="ignore")
+
+
+def _redrawn(context: PageContext, scene_id: str, work_alone: bool) -> bytes:
+    """The overlay with the panel's names as a PNG, drawn when it is asked for."""
+    from storage import png
+    from storage.report.redrawn import redrawn_overlay
+
+    return png.encode(redrawn_overlay(context.archive.store, scene_id, work_alone).image())
 
 
 def _table(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
