@@ -62,7 +62,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
 
     # The worst rivet of last night …
     page.get_by_role("link", name="Tolerance review").first.click()
-    page.get_by_text("Disposition", exact=True).first.wait_for()
+    page.get_by_text("Disposition", exact=True).filter(visible=True).first.wait_for()
     page.get_by_role("combobox", name="Scanned").click()
     page.get_by_role("option", name="last night").click()
     page.get_by_text("Rivet R04").wait_for()
@@ -72,14 +72,14 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
 
     # … why …
     page.get_by_role("link", name="Close-up").click()
-    page.get_by_text("head as fitted").first.wait_for()
+    page.get_by_text("head as fitted").filter(visible=True).first.wait_for()
     settle(page)
-    page.get_by_text("mm outside").first.wait_for()
+    page.get_by_text("mm outside").filter(visible=True).first.wait_for()
     shoot(page, pictures, "scene")
 
     # … what shall happen with it …
     page.go_back()
-    page.get_by_text("Disposition", exact=True).first.wait_for()
+    page.get_by_text("Disposition", exact=True).filter(visible=True).first.wait_for()
     settle(page)
     choose(page, "scrap", "cracked", who="M. Weber")
     record(page, "Record scrap for R04 (MSN-0425 LH-F12 S2)")
@@ -89,7 +89,7 @@ def test_from_the_worst_rivet_to_its_disposition_report_trend_and_query(
     # … the report …
     page.get_by_role("combobox", name="State").click()
     page.get_by_role("option", name="decided").click()
-    page.get_by_text("M. Weber").first.wait_for()
+    page.get_by_text("M. Weber").filter(visible=True).first.wait_for()
     settle(page)
     page.get_by_role("button", name="Export").click()
     with page.expect_download() as download:
@@ -128,8 +128,8 @@ def test_a_click_on_the_picture_opens_the_close_up(server: tuple[str, Path], chr
     page.mouse.move(*place)
     page.wait_for_timeout(300)
     page.mouse.click(*place)
-    page.get_by_text("Fuge M1 bei").first.wait_for()
-    page.get_by_text("L1", exact=True).first.wait_for()
+    page.get_by_text("Fuge M1 bei").filter(visible=True).first.wait_for()
+    page.get_by_text("L1", exact=True).filter(visible=True).first.wait_for()
     settle(page)
     assert "feature=station" in page.url
     shoot(page, pictures, "seam-dark")
@@ -139,7 +139,7 @@ def test_pages_fit_a_small_screen(server: tuple[str, Path], chromium: Any, pictu
     page = new_page(chromium)
     for path in ("archive", "runs", "scene?view=Deviation+map", "trends?what=panel"):
         page.goto(f"{server[0]}/{path}")
-        page.get_by_text("Flushline ·").first.wait_for()
+        page.get_by_text("Flushline ·").filter(visible=True).first.wait_for()
         settle(page)
         assert page.evaluate("document.querySelector('[data-testid=stMain]').scrollWidth") <= 1366
         if path in ("archive", "runs"):

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.browser
 def test_a_language_is_kept_over_pages_and_clicks_are_answered_in_it(server: tuple[str, Path], chromium: Any) -> None:
     page = new_page(chromium, locale="de-DE")
     page.goto(f"{server[0]}/review?aircraft=MSN-0425")
-    page.get_by_text("Entscheid", exact=True).first.wait_for()
+    page.get_by_text("Entscheid", exact=True).filter(visible=True).first.wait_for()
     settle(page)
     # With the longest words, too, the button is on a small screen.
     record = page.get_by_role("button", name="Eintragen")
@@ -34,7 +34,7 @@ def test_a_language_is_kept_over_pages_and_clicks_are_answered_in_it(server: tup
     page.get_by_role("button", name="Einstellungen").click()
     page.get_by_role("combobox", name="Sprache").click()
     page.get_by_role("option", name="English").click()
-    page.get_by_text("Disposition", exact=True).first.wait_for()
+    page.get_by_text("Disposition", exact=True).filter(visible=True).first.wait_for()
     settle(page)
     page.keyboard.press("Escape")
     page.get_by_role("link", name="Trends").first.click()

@@ -25,7 +25,7 @@ def open_review(chromium: Any, address: str, aircraft: str, **more: str) -> Any:
     page = new_page(chromium)
     query = "&".join(f"{name}={value}" for name, value in {"aircraft": aircraft, **more}.items())
     page.goto(f"{address}/review?{query}")
-    page.get_by_text("Disposition", exact=True).first.wait_for()
+    page.get_by_text("Disposition", exact=True).filter(visible=True).first.wait_for()
     settle(page)
     return page
 
@@ -59,7 +59,7 @@ def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
     # The second tab goes on, and to another aircraft.
     assert shown_name(second) != name
     second.goto(second.url.split("?")[0] + "?aircraft=MSN-0420")
-    second.get_by_text("MSN-0420 LH-F12").first.wait_for()
+    second.get_by_text("MSN-0420 LH-F12").filter(visible=True).first.wait_for()
     settle(second)
 
     record(first, f"Record scrap for {name}", "Not recorded")

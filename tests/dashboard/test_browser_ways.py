@@ -43,12 +43,16 @@ def page(server: tuple[str, Path], chromium: Any) -> Iterator[Any]:
 def test_from_what_is_new_to_its_picture_its_trend_and_its_panel(server: tuple[str, Path], page: Any) -> None:
     home = server[0]
     page.goto(home)
-    page.get_by_role("radio", name="New 6").or_(page.get_by_role("button", name="New 6")).first.wait_for()
+    page.get_by_role("radio", name="New 6").or_(page.get_by_role("button", name="New 6")).filter(
+        visible=True
+    ).first.wait_for()
     settle(page)
     click_row(page, 0)
     at(page, "scene", scene=LAST, feature="rivet:R04")
     page.goto(f"{home}/?list=drifting")
-    page.get_by_text("Moves each scan by").or_(page.get_by_text("its chart over time")).first.wait_for()
+    page.get_by_text("Moves each scan by").or_(page.get_by_text("its chart over time")).filter(
+        visible=True
+    ).first.wait_for()
     settle(page)
     click_row(page, 0)
     at(page, "trends", what="rivet", panel="LH-F12", name="R09")
@@ -85,7 +89,7 @@ def test_from_the_overview_to_the_review(server: tuple[str, Path], page: Any) ->
     click_row(page, 0)
     at(page, "review", panel="LH-F12")
     aircraft = parse_qs(urlsplit(page.url).query)["aircraft"][0]
-    page.get_by_text(f"{aircraft} · LH-F12").first.wait_for()
+    page.get_by_text(f"{aircraft} · LH-F12").filter(visible=True).first.wait_for()
     # Back, and by a cell of the matrix.
     page.go_back()
     page.get_by_text("select a row to review that panel").wait_for()
@@ -118,7 +122,7 @@ def test_from_the_review_to_scene_trends_and_back(server: tuple[str, Path], page
     assert page.get_by_text("+0,139").count()  # the way of writing numbers goes along
     page.get_by_role("link", name="Review", exact=True).click()
     at(page, "review", aircraft="MSN-0425", panel="LH-F12", scene=LAST)
-    page.get_by_text("MSN-0425 · LH-F12 · S2").first.wait_for()
+    page.get_by_text("MSN-0425 · LH-F12 · S2").filter(visible=True).first.wait_for()
     # One click is one step back.
     settle(page)
     click_row(page, 3)
@@ -205,5 +209,5 @@ def test_from_the_runs_and_through_the_menu(server: tuple[str, Path], page: Any)
         ("Overview", "", "Where work waits"),
     ):
         page.get_by_role("link", name=name).first.click()
-        page.get_by_text(said).filter(visible=True).first.wait_for()
+        page.get_by_text(said).filter(visible=True).filter(visible=True).first.wait_for()
         at(page, path)

@@ -154,7 +154,7 @@ def click_point(page: Any, k: int) -> None:
     place = page.evaluate(_POINT, k)
     page.mouse.move(place[0] - 3, place[1])
     page.mouse.move(*place)
-    page.locator(".hoverlayer .hovertext").first.wait_for()  # Plotly clicks what it hovers over
+    page.locator(".hoverlayer .hovertext").filter(visible=True).first.wait_for()  # Plotly clicks what it hovers over
     page.mouse.click(*place)
 
 
@@ -174,7 +174,7 @@ def choose(page: Any, disposition: str, comment: str = "", who: str = "") -> Non
 def record(page: Any, button: str, said: str = "Recorded") -> None:
     """Click the button of this name, and wait for what the page says then."""
     page.get_by_role("button", name=button).click()
-    page.get_by_text(said).first.wait_for()
+    page.get_by_text(said).filter(visible=True).first.wait_for()
     settle(page)
 
 
