@@ -21,11 +21,11 @@ from unittest.mock import patch
 
 import cv2
 
+import flows.inspect_scene as inspection
 from flows.inspect_scene import Job, inspect_scene
 from flows.memory import share_heap
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
-from tasks import steps
 from tasks.settings import load_settings
 
 P = ParamSpec("P")
@@ -72,10 +72,10 @@ def show_steps(job: Job, repeats: int) -> None:
         taken.setdefault(step.__name__, []).append(time.process_time() - start)
         return result
 
-    encode = steps.encode
+    encode = inspection.encode
     with (
         patch("flows.inspect_scene.ThreadPoolExecutor", OneAfterTheOther),
-        patch.object(steps, "encode", lambda *given: call(encode, *given)),
+        patch.object(inspection, "encode", lambda *given: call(encode, *given)),
     ):
         for _ in range(repeats):
             inspect_scene(job, call)
