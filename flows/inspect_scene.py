@@ -114,6 +114,7 @@ class _Measured:
     health: RigHealth
     features: Features
     encoded: Encoded
+    spec: PanelSpecification
 
 
 def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None] = lambda _: None) -> Inspected:
@@ -154,20 +155,20 @@ def _measure(job: Job, run: _Run) -> _Measured:
         measuring = beside(partial(run.step, steps.measure_rivets, detections, reconstruction, lines, settings))
         stations = run.step(steps.measure_seams, lines, reconstruction, detections, settings)
         features: dict[str, Sequence[Feature]] = {RIVET.name: measuring.result(), SEAM_STATION.name: stations}
-        limits = steps.specification(job.spec, loaded.scene.key.panel, job.store).limits
+        spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
         for kind in KINDS:
-            if kind.measure and (not kind.on_request or limits.limits_any(kind)):
+            if kind.measure and (not kind.on_request or spec.limits.limits_any(kind)):
                 sighted = Sighted(reconstruction, detections, lines, dict(features), fasteners.openings)
                 features[kind.name] = run.step(
                     load(kind.measure), sighted, getattr(settings, kind.settings or kind.table, None)
                 )
-        return _Measured(loaded, reconstruction, health, features, encoding.result())
+        return _Measured(loaded, reconstruction, health, features, encoding.result(), spec)
 
 
 def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:
     """Recognise the panel, judge, draw and publish."""
     loaded, reconstruction, settings = measured.loaded, measured.reconstruction, job.settings
-    spec = steps.specification(job.spec, loaded.scene.key.panel, job.store)
+    spec = measured.spec
     doubts = steps.doubts(reconstruction, measured.health)
     registered = run.step(steps.register, measured.features, reconstruction, loaded, spec, job.store, settings, doubts)
     judged = run.step(steps.judge, registered.features, spec)

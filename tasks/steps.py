@@ -248,9 +248,7 @@ def draw_overlay(
     judged: Features, loaded: LoadedScene, reconstruction: Reconstruction, settings: InspectionSettings
 ) -> Overlay:
     """The image to project."""
-    key = loaded.scene.key
-    title = (f"{key.aircraft_serial} {key.panel} {key.station}", f"{key.captured_at:%Y-%m-%d %H:%MZ}")
-    return overlay.draw_overlay(judged, reconstruction, title, settings.overlay)
+    return overlay.draw_overlay(judged, reconstruction, overlay.scan_title(loaded.scene.key), settings.overlay)
 
 
 def publish(store: Store, result: InspectionResult, rig: Rig) -> str:

@@ -16,7 +16,7 @@ from metrology.overlay.legend import draw_legend, entries
 from metrology.overlay.marks import COLOURS, GRAVEST_FIRST, Label, Stroke
 from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import MeasuredSkin, map_skin, screen
-from metrology.results import Features
+from metrology.results import Features, SceneKey
 from metrology.verdicts import DECISIONS
 
 Array = NDArray[np.float64]
@@ -81,6 +81,11 @@ class Overlay:
     def svg(self) -> str:
         """The same as an SVG document."""
         return paint_svg(self.size, self.background, self.strokes, self.labels)
+
+
+def scan_title(key: SceneKey) -> tuple[str, ...]:
+    """Lines that say which scan an overlay is of."""
+    return f"{key.aircraft_serial} {key.panel} {key.station}", f"{key.captured_at:%Y-%m-%d %H:%MZ}"
 
 
 def draw_overlay(

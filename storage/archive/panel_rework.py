@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from metrology.kinds import KINDS
 from storage.archive.schema import PANEL_OF_KIND
+from storage.archive.work import NEAR_MM
+from storage.review import ASKS_FOR_WORK
 
 NOT_CURED, PLANNED, CURED, CLOSED, DECIDED_ANEW = "not cured", "planned", "cured", "closed by a person", "decided anew"
 STATES = (NOT_CURED, PLANNED, CURED, CLOSED, DECIDED_ANEW)
 """What may have become of work; of a stretch the first that holds for one of its positions."""
-_NEAR_MM = 1.5  # as an answer to work along a course has to be
 
 
 def rework_sql() -> str:
@@ -46,8 +47,8 @@ def rework_sql() -> str:
             ELSE '{PLANNED}' END AS state,
         (SELECT arg_min(s.panel_feature, coalesce(abs(s.at_mm - a.at_mm), 0)) FROM seen s
          WHERE s.station = a.station AND s.feature_kind = a.feature_kind AND s.name = a.name
-            AND coalesce(abs(s.at_mm - a.at_mm) <= {_NEAR_MM}, s.at_mm IS NULL)) AS panel_feature
-    FROM asked a WHERE a.disposition IN ('rework', 'repair', 're-scan')
+            AND coalesce(abs(s.at_mm - a.at_mm) <= {NEAR_MM}, s.at_mm IS NULL)) AS panel_feature
+    FROM asked a WHERE a.disposition IN {ASKS_FOR_WORK}
 )
 SELECT * FROM (SELECT scene_id, station, captured_at, feature_kind, name, disposition, who, decided_at,
     any_value(comment) AS comment,

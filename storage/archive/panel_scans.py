@@ -19,7 +19,7 @@ from metrology.panel import PanelLayout, Placement
 from metrology.results import PanelKey, SceneKey
 from metrology.tolerance import as_measured
 from storage.archive.bundle import FITS, MANIFEST, RIG
-from storage.archive.rows import result_of
+from storage.archive.rows import features_of
 from storage.archive.store import Store
 from storage.cloud import read_cloud
 from storage.documents import read_json
@@ -100,12 +100,10 @@ def _loaded(store: Store, key: SceneKey, run_id: str, features: Features, layout
 
 def _features(store: Store, scenes: Sequence[str]) -> dict[str, Features]:
     """Each scan's rows by kind, as they were measured, before they were judged."""
-    found: dict[str, Features] = {scene: {kind.name: [] for kind in KINDS} for scene in scenes}
-    asked = ", ".join("?" * len(scenes))
-    for kind in KINDS:
-        for row in store.query(f"FROM {kind.table} WHERE scene_id IN ({asked}) ORDER BY ALL", scenes).to_pylist():
-            found[row["scene_id"]][kind.name].append(as_measured(kind, result_of(kind.row_type, row)))
-    return found
+    return {
+        scene: {kind.name: [as_measured(kind, row) for row in rows[kind.name]] for kind in KINDS}
+        for scene, rows in features_of(store, scenes).items()
+    }
 
 
 def _across(path: Path) -> dict[tuple[str, float], NDArray[np.float64]]:

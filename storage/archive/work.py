@@ -239,7 +239,7 @@ _SAME = """s.registration IS DISTINCT FROM 'not recognised'
     AND NOT (coalesce(s.n_unlisted, 0) > 0 AND feature_id LIKE 'X%')"""
 _PASSES = "decision IN ('pass', 'conditional pass')"
 # Positions of two scans of a course lie between each other: one is answered by those this near to it, all of them.
-_NEAR_MM = 1.5
+NEAR_MM = 1.5
 _COURSES = ", ".join(f"'{kind.name}'" for kind in KINDS if kind.is_course)
 _ALONG = f"feature_kind IN ({_COURSES})"
 _PLACE = f"""CASE WHEN {_ALONG} THEN split_part(feature_id, '@', 1) ELSE feature_id END AS name,
@@ -266,7 +266,7 @@ SELECT DISTINCT scene_id, feature_kind, feature_id FROM (
     SELECT n.scene_id, n.feature_kind, n.feature_id FROM named n
     JOIN answers a USING (aircraft_serial, panel, station, feature_kind, name)
     WHERE n.asks AND a.captured_at > n.captured_at
-        AND coalesce(abs(a.place_mm - n.place_mm) <= {_NEAR_MM}, n.place_mm IS NULL)
+        AND coalesce(abs(a.place_mm - n.place_mm) <= {NEAR_MM}, n.place_mm IS NULL)
     GROUP BY n.scene_id, n.feature_kind, n.feature_id, a.captured_at, a.by HAVING bool_and(a.passes)
 )"""
 

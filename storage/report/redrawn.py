@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from metrology.errors import StoreError
 from metrology.kinds import KINDS, Kind
-from metrology.overlay import Overlay, draw_overlay
+from metrology.overlay import Overlay, draw_overlay, scan_title
+from metrology.results import SceneKey
 from metrology.rig import Rig
 from storage.archive import Store
 from storage.archive.bundle import RIG
-from storage.archive.rows import result_of
+from storage.archive.rows import features_of
 from storage.archive.schema import PANEL_OF_KIND
 from storage.archive.work import open_work
 from storage.review import Feature, ReviewLog
@@ -36,16 +37,12 @@ def redrawn_overlay(store: Store, scene_id: str, work_alone: bool = False) -> Ov
     work_alone : bool
         Only that whose rework, repair or re-scan was decided and is not done.
     """
-    paths = store.paths(scene_id)
+    paths, features = store.paths(scene_id), features_of(store, [scene_id])[scene_id]
     with contextlib.closing(store.connect()) as connection:
 
         def rows(sql: str) -> list[dict[str, Any]]:
             return connection.sql(sql, params=[scene_id]).to_arrow_table().to_pylist()
 
-        features = {
-            kind.name: [result_of(kind.row_type, row) for row in rows(f"FROM {kind.table} WHERE scene_id = ?")]
-            for kind in KINDS
-        }
         names: dict[str, str] = {}
         for kind in KINDS:
             names |= {_single(kind, row["own"]): row["name"] for row in rows(_of_panel(kind))}
@@ -55,9 +52,7 @@ def redrawn_overlay(store: Store, scene_id: str, work_alone: bool = False) -> Ov
             features = {kind.name: [r for r in features[kind.name] if _is_of(open_ones, kind, r)] for kind in KINDS}
             if not any(features.values()):
                 raise StoreError(f"{scene_id}: found no open rework, repair or re-scan, expected some to draw")
-    title = [f"{key['aircraft_serial']} {key['panel']} {key['station']}", f"{key['captured_at']:%Y-%m-%d %H:%MZ}"]
-    if work_alone:
-        title.append("OPEN WORK ONLY")
+    title = scan_title(SceneKey(**key)) + (("OPEN WORK ONLY",) if work_alone else ())
     skin = _Skin(load_rig(paths.bundle / RIG), store.load_cloud(scene_id).points)
     return draw_overlay(features, skin, title, names=names)
 
