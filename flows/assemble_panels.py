@@ -79,6 +79,8 @@ def describe(result: PanelResult) -> str:
     found = []
     for kind in KINDS:
         rows = [feature.row for feature in result.features[kind.name]]
+        if not kind.counts_in(rows):
+            continue
         decisions = ", ".join(f"{n} {d}" for d, n in Counter(row.decision for row in rows).most_common())
         found.append(counted(len(kind.names(rows)), kind.subject) + (f" ({decisions})" if decisions else ""))
     joined = f"in one frame ({parts[0]})" if len(parts) == 1 else f"in {len(parts)} parts ({', '.join(parts)})"

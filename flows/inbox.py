@@ -151,7 +151,11 @@ def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
         return Outcome(folder, "failed", scene_id, printable(str(problem)))
     except Exception as problem:  # one scene's bug or bad luck must not stop the others
         return Outcome(folder, "failed", scene_id, printable(f"{folder}: found {_in_words(problem)}"))
-    found = ", ".join(f"{len(kind.names(inspected.features.get(kind.name, ())))} {kind.subject}s" for kind in KINDS)
+    found = ", ".join(
+        f"{len(kind.names(rows))} {kind.subject}s"
+        for kind in KINDS
+        if kind.counts_in(rows := inspected.features.get(kind.name, ()))
+    )
     return Outcome(folder, "inspected", scene_id, found, time.perf_counter() - start)
 
 

@@ -71,7 +71,7 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
 
 def describe(inspected: Inspected) -> str:
     """A scene's result in a few lines."""
-    found = [_found(kind, inspected.features.get(kind.name, ())) for kind in KINDS]
+    found = [_found(kind, rows) for kind in KINDS if kind.counts_in(rows := inspected.features.get(kind.name, ()))]
     lines = [
         f"{inspected.key}: {'; '.join(found)}; {inspected.seconds['total']:.1f} s",
         f"  scene id {inspected.key.scene_id}",

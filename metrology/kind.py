@@ -6,7 +6,7 @@ Dataclasses and strings alone, so that reading them costs nothing: what a kind n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sized
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
@@ -232,6 +232,10 @@ class Kind:
         """SQL for the id of a row within its scene."""
         name, *positions = self.id_columns
         return " || '@' || ".join([name, *(f"printf('%.1f', {position})" for position in positions)])
+
+    def counts_in(self, rows: Sized) -> bool:
+        """Whether people are told how many there are, be it none; of what has to be asked for only if there is some."""
+        return bool(len(rows)) or not self.on_request
 
     def names(self, rows: Iterable[Feature]) -> set[str]:
         """The different names among rows: of seams, where the rows are positions along them."""

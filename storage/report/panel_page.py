@@ -49,19 +49,20 @@ def _anchor(scene: SceneRecord) -> str:
 
 
 def _overview(record: PanelRecord) -> Markup:
+    kinds = [kind for kind in KINDS if kind.counts_in([row for s in record.scenes for row in s.of_kind[kind.name]])]
     rows = [
         [
             link(_anchor(s), s.scene["station"]),
             moment(s.scene["captured_at"]),
             badge(gravest(s.features)),
-            *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in KINDS),
+            *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in kinds),
             str(sum(len(findings_of(kind, s.of_kind[kind.name])) for kind in KINDS)),
             said(s.standings),
             "; ".join(s.scene["warnings"] or ()),
         ]
         for s in record.scenes
     ]
-    heads = ["station", "captured", "verdict", *(f"{kind.subject}s" for kind in KINDS), "need attention"]
+    heads = ["station", "captured", "verdict", *(f"{kind.subject}s" for kind in kinds), "need attention"]
     return table([*heads, "findings", "warnings"], rows, list(range(3, len(heads))))
 
 
