@@ -23,9 +23,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from metrology.rivets import detect_ellipses, detect_rivets, measure_rivets
-from simulator.texture import paint_texture
-from simulator.texture_spec import RimTruth, Texture, TextureSpec
+from tests.support.painted_texture import paint_texture
 from tests.support.reference_scans import reference_scan
+from tests.support.texture_spec import RimTruth, Texture, TextureSpec
 
 RADII = (8.0, 46.0)  # px, looked for by all
 CLASSES = ((2.5, 4), (4, 6), (6, 8), (8, 15), (15, 31))

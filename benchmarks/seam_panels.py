@@ -25,9 +25,10 @@ from metrology.results import SeamLine
 from metrology.rivets import detect_rivets
 from metrology.seams import detect_seams
 from simulator.panel import Panel, Rivet, Seam
-from simulator.random_panel import SeamVariety, Variety, crossing_seams, random_panel, random_placement, random_seam
+from simulator.random_panel import Variety, random_panel, random_placement
 from simulator.scene import expose, fringe_light, make_rig, set_up
 from simulator.spec import Camera, Lighting, RigSpec, SceneKeys, SimulationSpec
+from tests.support.random_seams import SeamVariety, crossing_seams, random_seam
 
 KINDS = ("seam", "cross", "T", "clutter", "crowded")
 

@@ -39,13 +39,14 @@ from simulator.defects import Dent
 from simulator.lens import moved
 from simulator.pack import pack
 from simulator.panel import Panel, Seam
-from simulator.random_panel import SeamVariety, Variety, random_panel, random_placement, random_seam
+from simulator.random_panel import Variety, random_panel, random_placement
 from simulator.scene import expose, fringe_light, make_rig, place, set_up
 from simulator.spec import Camera, RigSpec, SceneKeys, SimulationSpec
-from simulator.survey import meet
 from simulator.true_dents import TrueDent
 from simulator.truth import Truth
 from simulator.truth import truth as true_of
+from tests.support.random_seams import SeamVariety, random_seam
+from tests.support.whole_panel import meet
 
 PER_PANEL = 4
 NOISE_MM, CORRELATED_PX, SUPPORT_PX = 0.012, 0.8, 1.4

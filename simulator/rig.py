@@ -102,19 +102,6 @@ def _device(
     return Device(width, height, K, distortion, R, -R @ centre)
 
 
-def turned(rig: Rig, device: str, degrees: float, axis: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Rig:
-    """The rig with its right camera or projector turned about an axis of its own frame through its centre."""
-    old = _device_of(rig, device)
-    turn = Rotation.from_rotvec(math.radians(degrees) * np.array(axis) / np.linalg.norm(axis)).as_matrix()
-    return _with(rig, device, replace(old, R=turn @ old.R, t=turn @ old.t))
-
-
-def shifted(rig: Rig, device: str, by_mm: tuple[float, float, float]) -> Rig:
-    """The rig with its right camera or projector moved, in the rig frame."""
-    old = _device_of(rig, device)
-    return _with(rig, device, replace(old, t=old.t - old.R @ np.array(by_mm)))
-
-
 def warmed(rig: Rig, kelvin: float, expansion_per_k: float = 23e-6) -> Rig:
     """The rig after its frame (aluminium by default) has warmed: all distances between its devices have grown."""
     grow = 1 + expansion_per_k * kelvin
@@ -123,17 +110,6 @@ def warmed(rig: Rig, kelvin: float, expansion_per_k: float = 23e-6) -> Rig:
         right=replace(rig.with_right(), t=rig.with_right().t * grow),
         projector=replace(rig.with_projector(), t=rig.with_projector().t * grow),
     )
-
-
-def _device_of(rig: Rig, device: str) -> Device:
-    if device not in ("right", "projector"):
-        raise SpecError(f"device: found {device!r}, expected 'right' or 'projector' (the left camera is the rig frame)")
-    return rig.with_projector() if device == "projector" else rig.devices[device]
-
-
-def _with(rig: Rig, device: str, new: Device) -> Rig:
-    devices = rig.devices | {device: new}
-    return replace(rig, left=devices["left"], right=devices["right"], projector=devices["projector"])
 
 
 def aim_frame(rig: Rig) -> tuple[Floats, Floats]:

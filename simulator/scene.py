@@ -18,7 +18,7 @@ from simulator.balls import trace_balls
 from simulator.lens import moved
 from simulator.pack import pack
 from simulator.paint import paint
-from simulator.projection import project_image, project_stripes, receive_image, receive_stripes
+from simulator.projection import project_stripes, receive_stripes
 from simulator.relief import Relief
 from simulator.rig import aim_frame, virtual_rig, warmed
 from simulator.shading import Light
@@ -160,30 +160,6 @@ def expose(spec: SimulationSpec, light: Float32, rng: np.random.Generator) -> Fr
         [np.stack([camera.sensor.capture(frame, exposure, rng) for frame in light]) for exposure in camera.exposures]
     )
     return frames
-
-
-def look_at_image(stage: Stage, spec: SimulationSpec, image: NDArray[np.generic]) -> dict[str, Float32]:
-    """What both cameras see of an image shown on the panel, without noise.
-
-    Parameters
-    ----------
-    image : (h, w) or (h, w, channels) at the projector's resolution, uint8 or float in [0, 1]
-
-    Returns
-    -------
-    {"left": …, "right": …} of (h, w) or (h, w, channels) float32, grey levels at exposure 1.
-    """
-    values = np.asarray(image, float) / (255.0 if image.dtype == np.uint8 else 1.0)
-    layers = values[..., None] if values.ndim == 2 else values
-    tables = [project_image(layers[..., k], spec.projector) for k in range(layers.shape[-1])]
-    seen = {}
-    for side in ("left", "right"):
-        hits: Hits = getattr(stage, side)
-        stack = np.stack([receive_image(hits, table) for table in tables], axis=-1) + np.float32(
-            spec.camera.sensor.offset
-        )
-        seen[side] = stack[..., 0] if values.ndim == 2 else stack
-    return seen
 
 
 def _truth(spec: SimulationSpec, stage: Stage) -> dict[str, Any]:

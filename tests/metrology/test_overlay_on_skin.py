@@ -23,10 +23,11 @@ from metrology.rig import Device, Rig
 from simulator.panel import Panel, Skin
 from simulator.panel import Rivet as PanelRivet
 from simulator.rig import RigDesign
-from simulator.scene import Stage, look_at_image, make_rig, set_up
+from simulator.scene import Stage, make_rig, set_up
 from simulator.spec import Camera, Placement, RigSpec, SceneKeys, SimulationSpec
 from simulator.survey import plate_heights, plate_normals
 from tests.support.rows import rivet_at
+from tests.support.shown_image import look_at_image
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,9 @@ import pytest
 from metrology.errors import RigError
 from metrology.rig import Device, Rig
 from metrology.rig_plausibility import check_rig
-from simulator.rig import RigDesign, turned, virtual_rig
+from simulator.rig import RigDesign, virtual_rig
 from tests.support.calibration_bench import bench_rig
+from tests.support.turned_rig import turned
 
 RIG = bench_rig()
 

@@ -12,8 +12,8 @@ from metrology.rivets.alike import rings_alike
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.ring import fit_ring
 from metrology.rivets.shapes import log_shape, shapes_of
-from simulator.texture import paint_texture
-from simulator.texture_spec import TextureSpec
+from tests.support.painted_texture import paint_texture
+from tests.support.texture_spec import TextureSpec
 
 LIMITS = np.array([7.0, 4.0, 60.0, 0.5, 0.5, 3.0])
 

@@ -23,9 +23,10 @@ from simulator.relief import BEAD, CONE, HEAD, HOLE, SLOT
 from simulator.rig import aim_frame, virtual_rig
 from simulator.scene import fringe_light, make_rig
 from simulator.spec import Disturbances
-from simulator.survey import meet, surface_heights, survey
+from simulator.survey import survey
 from simulator.truth import Pose, truth
 from simulator.vibration import sway_of
+from tests.support.whole_panel import meet, surface_heights
 
 PLAIN = Surface(brushing=0.0, blotches=0.0)
 CURVED = Skin(420.0, 900.0, 20.0)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from simulator.lens import moved, pack_device, pixel, ray
 from simulator.pack import evaluate, pack
 from simulator.panel import Hole, Panel, Rivet, Seam, Skin, Slot
-from simulator.random_panel import Variety, crossing_seams, random_panel
+from simulator.random_panel import Variety, random_panel
 from simulator.relief import BACKGROUND, COURSE, HEAD, R_OUTER, R_RING_X, R_RING_Y, STEP, WIDTH, Relief
 from simulator.rig import RigDesign, aim_frame, virtual_rig
-from simulator.survey import meet, plate_heights, seen, sides_at, surface_heights
+from simulator.survey import plate_heights, seen, sides_at
+from tests.support.random_seams import crossing_seams
+from tests.support.whole_panel import meet, surface_heights
 
 EYE = np.array([-140.0, 20.0, 690.0])
 

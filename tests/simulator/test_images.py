@@ -14,11 +14,12 @@ from simulator.panel import Panel, Skin, Surface
 from simulator.projection import Beamer, project_image, project_stripes, receive_image
 from simulator.random_panel import ring_reflectance
 from simulator.relief import BACKGROUND
-from simulator.scene import expose, fringe_light, look_at_image, make_rig, set_up, simulate
+from simulator.scene import expose, fringe_light, make_rig, set_up, simulate
 from simulator.sensor import Sensor
 from simulator.spec import Camera, Disturbances, Lighting
-from simulator.survey import meet, surface_heights
 from simulator.trace import four, spread
+from tests.support.shown_image import look_at_image
+from tests.support.whole_panel import meet, surface_heights
 
 
 def test_samples_have_the_blurs_moments_and_cover_edges_evenly(rng):

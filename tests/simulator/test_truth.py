@@ -10,8 +10,9 @@ from simulator.pack import pack
 from simulator.panel import Panel, Rivet, Seam, Skin
 from simulator.relief import HEAD
 from simulator.rig import aim_frame, virtual_rig
-from simulator.survey import plate_heights, surface_heights, survey
+from simulator.survey import plate_heights, survey
 from simulator.truth import Pose, section, stations, truth
+from tests.support.whole_panel import surface_heights
 
 
 @pytest.fixture

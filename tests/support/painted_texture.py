@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.texture_spec import RimTruth, Texture, TextureSpec
+from tests.support.texture_spec import RimTruth, Texture, TextureSpec
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
