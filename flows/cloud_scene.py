@@ -28,32 +28,21 @@ _SMALLEST_MM, _LARGEST_MM = 20.0, 20_000.0
 
 @dataclass(frozen=True)
 class CloudOrder:
-    """What a cloud scene is to be made of.
-
-    Attributes
-    ----------
-    file : Path
-        Cloud or depth map.
-    picture : Path or None
-    rig : Path or None
-        Its left camera took the picture.
-    intrinsics : tuple of float
-        fx, fy, cx, cy and the distortion, where no rig file has them.
-    grid : (int, int) or None
-        Rows and columns, where the file does not tell them.
-    mm : float or None
-        What the file's unit is.
-    sigma_mm : float or None
-        Standard deviation of the depths.
-    """
+    """What a cloud scene is to be made of."""
 
     file: Path
+    """Cloud or depth map."""
     picture: Path | None = None
     rig: Path | None = None
+    """Its left camera took the picture."""
     intrinsics: tuple[float, ...] = ()
+    """fx, fy, cx, cy and the distortion, where no rig file has them."""
     grid: tuple[int, int] | None = None
+    """(int, int) or None: rows and columns, where the file does not tell them."""
     mm: float | None = None
+    """What the file's unit is."""
     sigma_mm: float | None = None
+    """Standard deviation of the depths."""
 
 
 @dataclass(frozen=True)

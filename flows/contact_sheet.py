@@ -63,7 +63,6 @@ def residuals(frames: NDArray, coordinate: NDArray, code: FringeCode, size: int)
     frames : (frames, h, w) ndarray
         Of one exposure, in Flushline's order.
     coordinate : (h, w) ndarray
-    code : FringeCode
     size : int
         Projector pixels along the fringe axis.
 

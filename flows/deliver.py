@@ -23,20 +23,14 @@ from storage.export.webhook import NotTaken, read_secret, send
 
 @dataclass(frozen=True)
 class Delivered:
-    """What became of all deliveries of a store.
-
-    Attributes
-    ----------
-    sent, waiting, dead : int
-        Taken just now; to be tried again; given up.
-    problems : tuple of str
-        One line for each target that did not take something.
-    """
+    """What became of all deliveries of a store."""
 
     sent: int = 0
     waiting: int = 0
     dead: int = 0
+    """sent, waiting, dead: taken just now; to be tried again; given up."""
     problems: tuple[str, ...] = ()
+    """One line for each target that did not take something."""
 
 
 def deliver(store: Store, outcomes: Iterable[Outcome] = (), now: Callable[[], datetime] | None = None) -> Delivered:

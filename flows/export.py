@@ -19,18 +19,13 @@ from storage.export.subject import Subject, panel_subject, panels_of, scene_subj
 
 @dataclass(frozen=True)
 class Wanted:
-    """What to export.
-
-    Attributes
-    ----------
-    scene_id, aircraft, panel, query : str or None
-        A scene; an aircraft, or a panel of it; or the rows of a query.
-    """
+    """What to export."""
 
     scene_id: str | None = None
     aircraft: str | None = None
     panel: str | None = None
     query: str | None = None
+    """scene_id, aircraft, panel, query: A scene; an aircraft, or a panel of it; or the rows of a query."""
 
     def __post_init__(self) -> None:
         ways = [self.scene_id is not None, self.aircraft is not None, self.query is not None]

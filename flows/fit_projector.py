@@ -29,7 +29,6 @@ def fit_to_scenes(
         Scene folders.
     size : (width, height), optional
         Of the projector.
-    rig_id : str, optional
     """
     if size is None and rig.projector is None:
         raise RigError(f"rig {rig.id!r}: found no projector, expected its width and height to be given (--size WxH)")

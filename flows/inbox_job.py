@@ -17,26 +17,18 @@ left for the next run."""
 
 @dataclass(frozen=True)
 class InboxJob:
-    """An inbox and what its scenes are inspected with; paths only, so that it can go to another process.
-
-    Attributes
-    ----------
-    inbox, store : Path
-    rig, panel_spec, settings : Path or None
-        As for one scene.
-    settle_s : float
-        A folder whose newest change is younger than this is still being copied.
-    compact : bool
-        Write the tables as Parquet for other engines when something new was inspected.
-    """
+    """An inbox and what its scenes are inspected with; paths only, so that it can go to another process."""
 
     inbox: Path
     store: Path
     rig: Path | None = None
     panel_spec: Path | None = None
     settings: Path | None = None
+    """rig, panel_spec, settings: as for one scene."""
     settle_s: float = 30.0
+    """A folder whose newest change is younger than this is still being copied."""
     compact: bool = False
+    """Write the tables as Parquet for other engines when something new was inspected."""
 
     def __post_init__(self) -> None:
         if self.settle_s < 0:
@@ -45,21 +37,14 @@ class InboxJob:
 
 @dataclass(frozen=True)
 class Way:
-    """How an inbox's scenes are run side by side.
-
-    Attributes
-    ----------
-    runner : "processes", "threads" or "dask"
-        Threads and Dask under Prefect only.
-    workers : int
-        Scenes at a time.
-    dask_address : str or None
-        Scheduler of a Dask cluster that stands already.
-    """
+    """How an inbox's scenes are run side by side."""
 
     runner: Runner = "processes"
+    """Threads and Dask under Prefect only."""
     workers: int = 1
+    """Scenes at a time."""
     dask_address: str | None = None
+    """Scheduler of a Dask cluster that stands already."""
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -68,39 +53,24 @@ class Way:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scene folder.
-
-    Attributes
-    ----------
-    folder : Path
-        Where it was found.
-    state : State
-    scene_id : str or None
-        None where the manifest could not be read.
-    text : str
-        What was found, or the reason.
-    seconds : float
-        Wall time of the inspection.
-    """
+    """What became of one scene folder."""
 
     folder: Path
+    """Where it was found."""
     state: State
     scene_id: str | None = None
+    """None where the manifest could not be read."""
     text: str = ""
+    """What was found, or the reason."""
     seconds: float = 0.0
+    """Wall time of the inspection."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done in an inbox.
-
-    Attributes
-    ----------
-    ready : list of Path
-        Scene folders to inspect.
-    settled : list of Outcome
-        What needs nothing more: known, signed off, still copying, waiting, or broken and put aside already.
-    """
+    """What is to be done in an inbox."""
 
     ready: list[Path]
+    """Scene folders to inspect."""
     settled: list[Outcome]
+    """What needs nothing more: known, signed off, still copying, waiting, or broken and put aside already."""

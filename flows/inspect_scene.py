@@ -38,47 +38,29 @@ class Call(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """What to inspect, with what, and where the result goes.
-
-    Attributes
-    ----------
-    folder : Path
-        Scene folder.
-    store : Store
-    rig_path : Path or None
-        None: the rig that the scene names, from the store.
-    settings : InspectionSettings
-    spec : PanelSpecification
-        The example gives way to what is in force in the store for the scene's panel.
-    """
+    """What to inspect, with what, and where the result goes."""
 
     folder: Path
+    """Scene folder."""
     store: Store
     rig_path: Path | None
+    """None: the rig that the scene names, from the store."""
     settings: InspectionSettings
     spec: PanelSpecification
+    """The example gives way to what is in force in the store for the scene's panel."""
 
 
 @dataclass(frozen=True)
 class Inspected:
-    """What became of a scene, in short.
-
-    Attributes
-    ----------
-    key : SceneKey
-    run_id : str
-    features : mapping
-        Judged, by kind.
-    warnings : tuple of str
-    seconds : mapping
-        Wall time of each step, of publishing, and in total.
-    """
+    """What became of a scene, in short."""
 
     key: SceneKey
     run_id: str
     features: Features
+    """Judged, by kind."""
     warnings: tuple[str, ...]
     seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time of each step, of publishing, and in total."""
 
 
 def directly(step: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
@@ -122,7 +104,6 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
 
     Parameters
     ----------
-    job : Job
     call : callable
         Runs a step.
     on_step : callable

@@ -35,19 +35,10 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Request:
-    """A verification to be made.
-
-    Attributes
-    ----------
-    scans : sequence of Path
-        Scene folders, each of another position of the artefact; of a board a calibration capture.
-    artefact, rig : Path
-    store : Store
-    settings : InspectionSettings
-    conditions : Conditions
-    """
+    """A verification to be made."""
 
     scans: Sequence[Path]
+    """Scene folders, each of another position of the artefact; of a board a calibration capture."""
     artefact: Path
     rig: Path
     store: Store
@@ -62,7 +53,6 @@ def verify(
 
     Parameters
     ----------
-    request : Request
     on_scan : callable
         Told how many scans are done, and which comes next.
     """

@@ -36,46 +36,29 @@ _MM2_PER_M2 = 1e6
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a rule in one group of features.
-
-    Attributes
-    ----------
-    rule : Rule
-    group : str
-        Zone, row or course; "panel" for all.
-    verdict : RuleVerdict
-    found : float or None
-        What the values say: the share, number or length that is beyond; the worst mean.
-    doubtful : float or None
-        The same with everything that is not shown to be inside, and with what was not measured.
-    features : tuple of str
-        Ids of the features behind it.
-    reason : str
-    """
+    """What became of a rule in one group of features."""
 
     rule: Rule
     group: str
+    """Zone, row or course; "panel" for all."""
     verdict: RuleVerdict
     found: float | None
+    """What the values say: the share, number or length that is beyond; the worst mean."""
     doubtful: float | None
+    """The same with everything that is not shown to be inside, and with what was not measured."""
     features: tuple[str, ...]
+    """Ids of the features behind it."""
     reason: str
 
 
 @dataclass(frozen=True)
 class _Member:
-    """A feature of a group.
-
-    Attributes
-    ----------
-    row : Feature
-    inside : float
-        By how many standard deviations its worst quantity lies inside the limits, negative outside; NaN where a
-        quantity that has limits was not measured.
-    """
+    """A feature of a group."""
 
     row: Feature
     inside: float
+    """By how many standard deviations its worst quantity lies inside the limits, negative outside; NaN where a quantity
+    that has limits was not measured."""
 
     @property
     def unmeasured(self) -> bool:

@@ -29,22 +29,15 @@ _SOFT_PX = 0.5
 
 @dataclass(frozen=True)
 class FittedCamera:
-    """A camera, and where it stood.
-
-    Attributes
-    ----------
-    device : Device
-        At the origin.
-    R, t : (3, 3) and (3,) ndarray
-        A point x of the cloud's frame is at R x + t in the camera's, mm.
-    rms_px : float
-        Of the pixels against where the camera sees their points.
-    """
+    """A camera, and where it stood."""
 
     device: Device
+    """At the origin."""
     R: Array
     t: Array
+    """R, t: (3, 3) and (3,): A point x of the cloud's frame is at R x + t in the camera's, mm."""
     rms_px: float
+    """Of the pixels against where the camera sees their points."""
 
 
 def fit_camera(points: NDArray, most_px: float) -> FittedCamera | None:

@@ -33,39 +33,27 @@ _LEAST_SIGNAL = 12.0  # amplitude over a sample's noise
 
 @dataclass(frozen=True)
 class CaptureState:
-    """One camera's frames of one exposure.
-
-    Attributes
-    ----------
-    lit, clipped : float
-        Share of the pixels that carry the pattern; of these, share with a clipped fringe sample.
-    top : float
-        99th percentile of the lit samples over the range.
-    amplitude, contrast : float
-        Median modulation over the range, and over the mean level.
-    noise : float
-        Standard deviation of a sample at the mean level, grey levels.
-    signal : float
-        Median modulation over that noise.
-    sigma_px : float
-        Median standard deviation of the decoded coordinate, projector pixels (of a projector of usual size where the
-        code does not tell).
-    gamma : float or None
-        That of the projector as the second harmonic shows it; None where the steps cannot.
-    problems : tuple of str
-        What is wrong, each with what to change; empty where the frames are good.
-    """
+    """One camera's frames of one exposure."""
 
     lit: float
     clipped: float
+    """lit, clipped: share of the pixels that carry the pattern; of these, share with a clipped fringe sample."""
     top: float
+    """99th percentile of the lit samples over the range."""
     amplitude: float
     contrast: float
+    """amplitude, contrast: median modulation over the range, and over the mean level."""
     noise: float
+    """Standard deviation of a sample at the mean level, grey levels."""
     signal: float
+    """Median modulation over that noise."""
     sigma_px: float
+    """Median standard deviation of the decoded coordinate, projector pixels (of a projector of usual size where the
+    code does not tell)."""
     gamma: float | None
+    """That of the projector as the second harmonic shows it; None where the steps cannot."""
     problems: tuple[str, ...]
+    """What is wrong, each with what to change; empty where the frames are good."""
 
     @property
     def good(self) -> bool:

@@ -37,61 +37,41 @@ MISSING = (
 
 @dataclass(frozen=True)
 class DecodedView:
-    """One camera's frames, decoded.
-
-    Attributes
-    ----------
-    coordinate : (h, w) float32
-        Projector coordinate along the fringe axis (column for axis x, row for y) in projector pixels, centres at
-        integers; NaN where there is none.
-    sigma : (h, w) float32
-        Standard deviation of `coordinate`, projector pixels.
-    modulation : (h, w) float32
-        Fringe amplitude B in grey levels at exposure 1, root mean square over the fringe counts.
-    texture : (h, w) float32
-        Mean grey level A at exposure 1 over all frames (may exceed the camera's range where exposures were fused).
-    flags : (h, w) uint16
-        PixelFlag bits.
-    noise : NoiseModel or None
-        The camera's noise as it was taken for `sigma`.
-    """
+    """One camera's frames, decoded."""
 
     coordinate: Float32
+    """(h, w) float32: projector coordinate along the fringe axis (column for axis x, row for y) in projector pixels,
+    centres at integers; NaN where there is none."""
     sigma: Float32
+    """(h, w) float32: standard deviation of `coordinate`, projector pixels."""
     modulation: Float32
+    """(h, w) float32: fringe amplitude B in grey levels at exposure 1, root mean square over the fringe counts."""
     texture: Float32
+    """(h, w) float32: mean grey level A at exposure 1 over all frames (may exceed the camera's range where exposures
+    were fused)."""
     flags: NDArray[np.uint16]
+    """(h, w) uint16: PixelFlag bits."""
     noise: NoiseModel | None = None
+    """The camera's noise as it was taken for `sigma`."""
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """An organised cloud: entry [v, u] is the point that the left camera's raw pixel (u, v) sees.
-
-    Attributes
-    ----------
-    rig : Rig
-    left : DecodedView
-    right : DecodedView or None
-        None where there is but one camera.
-    points : (h, w, 3) float32
-        Rig frame, mm; NaN where none.
-    sigma_z : (h, w) float32
-        Standard deviation of the point's z, mm. The point moves along its left viewing ray, so its covariance is
-        sigma_z² times the outer product of (x/z, y/z, 1).
-    flags : (h, w) uint16
-        PixelFlag bits, those of the left view included.
-    frames_digest : str or None
-        Names the content of the frames that it was made of.
-    """
+    """An organised cloud: entry [v, u] is the point that the left camera's raw pixel (u, v) sees."""
 
     rig: Rig
     left: DecodedView
     right: DecodedView | None
+    """None where there is but one camera."""
     points: Float32
+    """(h, w, 3) float32: rig frame, mm; NaN where none."""
     sigma_z: Float32
+    """(h, w) float32: standard deviation of the point's z, mm. The point moves along its left viewing ray, so its
+    covariance is sigma_z² times the outer product of (x/z, y/z, 1)."""
     flags: NDArray[np.uint16]
+    """(h, w) uint16: PixelFlag bits, those of the left view included."""
     frames_digest: str | None = None
+    """Names the content of the frames that it was made of."""
 
     def with_right(self) -> DecodedView:
         """The right view; RigError where there is none."""

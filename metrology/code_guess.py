@@ -31,30 +31,20 @@ _USUAL = (0.0, -np.pi / 2, np.pi / 2, np.pi)  # cosine, sine and their negatives
 
 @dataclass(frozen=True)
 class CodeGuess:
-    """Conventions under which a camera's frames agree.
-
-    Attributes
-    ----------
-    direction : 1 or -1
-        Sign of the phase steps; that of codes without Gray code cannot be told and is 1.
-    lsb_first : bool
-        Whether the Gray-code frames begin with the finest stripes.
-    code : FringeCode
-        With the phase offsets and the shift of the stripes that were found.
-    agreement : float
-        From 0, chance, to 1.
-    inverse_first : bool
-        Whether each bit's inverse comes before the bit.
-    others : tuple of float
-        Offsets at which the counts agree as well; the coordinate is then another part of the projector's width.
-    """
+    """Conventions under which a camera's frames agree."""
 
     direction: int
+    """Sign of the phase steps; that of codes without Gray code cannot be told and is 1."""
     lsb_first: bool
+    """Whether the Gray-code frames begin with the finest stripes."""
     code: FringeCode
+    """With the phase offsets and the shift of the stripes that were found."""
     agreement: float
+    """From 0, chance, to 1."""
     inverse_first: bool = False
+    """Whether each bit's inverse comes before the bit."""
     others: tuple[float, ...] = ()
+    """Offsets at which the counts agree as well; the coordinate is then another part of the projector's width."""
 
 
 def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGuess:

@@ -50,12 +50,10 @@ def decode_phase(
     ----------
     frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
         Count-major, then step.
-    code : FringeCode
     projector_size : int
         Projector pixels along the fringe axis.
     exposures : sequence of float
         Exposure times relative to exposure 1.
-    settings : ReconstructionSettings, optional
     noise : NoiseModel, optional
         The camera's noise; estimated from the frames by default.
     """

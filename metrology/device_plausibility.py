@@ -34,7 +34,6 @@ def check_device(device: Device, projector: bool = False) -> None:
 
     Parameters
     ----------
-    device : Device
     projector : bool
         Whether the lens may be shifted so that the principal point lies beyond the image.
     """

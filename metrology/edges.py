@@ -35,10 +35,8 @@ def flag_neighbourhoods(view: DecodedView, frames: int, settings: Reconstruction
 
     Parameters
     ----------
-    view : DecodedView
     frames : int
         How many frames the texture is a mean of.
-    settings : ReconstructionSettings
     """
     reach = int(np.ceil(2 * settings.blur_radius_px))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]

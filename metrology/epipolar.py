@@ -23,42 +23,28 @@ _LEAST_SHARE_ALONG = 0.1
 
 @dataclass(frozen=True)
 class EpipolarMaps:
-    """Per-pixel constants of one camera.
-
-    Attributes
-    ----------
-    xy : (h, w, 2) float32
-        Undistorted image coordinates x/z, y/z in the camera's own frame.
-    row : (h, w) float32
-        Epipolar plane that the pixel lies on, as the row it would have in a rectified image pair, pixels from 0; the
-        same number in both cameras for the same plane.
-    """
+    """Per-pixel constants of one camera."""
 
     xy: Float32
+    """(h, w, 2) float32: undistorted image coordinates x/z, y/z in the camera's own frame."""
     row: Float32
+    """(h, w) float32: epipolar plane that the pixel lies on, as the row it would have in a rectified image pair, pixels
+    from 0; the same number in both cameras for the same plane."""
 
 
 @dataclass(frozen=True)
 class EpipolarGeometry:
-    """Both cameras' maps, and the transformation between them in the right camera's frame.
-
-    Attributes
-    ----------
-    left, right : EpipolarMaps
-    rows : int
-        Number of rectified rows.
-    R, t : (3, 3) and (3,) ndarray
-        x_right = R x_left + t, mm.
-    along : (2,) ndarray
-        Direction of the epipolar lines in the middle of the right image, unit.
-    """
+    """Both cameras' maps, and the transformation between them in the right camera's frame."""
 
     left: EpipolarMaps
     right: EpipolarMaps
     rows: int
+    """Number of rectified rows."""
     R: NDArray[np.float64]
     t: NDArray[np.float64]
+    """R, t: (3, 3) and (3,): x_right = R x_left + t, mm."""
     along: NDArray[np.float64]
+    """(2,): direction of the epipolar lines in the middle of the right image, unit."""
 
 
 def check_axis(rig: Rig, axis: Axis) -> None:

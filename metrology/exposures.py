@@ -41,8 +41,6 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
     Parameters
     ----------
     frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
-    code : FringeCode
-    exposures : sequence of float
     """
     if len(exposures) < 2:
         return

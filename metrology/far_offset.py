@@ -32,21 +32,14 @@ _SIGMA_PX = 1.0
 
 @dataclass(frozen=True)
 class _Grid:
-    """Layout of both views: rows of the images against projector coordinate.
-
-    Attributes
-    ----------
-    lowest, step : float
-        Coordinate of the first column's border, and width of a column, projector pixels.
-    columns : int
-    upright : bool
-        Whether the image's rows are the layout's; else its columns are.
-    """
+    """Layout of both views: rows of the images against projector coordinate."""
 
     lowest: float
     step: float
+    """lowest, step: coordinate of the first column's border, and width of a column, projector pixels."""
     columns: int
     upright: bool
+    """Whether the image's rows are the layout's; else its columns are."""
 
     def turned(self, image: NDArray) -> NDArray:
         """An image's values with the layout's rows first."""
@@ -62,10 +55,6 @@ class _Grid:
 
 def measure_far_offsets(reconstruction: Reconstruction) -> TextureOffsets:
     """Offsets of blocks of texture over the whole height of the image, known to about a pixel.
-
-    Parameters
-    ----------
-    reconstruction : Reconstruction
 
     Returns
     -------

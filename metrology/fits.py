@@ -22,46 +22,31 @@ _SHOWN = 2.6  # radii at half depth: a bowl's foot is at two
 
 @dataclass(frozen=True)
 class HeadFit:
-    """A head's surface and the skin's in one frame.
-
-    Attributes
-    ----------
-    frame : Frame
-        Origin in the head, h along the skin's normal towards the rig.
-    skin, head : (k,) ndarray
-        Coefficients of `surfaces.monomials`, mm.
-    x, y, radius : float
-        The head's circle, mm.
-    inner_mm : float
-        The head's points lie within this distance of the origin.
-    outer_mm : (float, float)
-        The skin's points lie between these distances.
-    """
+    """A head's surface and the skin's in one frame."""
 
     frame: Frame
+    """Origin in the head, h along the skin's normal towards the rig."""
     skin: Array
     head: Array
+    """skin, head: (k,): coefficients of `surfaces.monomials`, mm."""
     x: float
     y: float
     radius: float
+    """x, y, radius: the head's circle, mm."""
     inner_mm: float
+    """The head's points lie within this distance of the origin."""
     outer_mm: tuple[float, float]
+    """The skin's points lie between these distances."""
 
 
 @dataclass(frozen=True)
 class SkinLine:
-    """One side's skin in a section: ``h(x) = c_0 + c_1 x + c_2 x²``.
-
-    Attributes
-    ----------
-    coefficients : (3,) ndarray
-        c_0 (mm), c_1, c_2 (1/mm).
-    n : int
-        Points it rests on.
-    """
+    """One side's skin in a section: ``h(x) = c_0 + c_1 x + c_2 x²``."""
 
     coefficients: Array
+    """(3,): c_0 (mm), c_1, c_2 (1/mm)."""
     n: int
+    """Points it rests on."""
 
     def height(self, x: float) -> float:
         """h at x, mm."""
@@ -74,29 +59,22 @@ class SkinLine:
 
 @dataclass(frozen=True)
 class SectionFit:
-    """Both skin lines of a section across a seam, and its edges.
-
-    Attributes
-    ----------
-    frame : Frame
-        x across the seam from side A to side B, y along it, h along the skins' normal towards the rig.
-    a, b : SkinLine
-    edges_mm : (float, float)
-        x at which the step was taken: of the ideal edges D′ and G′, or of the line's borders where those are unknown.
-    depths_mm : (float, float) or None
-        How deep the inflection points D and G lie under D′ and G′; None where the width was not measured.
-    inner_mm, outer_mm, half_length_mm : float
-        The lines' points lie between these distances from the origin across the seam, and so far along it.
-    """
+    """Both skin lines of a section across a seam, and its edges."""
 
     frame: Frame
+    """x across the seam from side A to side B, y along it, h along the skins' normal towards the rig."""
     a: SkinLine
     b: SkinLine
     edges_mm: tuple[float, float]
+    """x at which the step was taken: of the ideal edges D′ and G′, or of the line's borders where those are unknown."""
     depths_mm: tuple[float, float] | None
+    """(float, float) or None: how deep the inflection points D and G lie under D′ and G′; None where the width was not
+    measured."""
     inner_mm: float
     outer_mm: float
     half_length_mm: float
+    """inner_mm, outer_mm, half_length_mm: the lines' points lie between these distances from the origin across the
+    seam, and so far along it."""
 
     def exchanged(self) -> SectionFit:
         """The same section with side A for B and B for A."""
@@ -129,23 +107,16 @@ class FittedStation(SeamStation):
 
 @dataclass(frozen=True)
 class DefectSection:
-    """A line over a defect, as far as its plate goes.
-
-    Attributes
-    ----------
-    t : (n,) ndarray
-        Position, 0 at the deepest point, mm.
-    surface, skin : (n,) ndarray
-        Heights of what is there and of the skin without the defect over the tangent plane, mm.
-    edge : (n,) ndarray
-        Underside of a straight-edge as long as the line that lies on the surface: where it does not touch, it is
-        above. (A rigid edge cannot bend round a curved skin: on one it rocks, and touches on either side of a dent.)
-    """
+    """A line over a defect, as far as its plate goes."""
 
     t: Array
+    """(n,): position, 0 at the deepest point, mm."""
     surface: Array
     skin: Array
+    """surface, skin: (n,): heights of what is there and of the skin without the defect over the tangent plane, mm."""
     edge: Array
+    """(n,): underside of a straight-edge as long as the line that lies on the surface: where it does not touch, it is
+    above. (A rigid edge cannot bend round a curved skin: on one it rocks, and touches on either side of a dent.)"""
 
     def gap(self, reach: float) -> float:
         """Greatest gap under the straight-edge within `reach` of the deepest point, mm."""
@@ -164,28 +135,19 @@ class DefectSection:
 
 @dataclass(frozen=True)
 class DefectForm:
-    """Heights above the skin as it would be without the defect, mm.
-
-    Attributes
-    ----------
-    heights : (rows, columns) ndarray
-        Round the defect as the left image shows it; NaN where no sound skin is.
-    corner : (x, y)
-        Of the middle of its first cell from the deepest point, mm; x as the image's columns, y as its rows.
-    step_mm : float
-    outline : (n, 2) ndarray
-        At half depth, mm on the map.
-    along, across : DefectSection
-        Through the deepest point; the line of `along` lies in the direction `turn` of the map, radians from x to y.
-    turn : float
-    """
+    """Heights above the skin as it would be without the defect, mm."""
 
     heights: Array
+    """(rows, columns): round the defect as the left image shows it; NaN where no sound skin is."""
     corner: tuple[float, float]
+    """(x, y): of the middle of its first cell from the deepest point, mm; x as the image's columns, y as its rows."""
     step_mm: float
     outline: Array
+    """(n, 2): at half depth, mm on the map."""
     along: DefectSection
     across: DefectSection
+    """along, across: through the deepest point; the line of `along` lies in the direction `turn` of the map, radians
+    from x to y."""
     turn: float
 
     @property

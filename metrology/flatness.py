@@ -14,30 +14,20 @@ _RANGE = (0.005, 0.995)  # the range leaves out half a percent at either end, or
 
 @dataclass(frozen=True)
 class Flatness:
-    """Departures of points from their plane.
-
-    Attributes
-    ----------
-    n : int
-        Points, outliers included.
-    rms_mm : float
-        Standard deviation of the residuals from the plane, outliers left out.
-    range_mm : float
-        Between the 0.5 % and the 99.5 % quantile of all residuals.
-    bow_mm : float
-        How far a quadric through the points departs from the plane, largest less smallest value.
-    noise_ratio : float
-        Residuals from the quadric over their propagated standard deviation; 1 where that is right.
-    residuals_mm : (n,) ndarray
-        Distances from the plane, + towards the rig.
-    """
+    """Departures of points from their plane."""
 
     n: int
+    """Points, outliers included."""
     rms_mm: float
+    """Standard deviation of the residuals from the plane, outliers left out."""
     range_mm: float
+    """Between the 0.5 % and the 99.5 % quantile of all residuals."""
     bow_mm: float
+    """How far a quadric through the points departs from the plane, largest less smallest value."""
     noise_ratio: float
+    """Residuals from the quadric over their propagated standard deviation; 1 where that is right."""
     residuals_mm: NDArray[np.float64]
+    """(n,): distances from the plane, + towards the rig."""
 
 
 def flatness(points: ArrayLike, sigma_z: ArrayLike, generator: np.random.Generator) -> Flatness | None:

@@ -59,30 +59,20 @@ _STRIDE = 4
 
 @dataclass(frozen=True)
 class FrameConsistency:
-    """How well one exposure's frames of one camera fit each other.
-
-    Attributes
-    ----------
-    judged : int
-        Pixels of the grid that could be judged.
-    contradictory : float
-        Share of them whose fringes contradict each other.
-    odd_rows : (rows,) bool
-        Rows of the grid in bands or blocks where a frame deviates or most fringes contradict each other.
-    odd_columns : (columns,) bool
-        Columns of the grid in such blocks, where neither a band nor the whole picture is odd; else all.
-    deviation : float
-        Largest deviation of a frame, over the whole picture, a band or a block; 1 is the limit.
-    drift : float
-        What the phases miss each other by systematically; 1 is the limit.
-    """
+    """How well one exposure's frames of one camera fit each other."""
 
     judged: int
+    """Pixels of the grid that could be judged."""
     contradictory: float
+    """Share of them whose fringes contradict each other."""
     odd_rows: NDArray[np.bool_]
+    """(rows,): rows of the grid in bands or blocks where a frame deviates or most fringes contradict each other."""
     odd_columns: NDArray[np.bool_]
+    """(columns,): columns of the grid in such blocks, where neither a band nor the whole picture is odd; else all."""
     deviation: float
+    """Largest deviation of a frame, over the whole picture, a band or a block; 1 is the limit."""
     drift: float
+    """What the phases miss each other by systematically; 1 is the limit."""
 
     @property
     def odd(self) -> bool:
@@ -200,10 +190,8 @@ def frame_deviations(
     ----------
     fit : SinusoidFit
         Of `rows` · columns pixels.
-    code : FringeCode
     lit : (n,) bool
         Pixels that count.
-    rows : int
     bands : (b,) int
         First row of each band.
     least_count : int

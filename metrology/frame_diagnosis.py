@@ -52,21 +52,14 @@ _BACKWARDS = -0.5
 
 @dataclass(frozen=True)
 class FrameDiagnosis:
-    """What is wrong with one camera's frames.
-
-    Attributes
-    ----------
-    faults : tuple of FrameFault
-        Frames that do not fit, each described.
-    either : bool
-        Whether only one of the faults is the true one, which the scan cannot tell.
-    order : FrameOrder or None
-        The order in which the frames would fit.
-    """
+    """What is wrong with one camera's frames."""
 
     faults: tuple[FrameFault, ...] = ()
+    """Frames that do not fit, each described."""
     either: bool = False
+    """Whether only one of the faults is the true one, which the scan cannot tell."""
     order: FrameOrder | None = None
+    """The order in which the frames would fit."""
 
     @property
     def named(self) -> bool:
@@ -76,21 +69,14 @@ class FrameDiagnosis:
 
 @dataclass(frozen=True)
 class _Trial:
-    """How frames fit under a hypothesis.
-
-    Attributes
-    ----------
-    deviation : float
-        Largest of a frame, or of all phases; 1 is the limit.
-    share : float
-        Of pixels with contradictory fringes.
-    judged : int
-        Pixels.
-    """
+    """How frames fit under a hypothesis."""
 
     deviation: float
+    """Largest of a frame, or of all phases; 1 is the limit."""
     share: float
+    """Of pixels with contradictory fringes."""
     judged: int
+    """Pixels."""
 
     @property
     def misfit(self) -> float:
@@ -108,7 +94,6 @@ def diagnose_frames(
 
     Parameters
     ----------
-    sample : FrameSample
     found : sequence of FrameConsistency
         Of each exposure.
     finer : callable, optional

@@ -33,28 +33,20 @@ Finer = Callable[[NDArray[np.int64]], FrameSample]
 
 @dataclass(frozen=True)
 class FrameFault:
-    """A frame that does not fit the others of its camera.
-
-    Attributes
-    ----------
-    frame : int
-        Place in the scene's list, exposure-major.
-    rows : (int or None, int or None)
-        First row where it does not fit, and the row behind the last one; None: from the top, to the bottom.
-    look : "same", "like", "dark", "flat", "brighter", "darker" or "other"
-        The same picture as another frame, like another frame, dark, without fringes, its own pattern but of other
-        brightness, or none of these.
-    other : int or None
-        The frame whose picture it is.
-    factor : float
-        Its brightness relative to the other frames.
-    """
+    """A frame that does not fit the others of its camera."""
 
     frame: int
+    """Place in the scene's list, exposure-major."""
     rows: tuple[int | None, int | None]
+    """(int or None, int or None): first row where it does not fit, and the row behind the last one; None: from the top,
+    to the bottom."""
     look: Look
+    """The same picture as another frame, like another frame, dark, without fringes, its own pattern but of other
+    brightness, or none of these."""
     other: int | None = None
+    """The frame whose picture it is."""
     factor: float = 1.0
+    """Its brightness relative to the other frames."""
 
     @property
     def telling(self) -> bool:
@@ -69,8 +61,6 @@ def describe_frame(
 
     Parameters
     ----------
-    sample : FrameSample
-    exposure, frame : int
     left_out : sequence of int
         Frames of that exposure that are not to be relied on.
     finer : callable, optional

@@ -22,16 +22,10 @@ _MOST_EXCHANGED = 16
 
 @dataclass(frozen=True)
 class FrameOrder:
-    """One way of listing frames.
-
-    Attributes
-    ----------
-    what : str
-        What the frames fit if they are taken for it: completes "they fit …".
-    shows : tuple of int
-    """
+    """One way of listing frames."""
 
     what: str
+    """What the frames fit if they are taken for it: completes "they fit …"."""
     shows: tuple[int, ...]
 
 

@@ -42,27 +42,18 @@ _OFF_STRIPE, _OFF_FRINGE = 0.55, 0.275
 
 @dataclass(frozen=True)
 class FrameSample:
-    """Samples of one camera's frames on a coarse grid.
-
-    Attributes
-    ----------
-    levels : (exposures, frames, rows, columns) float32
-    rows : (rows,) int
-        Image rows of the grid.
-    columns : (rows, columns) int
-        Image columns of the grid.
-    code : FringeCode
-    noise : NoiseModel
-    saturation : float
-        Grey level from which a sample counts as clipped.
-    """
+    """Samples of one camera's frames on a coarse grid."""
 
     levels: Float32
+    """(exposures, frames, rows, columns) float32."""
     rows: NDArray[np.int64]
+    """(rows,): image rows of the grid."""
     columns: NDArray[np.int64]
+    """(rows, columns): image columns of the grid."""
     code: FringeCode
     noise: NoiseModel
     saturation: float
+    """Grey level from which a sample counts as clipped."""
 
     def frames(self, exposure: int) -> Float32:
         """(frames, pixels) of one exposure."""
@@ -75,26 +66,18 @@ class FrameSample:
 
 @dataclass(frozen=True)
 class SinusoidFit:
-    """One exposure's fit of mean level and phasors at n pixels.
-
-    Attributes
-    ----------
-    mean : (n,) float32
-    phasors : (counts used, n) complex64
-        B e^{jφ}.
-    used : tuple of int
-        Which of the code's counts have enough frames for a phasor.
-    errors : (frames, n) float32
-        Each frame less what the others say of it; 0 where they say nothing.
-    shows : (frames,) int
-        The pattern that each of these frames was taken for.
-    """
+    """One exposure's fit of mean level and phasors at n pixels."""
 
     mean: Float32
+    """(n,) float32."""
     phasors: NDArray[np.complex64]
+    """(counts used, n) complex64: B e^{jφ}."""
     used: tuple[int, ...]
+    """Which of the code's counts have enough frames for a phasor."""
     errors: Float32
+    """(frames, n) float32: each frame less what the others say of it; 0 where they say nothing."""
     shows: NDArray[np.int64]
+    """(frames,): the pattern that each of these frames was taken for."""
 
     @property
     def amplitude(self) -> Float32:
@@ -117,8 +100,6 @@ def sample_frames(
     Parameters
     ----------
     frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
-    code : FringeCode
-    noise : NoiseModel
     """
     height, width = frames.shape[2:]
     row_stride, column_stride = max(1, height // _ROWS), max(1, width // _COLUMNS)
@@ -165,7 +146,6 @@ def fit_sinusoids(levels: Float32, shows: Sequence[int], code: FringeCode) -> Si
     levels : (frames, n) float32
     shows : sequence of int
         Pattern of each frame, count-major, then step.
-    code : FringeCode
 
     Returns
     -------
@@ -183,24 +163,17 @@ def fit_sinusoids(levels: Float32, shows: Sequence[int], code: FringeCode) -> Si
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether the counts of a fit (or fringes and Gray code) tell one position.
-
-    Attributes
-    ----------
-    judged : (n,) bool
-        Where there are fringes enough to judge by.
-    contradictory : (n,) bool
-        False where not judged.
-    position : (n,) float64
-        In [0, 1) across the projector; across a common factor's part of it where only such counts are used.
-    drift : float
-        Median of what the phases miss a common position by, as a share of half a lattice step; 0 with Gray code.
-    """
+    """Whether the counts of a fit (or fringes and Gray code) tell one position."""
 
     judged: NDArray[np.bool_]
+    """(n,): where there are fringes enough to judge by."""
     contradictory: NDArray[np.bool_]
+    """(n,): False where not judged."""
     position: Array
+    """(n,) float64: in [0, 1) across the projector; across a common factor's part of it where only such counts are
+    used."""
     drift: float
+    """Median of what the phases miss a common position by, as a share of half a lattice step; 0 with Gray code."""
 
 
 def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Float32 | None = None) -> Agreement:

@@ -20,24 +20,17 @@ class GrayCode:
 
     The projector's pixels along the fringe axis fall into S equal stripes, j = ⌊S (x + ½)/W⌋; frame b, from the most
     significant bit, is bright where bit b of ``j ^ (j >> 1)`` is set.
-
-    Attributes
-    ----------
-    stripes : int
-        S; at least as many as fringes of the smallest count, better twice as many (the complementary bit).
-    inverse : bool
-        Whether each frame is followed by its inverse.
-    references : bool
-        Whether an all-white and an all-black frame follow.
-    shift : float
-        How far the stripes' borders lie towards higher coordinates, stripes: j = ⌊S (x + ½)/W − shift⌋. Moves the
-        borders against the fringes' wraps; codes of other people have them anywhere.
     """
 
     stripes: int
+    """S; at least as many as fringes of the smallest count, better twice as many (the complementary bit)."""
     inverse: bool = False
+    """Whether each frame is followed by its inverse."""
     references: bool = False
+    """Whether an all-white and an all-black frame follow."""
     shift: float = 0.0
+    """How far the stripes' borders lie towards higher coordinates, stripes: j = ⌊S (x + ½)/W − shift⌋. Moves the
+    borders against the fringes' wraps; codes of other people have them anywhere."""
 
     def __post_init__(self) -> None:
         if not 2 <= self.stripes <= 65536:
@@ -75,29 +68,20 @@ class FringeCode:
 
     The projector shows, for each count N, ``I_i(x) = a + b cos(2π N (x + ½)/W + ψ + 2π (i−1)/steps)``, i = 1 … steps
     (paper eqs 1 and 3), with x the projector column (axis x) or row (axis y) and W the projector's size along the axis.
-
-    Attributes
-    ----------
-    axis : "x" or "y"
-    steps : int or tuple of int
-        Phase steps per count, at least 3; one number for all counts or one per count.
-    counts : tuple of int
-        Fringes across W, one entry per count, in the order of the frames; none where Gray code is shown alone.
-    gray : GrayCode or None
-        Gray-code frames that follow the fringe frames and tell the order of the counts.
-    phase_offsets_rad : tuple of float
-        ψ of every count; empty where all are 0.
-    size_px : int or None
-        W where it is not the projector's own size: codes with periods in pixels count over the pixels after which all
-        of them begin anew, beyond the projector's border if need be.
     """
 
     axis: Axis
     steps: int | tuple[int, ...]
+    """Phase steps per count, at least 3; one number for all counts or one per count."""
     counts: tuple[int, ...]
+    """Fringes across W, one entry per count, in the order of the frames; none where Gray code is shown alone."""
     gray: GrayCode | None = None
+    """Gray-code frames that follow the fringe frames and tell the order of the counts."""
     phase_offsets_rad: tuple[float, ...] = ()
+    """ψ of every count; empty where all are 0."""
     size_px: int | None = None
+    """W where it is not the projector's own size: codes with periods in pixels count over the pixels after which all of
+    them begin anew, beyond the projector's border if need be."""
 
     def __post_init__(self) -> None:
         if self.axis not in ("x", "y"):

@@ -16,27 +16,18 @@ _LEAST_SHARE = 0.5
 
 @dataclass(frozen=True)
 class CountChoice:
-    """A set of fringe counts and what it promises.
-
-    Attributes
-    ----------
-    counts : tuple of int
-        Falling.
-    sigma_px : float
-        Standard deviation of the fused coordinate, projector pixels.
-    slip_probability : float
-        Share of pixels with a wrong fringe order under maximum-likelihood unwrapping.
-    margin_rad : float
-        Least phase error that can make the order slip.
-    heterodyne : bool
-        Whether the paper's heterodyne can unwrap it too.
-    """
+    """A set of fringe counts and what it promises."""
 
     counts: tuple[int, ...]
+    """Falling."""
     sigma_px: float
+    """Standard deviation of the fused coordinate, projector pixels."""
     slip_probability: float
+    """Share of pixels with a wrong fringe order under maximum-likelihood unwrapping."""
     margin_rad: float
+    """Least phase error that can make the order slip."""
     heterodyne: bool
+    """Whether the paper's heterodyne can unwrap it too."""
 
 
 def recommend_counts(
@@ -69,7 +60,6 @@ def recommend_counts(
         Number of fringe counts, 2 … 4.
     finest_period_px : float
         Least fringe period the projector's and cameras' optics resolve with full contrast, projector pixels.
-    max_slip_probability : float
     choices : int
         How many sets to return at most.
     """

@@ -39,28 +39,20 @@ class Effect:
 
 @dataclass(frozen=True)
 class GageStudy:
-    """Standard deviations of a crossed study, in the unit of the values.
-
-    Attributes
-    ----------
-    effects : tuple of Effect
-        parts, operators, parts × operators, repeatability.
-    pooled : bool
-        Whether the interaction was not significant and went into the repeatability.
-    repeatability : float
-        EV, the same operator and part.
-    operators, interaction : float
-        Between operators, and between operators differently for each part; together the reproducibility.
-    parts : float
-        PV, between parts.
-    """
+    """Standard deviations of a crossed study, in the unit of the values."""
 
     effects: tuple[Effect, ...]
+    """parts, operators, parts × operators, repeatability."""
     pooled: bool
+    """Whether the interaction was not significant and went into the repeatability."""
     repeatability: float
+    """EV, the same operator and part."""
     operators: float
     interaction: float
+    """operators, interaction: between operators, and between operators differently for each part; together the
+    reproducibility."""
     parts: float
+    """PV, between parts."""
 
     @property
     def reproducibility(self) -> float:

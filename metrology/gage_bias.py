@@ -20,25 +20,17 @@ from metrology.errors import UsageError
 
 @dataclass(frozen=True)
 class Bias:
-    """Mean deviation of repeated values from a reference value.
-
-    Attributes
-    ----------
-    n : int
-    bias, sigma : float
-        Mean deviation, and standard deviation of the values.
-    t, p_value : float
-        Against zero, with n − 1 degrees of freedom; p is NaN without any scatter.
-    u95 : float
-        Half the 95 % interval of the bias, the reference value's own uncertainty included.
-    """
+    """Mean deviation of repeated values from a reference value."""
 
     n: int
     bias: float
     sigma: float
+    """bias, sigma: mean deviation, and standard deviation of the values."""
     t: float
     p_value: float
+    """t, p_value: against zero, with n − 1 degrees of freedom; p is NaN without any scatter."""
     u95: float
+    """Half the 95 % interval of the bias, the reference value's own uncertainty included."""
 
     @property
     def is_zero(self) -> bool:
@@ -69,27 +61,17 @@ def bias(values: ArrayLike, reference: float, reference_u95: float = 0.0) -> Bia
 
 @dataclass(frozen=True)
 class Linearity:
-    """The straight line of deviations over reference values.
-
-    Attributes
-    ----------
-    n : int
-        Deviations.
-    slope, intercept : float
-    slope_u95, intercept_u95 : float
-        Half their 95 % intervals.
-    sigma : float
-        Standard deviation of the residuals.
-    r_squared : float
-    slope_t, intercept_t, slope_p, intercept_p : float
-    """
+    """The straight line of deviations over reference values."""
 
     n: int
+    """Deviations."""
     slope: float
     intercept: float
     slope_u95: float
     intercept_u95: float
+    """slope_u95, intercept_u95: half their 95 % intervals."""
     sigma: float
+    """Standard deviation of the residuals."""
     r_squared: float
     slope_t: float
     intercept_t: float

@@ -35,10 +35,8 @@ def stripe_positions(
     ----------
     frames : (exposures, gray.frames, h, w) ndarray of uint8 or uint16
         Most significant bit first; with `gray.inverse` every frame is followed by its inverse.
-    gray : GrayCode
     reference : (h, w) ndarray
         Level between dark and bright at exposure 1 (the mean of the fringe frames), for frames without inverse.
-    exposures : sequence of float
     saturation : float
         Grey level from which a sample counts as saturated.
 
@@ -105,7 +103,6 @@ def continue_orders(coordinate: NDArray[np.float32], count: int, gray: GrayCode,
         Projector pixels; changed by whole fringes.
     count : int
         Fringes of the count that the stripes unwrap.
-    gray : GrayCode
     size : int
         Projector pixels along the fringe axis.
     """

@@ -48,7 +48,6 @@ def decode_stripes(
         Projector pixels along the fringe axis.
     exposures : sequence of float
         Exposure times relative to exposure 1.
-    settings : ReconstructionSettings
     saturation : float
         Grey level from which a sample counts as saturated.
     """

@@ -30,27 +30,19 @@ _CHUNK = 200_000
 
 @dataclass(frozen=True)
 class Gridded:
-    """Points on a camera's pixels.
-
-    Attributes
-    ----------
-    device : Device
-        At the origin of the new frame.
-    R, t : (3, 3) and (3,) ndarray
-        A point x of the old frame is at R x + t in the new one, mm.
-    points : (h, w, 3) ndarray of float32
-    grey : (h, w) ndarray
-        Brightness of the nearest point, 0 where there is none.
-    spacing_mm : float
-        Of the points, which a pixel spans.
-    """
+    """Points on a camera's pixels."""
 
     device: Device
+    """At the origin of the new frame."""
     R: Array
     t: Array
+    """R, t: (3, 3) and (3,): A point x of the old frame is at R x + t in the new one, mm."""
     points: NDArray[np.float32]
+    """(h, w, 3) of float32."""
     grey: NDArray
+    """(h, w): brightness of the nearest point, 0 where there is none."""
     spacing_mm: float
+    """Of the points, which a pixel spans."""
 
 
 def grid_points(points: Array, grey: NDArray) -> Gridded:

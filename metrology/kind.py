@@ -17,24 +17,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LimitName:
-    """A limit that a zone of a panel specification may have.
-
-    Attributes
-    ----------
-    name : str
-        Its key in a zone, with the unit.
-    title : str
-        For people, with the unit.
-    amount : bool
-        Whether it is an upper limit of the value's amount alone.
-    graded : bool
-        Whether it goes with an extent of the feature (`metrology.limits.GradedLimit`).
-    """
+    """A limit that a zone of a panel specification may have."""
 
     name: str
+    """Its key in a zone, with the unit."""
     title: str
+    """For people, with the unit."""
     amount: bool = False
+    """Whether it is an upper limit of the value's amount alone."""
     graded: bool = False
+    """Whether it goes with an extent of the feature (`metrology.limits.GradedLimit`)."""
 
 
 @dataclass(frozen=True)
@@ -49,48 +41,33 @@ class Graded:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A measured quantity of a kind.
-
-    Attributes
-    ----------
-    name : str
-        In messages, addresses and charts; no other quantity of any kind has it.
-    column, u95_column : str
-        Of the value and of its expanded uncertainty.
-    unit, title : str
-        For people.
-    limits : tuple of LimitName
-        What a zone may ask of it. The first is of the value itself.
-    signed : bool
-        Whether the value has a direction, so that its sign is written.
-    word : str
-        What reports and the projector call it; its name where nothing is given.
-    projected : bool
-        Whether the projector writes it beside its feature.
-    rests_on_it : tuple of str
-        Further columns that say nothing without it.
-    into_wind : str
-        Column of the value as the air meets it, where that is what two of the limits are of: the second of what rises
-        in the air's way, the third of what falls.
-    by_extent : Graded
-        A limit of its amount that goes with an extent; None where there is no such limit.
-    not_of : tuple of (str, str or None)
-        Columns and values of rows that have no such quantity: the edge of one sheet on another has no gap.
-    """
+    """A measured quantity of a kind."""
 
     name: str
+    """In messages, addresses and charts; no other quantity of any kind has it."""
     column: str
     u95_column: str
+    """column, u95_column: of the value and of its expanded uncertainty."""
     unit: str
     title: str
+    """unit, title: for people."""
     limits: tuple[LimitName, ...]
+    """What a zone may ask of it. The first is of the value itself."""
     signed: bool = False
+    """Whether the value has a direction, so that its sign is written."""
     word: str = ""
+    """What reports and the projector call it; its name where nothing is given."""
     projected: bool = True
+    """Whether the projector writes it beside its feature."""
     rests_on_it: tuple[str, ...] = ()
+    """Further columns that say nothing without it."""
     into_wind: str = ""
+    """Column of the value as the air meets it, where that is what two of the limits are of: the second of what rises in
+    the air's way, the third of what falls."""
     by_extent: Graded | None = None
+    """A limit of its amount that goes with an extent; None where there is no such limit."""
     not_of: tuple[tuple[str, str | None], ...] = ()
+    """Columns and values of rows that have no such quantity: the edge of one sheet on another has no gap."""
 
     def lacking(self, row: Feature) -> bool:
         """Whether a row has no such quantity."""
@@ -109,20 +86,12 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Cell:
-    """A column of a report's table: a value, a value with its U95, or the range between two.
-
-    Attributes
-    ----------
-    head : str
-        With the unit.
-    columns : tuple of str
-        One; or the value's and its U95's; or the least's and the greatest's where `span`.
-    digits : int
-    signed, span : bool
-    """
+    """A column of a report's table: a value, a value with its U95, or the range between two."""
 
     head: str
+    """With the unit."""
     columns: tuple[str, ...]
+    """One; or the value's and its U95's; or the least's and the greatest's where `span`."""
     digits: int = 3
     signed: bool = False
     span: bool = False
@@ -139,75 +108,53 @@ class Count:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of feature.
-
-    Attributes
-    ----------
-    name : str
-        As decisions and findings name it.
-    table, row : str
-        Its table, and the dataclass of a row ("module:name").
-    one, many : str
-        What a row is of, for people: "position along a seam", "seam positions".
-    id_columns : tuple of str
-        The column of its name, and where a name has several places, the column of the position, mm.
-    point, pixel : str
-        What x, y, z are of; what u, v are of.
-    quantities : tuple of Quantity
-        The first is the one that findings are sorted by.
-    counts : tuple of Count
-    per_panel : tuple of str
-        Columns of the view `panel_summary` beside the numbers of rows and of those failing, as SQL.
-    subject : str
-        What bears the name, as trends follow it: a seam for its positions.
-    parameter : str
-        As addresses of pages name it.
-    verdict : str
-        A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
-    unlimited : str
-        A function of a row that no limit of its zone judges ("module:name"); "" where such a row is in order.
-    note : str
-        A function of a row that gives what the projector writes behind its values; "" where there is nothing to say.
-    measure : str
-        A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
-        before it ("module:name"): from a `metrology.sighted.Sighted`, and its block of the settings (None where there
-        is none), to rows. "" for rivets and seams, whose steps come first.
-    on_request : bool
-        Whether it is measured only where the panel's specification limits it.
-    settings : str
-        Name of that block; "" for the name of the table.
-    cells : tuple of Cell
-        What reports have in a row between its name and its zone; its quantities where nothing is given.
-    size : tuple of str
-        Columns of its extent, mm. The largest is the ring that the projector draws; rows of two scans nearer than half
-        of it are of one feature of the panel.
-    along : str
-        Column of the direction of its length in the left image, degrees, where it is longer than wide: pictures show
-        the ellipse of `major_px` and `minor_px`, and the projector an arrow along it.
-    """
+    """A kind of feature."""
 
     name: str
+    """As decisions and findings name it."""
     table: str
     row: str
+    """table, row: its table, and the dataclass of a row ("module:name")."""
     one: str
     many: str
+    """one, many: what a row is of, for people: "position along a seam", "seam positions"."""
     id_columns: tuple[str, ...]
+    """The column of its name, and where a name has several places, the column of the position, mm."""
     point: str
     quantities: tuple[Quantity, ...]
+    """The first is the one that findings are sorted by."""
     counts: tuple[Count, ...]
     pixel: str = "that point"
+    """point, pixel: what x, y, z are of; what u, v are of."""
     per_panel: tuple[str, ...] = ()
+    """Columns of the view `panel_summary` beside the numbers of rows and of those failing, as SQL."""
     subject: str = ""
+    """What bears the name, as trends follow it: a seam for its positions."""
     parameter: str = ""
+    """As addresses of pages name it."""
     verdict: str = ""
+    """A function of a row that judges it by something else than limits ("module:name"); "" where nothing else counts.
+    """
     unlimited: str = ""
+    """A function of a row that no limit of its zone judges ("module:name"); "" where such a row is in order."""
     note: str = ""
+    """A function of a row that gives what the projector writes behind its values; "" where there is nothing to say."""
     measure: str = ""
+    """A function that finds and measures the kind, as a step of its own after the rivets, the seams and the kinds
+    before it ("module:name"): from a `metrology.sighted.Sighted`, and its block of the settings (None where there is
+    none), to rows. "" for rivets and seams, whose steps come first."""
     on_request: bool = False
+    """Whether it is measured only where the panel's specification limits it."""
     settings: str = ""
+    """Name of that block; "" for the name of the table."""
     cells: tuple[Cell, ...] = ()
+    """What reports have in a row between its name and its zone; its quantities where nothing is given."""
     size: tuple[str, ...] = ()
+    """Columns of its extent, mm. The largest is the ring that the projector draws; rows of two scans nearer than half
+    of it are of one feature of the panel."""
     along: str = ""
+    """Column of the direction of its length in the left image, degrees, where it is longer than wide: pictures show the
+    ellipse of `major_px` and `minor_px`, and the projector an arrow along it."""
 
     @property
     def is_course(self) -> bool:

@@ -14,24 +14,17 @@ from metrology.results import Decision, Severity
 
 @dataclass(frozen=True)
 class Limit:
-    """Limits of one quantity, in its own unit; None leaves a side open.
-
-    Attributes
-    ----------
-    lower, upper : float or None
-        The value must lie between them.
-    serious_lower, serious_upper : float or None
-        Beyond these a deviation is serious (red).
-    source, revision : str
-        The document the limits come from.
-    """
+    """Limits of one quantity, in its own unit; None leaves a side open."""
 
     lower: float | None = None
     upper: float | None = None
+    """lower, upper: the value must lie between them."""
     serious_lower: float | None = None
     serious_upper: float | None = None
+    """serious_lower, serious_upper: beyond these a deviation is serious (red)."""
     source: str = ""
     revision: str = ""
+    """source, revision: the document the limits come from."""
 
     def __post_init__(self) -> None:
         ladder = [x for x in (self.serious_lower, self.lower, self.upper, self.serious_upper) if x is not None]
@@ -105,15 +98,11 @@ class Limit:
 
 @dataclass(frozen=True)
 class GradedLimit(Limit):
-    """An upper limit of an amount that goes with an extent; `upper` is the greatest.
-
-    Attributes
-    ----------
-    steps : tuple of (extent, limit)
-        Extents ascending; between them the limit is interpolated, beyond them the nearest one holds.
-    """
+    """An upper limit of an amount that goes with an extent; `upper` is the greatest."""
 
     steps: tuple[tuple[float, float], ...] = ()
+    """tuple of (extent, limit): extents ascending; between them the limit is interpolated, beyond them the nearest one
+    holds."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -35,18 +35,12 @@ _LEAST_MATCHED = 0.3
 
 @dataclass(frozen=True)
 class MixUp:
-    """What was mixed up.
-
-    Attributes
-    ----------
-    when : str
-        What makes the scan fit, to be read after "the frames fit the rig when …".
-    expected : str
-        What the scan should be.
-    """
+    """What was mixed up."""
 
     when: str
+    """What makes the scan fit, to be read after "the frames fit the rig when …"."""
     expected: str
+    """What the scan should be."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +80,6 @@ def find_mix_up(
         Of the fringes.
     projector_size : int
         Projector pixels along the fringe axis.
-    settings : HealthSettings, optional
     """
     settings = settings or HealthSettings()
     scan = _Scan(reconstruction.left, reconstruction.with_right(), reconstruction.rig)

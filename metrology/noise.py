@@ -35,18 +35,12 @@ _CHI2_ONE_MEDIAN = 0.4549  # median of the square of a standard normal value
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """``var(I) = read_variance + gain · I``.
-
-    Attributes
-    ----------
-    read_variance : float
-        Grey levels squared; read noise and rounding.
-    gain : float
-        Grey levels of variance per grey level of signal (shot noise).
-    """
+    """``var(I) = read_variance + gain · I``."""
 
     read_variance: float
+    """Grey levels squared; read noise and rounding."""
     gain: float
+    """Grey levels of variance per grey level of signal (shot noise)."""
 
     def __post_init__(self) -> None:
         if not (self.read_variance > 0 and self.gain >= 0):
@@ -63,7 +57,6 @@ def estimate_noise(frames: NDArray, code: FringeCode, saturation: float) -> Nois
     Parameters
     ----------
     frames : (exposures, frames, h, w) ndarray of uint8 or uint16
-    code : FringeCode
     saturation : float
         Grey level from which a sample counts as saturated.
 
@@ -109,8 +102,6 @@ def stripe_noise(levels: NDArray, swing: NDArray, gray: GrayCode, saturation: fl
         Gray code from the coarsest bit on, without what comes before.
     swing : (2 or more, h, w) array
         Levels of the coarsest bits less that between dark and bright; of frames without inverses.
-    gray : GrayCode
-    saturation : float
     """
     thin = np.s_[:, ::_THIN, ::_THIN]
     usual = NoiseModel(max(1.0, (saturation / 255.0) ** 2), 0.0)

@@ -34,13 +34,10 @@ def triangulate_one(
 
     Parameters
     ----------
-    left : DecodedView
     rig : Rig
         With a projector.
-    code : FringeCode
     size : int
         W, projector pixels along the fringe axis.
-    settings : ReconstructionSettings, optional
     """
     settings = settings or ReconstructionSettings()
     projector = rig.with_projector()

@@ -20,17 +20,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the rig stands before a panel: a point x of the rig frame is at R x + t in the panel frame.
-
-    Attributes
-    ----------
-    R : (3, 3) ndarray
-    t : (3,) ndarray
-        The left camera's centre in the panel frame, mm.
-    """
+    """Where the rig stands before a panel: a point x of the rig frame is at R x + t in the panel frame."""
 
     R: Array
+    """(3, 3)."""
     t: Array
+    """(3,): the left camera's centre in the panel frame, mm."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "R", np.array(self.R, float))
@@ -51,55 +46,36 @@ class Placement:
 
 @dataclass(frozen=True)
 class NominalRivet:
-    """A rivet as the panel should have it.
-
-    Attributes
-    ----------
-    rivet_id : str
-    position : (x, y, z)
-        Centre of the head, panel frame, mm.
-    diameter_mm : float or None
-    zone : str
-        Tolerance zone.
-    normal : (x, y, z) or None
-        Outward direction of the skin there; helps where rivets stand in one row.
-    row : str or None
-        Row that acceptance rules count it in.
-    location : str or None
-        Where it is on the aircraft, as people there say it (frame, stringer); nothing follows from it.
-    """
+    """A rivet as the panel should have it."""
 
     rivet_id: str
     position: tuple[float, float, float]
+    """(x, y, z): centre of the head, panel frame, mm."""
     diameter_mm: float | None = None
     zone: str = "default"
+    """Tolerance zone."""
     normal: tuple[float, float, float] | None = None
+    """(x, y, z) or None: outward direction of the skin there; helps where rivets stand in one row."""
     row: str | None = None
+    """Row that acceptance rules count it in."""
     location: str | None = field(default=None, compare=False)
+    """Where it is on the aircraft, as people there say it (frame, stringer); nothing follows from it."""
 
 
 @dataclass(frozen=True)
 class NominalSeam:
-    """A seam as the panel should have it.
-
-    Attributes
-    ----------
-    seam_id : str
-    course : tuple of (x, y, z)
-        Corners of the polyline along its middle, panel frame, mm; `s_mm` counts from the first.
-    zone : str
-        Tolerance zone.
-    airflow : (x, y, z) or None
-        Direction in which the air flows over the seam, panel frame; tells steps into the wind from those out of it.
-    stretches : tuple of (from, to, zone)
-        Where along the seam, mm, another zone's limits hold.
-    """
+    """A seam as the panel should have it."""
 
     seam_id: str
     course: tuple[tuple[float, float, float], ...]
+    """tuple of (x, y, z): corners of the polyline along its middle, panel frame, mm; `s_mm` counts from the first."""
     zone: str = "default"
+    """Tolerance zone."""
     airflow: tuple[float, float, float] | None = None
+    """(x, y, z) or None: direction in which the air flows over the seam, panel frame; tells steps into the wind from
+    those out of it."""
     stretches: tuple[tuple[float, float, str], ...] = ()
+    """tuple of (from, to, zone): where along the seam, mm, another zone's limits hold."""
 
     def zone_at(self, s_mm: float) -> str:
         """The tolerance zone at a position along the seam."""
@@ -115,18 +91,12 @@ class NominalSeam:
 
 @dataclass(frozen=True)
 class PanelLayout:
-    """The nominal pattern of a panel; empty where the specification gives none.
-
-    Attributes
-    ----------
-    rivets, seams : tuple
-    stations : mapping of str to Placement
-        Nominal placements of the rig by station.
-    """
+    """The nominal pattern of a panel; empty where the specification gives none."""
 
     rivets: tuple[NominalRivet, ...] = ()
     seams: tuple[NominalSeam, ...] = ()
     stations: Mapping[str, Placement] = field(default_factory=dict)
+    """Nominal placements of the rig by station."""
 
     def __post_init__(self) -> None:
         for kind, ids in (
@@ -145,21 +115,14 @@ class PanelLayout:
 
 @dataclass(frozen=True)
 class Foot:
-    """The nearest places on a polyline to n points.
-
-    Attributes
-    ----------
-    s : (n,) ndarray
-        Arc length from the polyline's start, mm; negative or beyond its length where a point lies past an end.
-    offset : (n, 3) ndarray
-        From the polyline to the point, mm; the line is taken to go on straight past its ends.
-    tangent : (n, 3) ndarray
-        Unit direction of the polyline there.
-    """
+    """The nearest places on a polyline to n points."""
 
     s: Array
+    """(n,): arc length from the polyline's start, mm; negative or beyond its length where a point lies past an end."""
     offset: Array
+    """(n, 3): from the polyline to the point, mm; the line is taken to go on straight past its ends."""
     tangent: Array
+    """(n, 3): unit direction of the polyline there."""
 
     @property
     def distance(self) -> Array:

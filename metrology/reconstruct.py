@@ -35,11 +35,8 @@ def reconstruct(
     ----------
     left_frames, right_frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
         Count-major, then step; Gray-code frames after them.
-    rig : Rig
-    code : FringeCode
     exposures : sequence of float
         Exposure times relative to exposure 1.
-    settings : ReconstructionSettings, optional
 
     Raises
     ------
@@ -79,11 +76,8 @@ def decode(
     Parameters
     ----------
     frames : (exposures, code.frames, h, w) ndarray of uint8 or uint16
-    code : FringeCode
     projector_size : int
         Projector pixels along the fringe axis, ``code.size(width, height)``.
-    exposures : sequence of float
-    settings : ReconstructionSettings, optional
     """
     settings = settings or ReconstructionSettings()
     view = decode_phase(frames, code, projector_size, exposures, settings)

@@ -10,40 +10,27 @@ from metrology.unwrap import Unwrapping
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """Settings of decoding, matching and triangulation.
-
-    Attributes
-    ----------
-    unwrapping : "ml" or "heterodyne"
-        How the fringe order is found: nearest wrap-count lattice point, or the paper's heterodyne.
-    saturation : float or None
-        Grey level from which a sample counts as saturated; None: where the histogram
-        piles up at its end, else the top 1/255 of the camera's range.
-    min_modulation : float
-        Least fringe amplitude, grey levels of an 8-bit camera (scaled for wider ones), at exposure 1.
-    max_slip_probability : float
-        Pixels whose noise makes a fringe-order slip likelier than this are LOW_MODULATION.
-    blur_radius_px : float
-        Radius of the lens blur (the standard deviation of its spread), pixels; EDGE reaches two of them and a pixel.
-    edge_contrast : float
-        Relative change of brightness over a pixel from which a gradient counts as a reflectance edge.
-    min_slope : float
-        Least share of the right view's phase gradient that must lie along the epipolar line, 0 … 1.
-    depth_range_mm : (float, float)
-        Depths outside are SLOPE.
-    threads : int or None
-        None: as many as the process may use.
-    """
+    """Settings of decoding, matching and triangulation."""
 
     unwrapping: Unwrapping = "ml"
+    """How the fringe order is found: nearest wrap-count lattice point, or the paper's heterodyne."""
     saturation: float | None = None
+    """Grey level from which a sample counts as saturated; None: where the histogram piles up at its end, else the top
+    1/255 of the camera's range."""
     min_modulation: float = 3.0
+    """Least fringe amplitude, grey levels of an 8-bit camera (scaled for wider ones), at exposure 1."""
     max_slip_probability: float = 0.01
+    """Pixels whose noise makes a fringe-order slip likelier than this are LOW_MODULATION."""
     blur_radius_px: float = 1.0
+    """Radius of the lens blur (the standard deviation of its spread), pixels; EDGE reaches two of them and a pixel."""
     edge_contrast: float = 0.1
+    """Relative change of brightness over a pixel from which a gradient counts as a reflectance edge."""
     min_slope: float = 0.1
+    """Least share of the right view's phase gradient that must lie along the epipolar line, 0 … 1."""
     depth_range_mm: tuple[float, float] = (1.0, 1e6)
+    """Depths outside are SLOPE."""
     threads: int | None = None
+    """None: as many as the process may use."""
 
     def __post_init__(self) -> None:
         if self.unwrapping not in ("ml", "heterodyne"):

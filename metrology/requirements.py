@@ -22,26 +22,18 @@ Downstream = Literal[-1, 0, 1]
 
 @dataclass(frozen=True)
 class Requirement:
-    """A quantity of a feature beside the limit that it must meet.
-
-    Attributes
-    ----------
-    name, unit : str
-        For people.
-    value, u95 : float or None
-        As measured; None where it was not.
-    limit : Limit or None
-        None where the specification has none for it.
-    signed : bool
-        Whether the value has a direction.
-    """
+    """A quantity of a feature beside the limit that it must meet."""
 
     name: str
     unit: str
+    """name, unit: for people."""
     value: float | None
     u95: float | None
+    """value, u95: as measured; None where it was not."""
     limit: Limit | None
+    """None where the specification has none for it."""
     signed: bool = False
+    """Whether the value has a direction."""
 
 
 def requirements(kind: Kind, row: Feature, spec: PanelSpec) -> list[Requirement]:
@@ -111,10 +103,8 @@ def limit_of(zone: Zone, quantity: Quantity, downstream: Downstream = 0) -> Limi
 
     Parameters
     ----------
-    zone : Zone
     quantity : Quantity
         Where limits by the wind are part of it, the value is side B above side A.
-    downstream : −1, 0 or 1
     """
     limit, *by_wind = (zone.get(limit.name) for limit in quantity.limits)
     if not any(by_wind):

@@ -30,42 +30,29 @@ COVERAGE_95 = 1.96
 
 @dataclass(frozen=True)
 class RivetDetection:
-    """An ellipse in the left image that is taken for a rivet head's rim.
-
-    Attributes
-    ----------
-    u_px, v_px : float
-        Centre of the ellipse.
-    major_px, minor_px : float
-        Full lengths of the axes (diameters) of the ridge of the dark ring.
-    angle_deg : float
-        Direction of the major axis from +u towards +v, in [0, 180).
-    confidence : float
-        0 … 1.
-    covariance : (5, 5) ndarray
-        Of (u_px, v_px, major_px, minor_px, angle_deg).
-    u_right_px, v_right_px : float or None
-        Where the right camera sees the head's centre.
-    rim_sigma_px : float or None
-        Half-width of the rim's image (standard deviation of gap and blur together).
-    doubt : str or None
-        Why it may be no fastener; None where it is one.
-    found_by : "image" or "relief"
-        What showed it: the ring in the image, or the deviation of the cloud from the skin.
-    """
+    """An ellipse in the left image that is taken for a rivet head's rim."""
 
     u_px: float
     v_px: float
+    """u_px, v_px: centre of the ellipse."""
     major_px: float
     minor_px: float
+    """major_px, minor_px: full lengths of the axes (diameters) of the ridge of the dark ring."""
     angle_deg: float
+    """Direction of the major axis from +u towards +v, in [0, 180)."""
     confidence: float
+    """0 … 1."""
     covariance: NDArray[np.float64] = field(default_factory=lambda: np.full((5, 5), np.nan))
+    """(5, 5): of (u_px, v_px, major_px, minor_px, angle_deg)."""
     u_right_px: float | None = None
     v_right_px: float | None = None
+    """u_right_px, v_right_px: where the right camera sees the head's centre."""
     rim_sigma_px: float | None = None
+    """Half-width of the rim's image (standard deviation of gap and blur together)."""
     doubt: str | None = None
+    """Why it may be no fastener; None where it is one."""
     found_by: FoundBy = "image"
+    """What showed it: the ring in the image, or the deviation of the cloud from the skin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,29 +181,21 @@ class SeamLine:
     One seam is one line, across rivet heads, highlights and other seams. It ends where its band of brightness does:
     with the gap, at the border of the seam that it runs into (a T joint), with the lit skin, or with the image. Its
     course is smooth; its points are in order, from either end.
-
-    Attributes
-    ----------
-    seam_id : str
-        S01, S02 …: seams from left to right and top to bottom, lines without relief after them.
-    centre_px : (n, 2) ndarray
-        u, v of the middle between the band's borders, n ≥ 2, about every pixel along the line (raw left image). It is
-        the middle of what is dark or bright there, chamfers and the walls that this camera sees included: not of the
-        ideal edges D′ and G′.
-    width_px : (n,) ndarray
-        Distance of the band's borders across its direction; NaN where it could not be told.
-    confidence : float
-        0 … 1; at most 0.2 where the 3-D data show neither a groove nor a step.
-    relief : bool
-        Whether the 3-D data show a groove or a step. A line without is no seam (paint, a long scratch) or a flush
-        sealed one; it is shown and not measured.
     """
 
     seam_id: str
+    """S01, S02 …: seams from left to right and top to bottom, lines without relief after them."""
     centre_px: NDArray[np.float64]
+    """(n, 2): u, v of the middle between the band's borders, n ≥ 2, about every pixel along the line (raw left image).
+    It is the middle of what is dark or bright there, chamfers and the walls that this camera sees included: not of
+    the ideal edges D′ and G′."""
     width_px: NDArray[np.float64]
+    """(n,): distance of the band's borders across its direction; NaN where it could not be told."""
     confidence: float
+    """0 … 1; at most 0.2 where the 3-D data show neither a groove nor a step."""
     relief: bool
+    """Whether the 3-D data show a groove or a step. A line without is no seam (paint, a long scratch) or a flush sealed
+    one; it is shown and not measured."""
     joint: Joint | None = None
 
 

@@ -28,24 +28,17 @@ _SIGNS = {"dark": 1, "bright": -1, "both": 0}
 
 @dataclass(frozen=True)
 class RidgeMap:
-    """Line points of an image, on its pixel grid.
-
-    Attributes
-    ----------
-    strength : (h, w) float32
-        Magnitude of the second derivative across the line, grey levels per px²; 0 where the pixel holds no line point.
-        Negative for bright lines where both polarities were asked for.
-    u, v : (h, w) float32
-        Sub-pixel position of the line point, px. Meaningless where `strength` is 0.
-    normal_u, normal_v : (h, w) float32
-        Unit vector across the line; its sign is arbitrary.
-    """
+    """Line points of an image, on its pixel grid."""
 
     strength: Float32
+    """(h, w) float32: magnitude of the second derivative across the line, grey levels per px²; 0 where the pixel holds
+    no line point. Negative for bright lines where both polarities were asked for."""
     u: Float32
     v: Float32
+    """u, v: (h, w) float32: sub-pixel position of the line point, px. Meaningless where `strength` is 0."""
     normal_u: Float32
     normal_v: Float32
+    """normal_u, normal_v: (h, w) float32: unit vector across the line; its sign is arbitrary."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +124,6 @@ def ridge_points(
         Scale. From w / (2√3) on, a bar of width w has its only strong response at its centre (Steger 1998).
     threshold : float
         Least second derivative across the line, grey levels per px²; see `bar_curvature`, `curvature_noise`.
-    polarity : "dark", "bright" or "both"
     threads : int, optional
         Threads to share the rows; all available by default.
     """

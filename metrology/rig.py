@@ -30,26 +30,18 @@ _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-
 
 @dataclass(frozen=True)
 class Device:
-    """A camera, or a projector seen as a camera that emits.
-
-    Attributes
-    ----------
-    width, height : int
-        Size in pixels.
-    K : (3, 3) ndarray
-        Intrinsic matrix in pixels.
-    distortion : (n,) ndarray
-        k1, k2, p1, p2, k3 … in OpenCV's order, n in {0, 4, 5, 8}.
-    R, t : (3, 3) and (3,) ndarray
-        Pose: a point x of the rig frame is at R x + t in the device's own frame, t in mm.
-    """
+    """A camera, or a projector seen as a camera that emits."""
 
     width: int
     height: int
+    """width, height: size in pixels."""
     K: Array
+    """(3, 3): intrinsic matrix in pixels."""
     distortion: Array
+    """(n,): k1, k2, p1, p2, k3 … in OpenCV's order, n in {0, 4, 5, 8}."""
     R: Array
     t: Array
+    """R, t: (3, 3) and (3,): pose: a point x of the rig frame is at R x + t in the device's own frame, t in mm."""
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):

@@ -38,30 +38,21 @@ Verdict = Literal["ok", "warning", "unjudged", "refused"]
 
 @dataclass(frozen=True)
 class HealthSettings:
-    """What is measured and judged.
-
-    Attributes
-    ----------
-    patch_spacing_px : int
-        Distance between texture patches.
-    block_px : int
-        Side of the blocks over which the third view is averaged; wider than a fringe.
-    sigmas : float
-        Standard deviations (noise and calibration together) that a systematic deviation must exceed to be warned of.
-    epipolar_floor_px, projector_floor_px : float
-        Systematic deviations that are not warned of however small the noise: what registration of the skin's changing
-        sheen, and the projector's gamma, leave after averaging.
-    refuse_px : float
-        Systematic deviation of either kind from which the rig is refused, whatever noise or calibration allow: several
-        times what a sound calibration leaves. Where noise alone may show so much, that kind tells nothing.
-    """
+    """What is measured and judged."""
 
     patch_spacing_px: int = 80
+    """Distance between texture patches."""
     block_px: int = 64
+    """Side of the blocks over which the third view is averaged; wider than a fringe."""
     sigmas: float = 5.0
+    """Standard deviations (noise and calibration together) that a systematic deviation must exceed to be warned of."""
     epipolar_floor_px: float = 0.05
     projector_floor_px: float = 0.02
+    """epipolar_floor_px, projector_floor_px: systematic deviations that are not warned of however small the noise: what
+    registration of the skin's changing sheen, and the projector's gamma, leave after averaging."""
     refuse_px: float = 0.5
+    """Systematic deviation of either kind from which the rig is refused, whatever noise or calibration allow: several
+    times what a sound calibration leaves. Where noise alone may show so much, that kind tells nothing."""
 
     def __post_init__(self) -> None:
         if self.patch_spacing_px < 8 or self.block_px < 16:
@@ -75,34 +66,23 @@ class HealthSettings:
 
 @dataclass(frozen=True)
 class RigHealth:
-    """How well a rig fits a scan.
-
-    Attributes
-    ----------
-    epipolar_rms_px : float or None
-        Root mean square distance of texture patches from their epipolar lines in the right image, noise included; None
-        where too few patches are found again in the right image.
-    epipolar_drift_px : float or None
-        Root mean square of its systematic part over the field.
-    n : int
-        Patches.
-    projector_rms_px : float or None
-        Root mean square over blocks of decoded minus projected coordinate, projector pixels.
-    projector_n : int
-        Blocks.
-    verdict : "ok", "warning", "unjudged" or "refused"
-        Unjudged: at least one of the two cannot be told, and the other refuses nothing.
-    reason : str or None
-        What does not fit, or why it cannot be told.
-    """
+    """How well a rig fits a scan."""
 
     epipolar_rms_px: float | None
+    """Root mean square distance of texture patches from their epipolar lines in the right image, noise included; None
+    where too few patches are found again in the right image."""
     epipolar_drift_px: float | None
+    """Root mean square of its systematic part over the field."""
     n: int
+    """Patches."""
     projector_rms_px: float | None
+    """Root mean square over blocks of decoded minus projected coordinate, projector pixels."""
     projector_n: int
+    """Blocks."""
     verdict: Verdict
+    """Unjudged: at least one of the two cannot be told, and the other refuses nothing."""
     reason: str | None
+    """What does not fit, or why it cannot be told."""
 
 
 _LEAST_PATCHES = 12
@@ -123,12 +103,10 @@ def epipolar_health(
 
     Parameters
     ----------
-    reconstruction : Reconstruction
     rivets : sequence of Rivet or RivetDetection
         Their rims join the texture's patches.
     axis : "x" or "y"
         Of the fringes.
-    settings : HealthSettings, optional
     """
     settings = settings or HealthSettings()
     allowed = _calibration_sigma(reconstruction.rig)

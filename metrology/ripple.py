@@ -39,8 +39,6 @@ def without_ripple(view: DecodedView, code: FringeCode, size: int) -> DecodedVie
 
     Parameters
     ----------
-    view : DecodedView
-    code : FringeCode
     size : int
         W, projector pixels along the fringe axis.
     """

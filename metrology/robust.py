@@ -26,20 +26,14 @@ _LEAST_OF_SCALE = 0.1  # residuals below this share of the scale weigh alike in 
 
 @dataclass(frozen=True)
 class Solution:
-    """Coefficients of a model that is linear in them.
-
-    Attributes
-    ----------
-    values : (k,) ndarray
-    weights : (n,) ndarray
-        0 for outliers.
-    normal : (k, k) ndarray
-        Designᵀ · weights · design.
-    """
+    """Coefficients of a model that is linear in them."""
 
     values: Array
+    """(k,)."""
     weights: Array
+    """(n,): 0 for outliers."""
     normal: Array
+    """(k, k): Designᵀ · weights · design."""
 
 
 def median(values: Array) -> float:
@@ -63,7 +57,6 @@ def reweighted(
     design : (n, k) ndarray
     target : (n,) ndarray
     start : (k,) ndarray
-    iterations : int
     scale : float
         Standard deviation of the target where it is known; else taken from the residuals.
     """

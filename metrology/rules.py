@@ -17,41 +17,27 @@ OF_COURSES: tuple[Measure, ...] = ("run", "length", "mean")
 
 @dataclass(frozen=True)
 class Rule:
-    """What a panel must meet beside the limits of its features.
-
-    Attributes
-    ----------
-    rule_id : str
-    measure : Measure
-        share: of the features of a group that lie beyond a limit; number: of such features; adjacent: of such features
-        side by side; run: longest stretch of a course beyond a limit, mm; length: all stretches of a course together,
-        mm; mean: of every stretch of `over_mm`, against the limits; density: such features per m² of measured skin.
-    kind : str
-        Of the features.
-    most : float
-        What is allowed; not for mean.
-    quantity : str
-        Which of the kind's; any of them where nothing is given.
-    beyond : "limit", "serious" or "any"
-        any: every feature of the kind counts, whatever its values.
-    zone : str or None
-        Only features of this zone.
-    per : "panel", "zone", "row" or "course"
-        What the features are grouped by.
-    over_mm : float or None
-        Length that a mean is taken over.
-    source, revision : str
-    """
+    """What a panel must meet beside the limits of its features."""
 
     rule_id: str
     measure: Measure
+    """share: of the features of a group that lie beyond a limit; number: of such features; adjacent: of such features
+    side by side; run: longest stretch of a course beyond a limit, mm; length: all stretches of a course together,
+    mm; mean: of every stretch of `over_mm`, against the limits; density: such features per m² of measured skin."""
     kind: str
+    """Of the features."""
     most: float = 0.0
+    """What is allowed; not for mean."""
     quantity: str = ""
+    """Which of the kind's; any of them where nothing is given."""
     beyond: Beyond = "limit"
+    """any: every feature of the kind counts, whatever its values."""
     zone: str | None = None
+    """Only features of this zone."""
     per: Group = "panel"
+    """What the features are grouped by."""
     over_mm: float | None = None
+    """Length that a mean is taken over."""
     source: str = ""
     revision: str = ""
 

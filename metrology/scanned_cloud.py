@@ -54,7 +54,6 @@ def scanned(
         Grey level from which the picture is saturated.
     rig : Rig
         Its left camera took the picture.
-    settings : ReconstructionSettings, optional
     digest : str, optional
         Names the content of the cloud's files.
     """

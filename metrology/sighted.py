@@ -12,21 +12,12 @@ from metrology.results import Features, RivetDetection, SeamLine
 
 @dataclass(frozen=True)
 class Sighted:
-    """A scan with what was found in it so far.
-
-    Attributes
-    ----------
-    reconstruction : Reconstruction
-    detections : sequence of RivetDetection
-    lines : sequence of SeamLine
-    features : mapping
-        What was measured already, by kind.
-    openings : sequence of Opening
-        Circles of the skin inside which nothing lies at its height.
-    """
+    """A scan with what was found in it so far."""
 
     reconstruction: Reconstruction
     detections: Sequence[RivetDetection]
     lines: Sequence[SeamLine]
     features: Features
+    """What was measured already, by kind."""
     openings: Sequence[Opening] = ()
+    """Circles of the skin inside which nothing lies at its height."""

@@ -34,12 +34,6 @@ class ControlChart:
 
     Attributes
     ----------
-    values : (n,) ndarray
-        In the order of time; NaN where there is none.
-    moving_range : (n,) ndarray
-        |x_i − x_{i−1}| over the values that are there; NaN at the first.
-    centre, sigma : float
-        Mean, and σ = mean moving range / d2 with d2 = 2/√π. NaN with fewer than two values.
     lower, upper : float
         centre ∓ 3 σ.
     range_centre, range_upper : float
@@ -47,9 +41,12 @@ class ControlChart:
     """
 
     values: Array
+    """(n,): in the order of time; NaN where there is none."""
     moving_range: Array
+    """(n,): |x_i − x_{i−1}| over the values that are there; NaN at the first."""
     centre: float
     sigma: float
+    """centre, sigma: mean, and σ = mean moving range / d2 with d2 = 2/√π. NaN with fewer than two values."""
     range_centre: float
 
     @property
@@ -182,31 +179,21 @@ class Index:
 
 @dataclass(frozen=True)
 class Capability:
-    """How a process stands against its limits.
-
-    Attributes
-    ----------
-    n : int
-    mean, sigma_overall : float
-    sigma_within : float
-        Short-term: from moving ranges in the order of time, or pooled within subgroups; NaN where neither is known.
-    cp, cpk : Index or None
-        With the short-term σ (within).
-    pp, ppk : Index or None
-        With the overall σ. Cp and Pp need both limits.
-    outside_fraction : float
-        Expected share outside the limits for a normal distribution with the overall σ.
-    """
+    """How a process stands against its limits."""
 
     n: int
     mean: float
     sigma_overall: float
     sigma_within: float
+    """Short-term: from moving ranges in the order of time, or pooled within subgroups; NaN where neither is known."""
     cp: Index | None
     cpk: Index | None
+    """cp, cpk: with the short-term σ (within)."""
     pp: Index | None
     ppk: Index | None
+    """pp, ppk: with the overall σ. Cp and Pp need both limits."""
     outside_fraction: float
+    """Expected share outside the limits for a normal distribution with the overall σ."""
 
 
 def capability(

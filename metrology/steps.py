@@ -12,27 +12,18 @@ from metrology.kinds import KINDS
 
 @dataclass(frozen=True)
 class Step:
-    """A step.
-
-    Attributes
-    ----------
-    name : str
-        Its wall time is `seconds_NAME` in the table `scenes`, and in the manifest.
-    function : str
-    progress : str
-        What the command line says while it runs.
-    tags : tuple of str
-        "io" reads or writes files, so it is tried again where a disk or a network failed; "metrology" computes;
-        "store" publishes.
-    kept : bool
-        Whether its time has a column. That of publishing cannot be in what is published.
-    """
+    """A step."""
 
     name: str
+    """Its wall time is `seconds_NAME` in the table `scenes`, and in the manifest."""
     function: str
     progress: str
+    """What the command line says while it runs."""
     tags: tuple[str, ...] = ("metrology",)
+    """"io" reads or writes files, so it is tried again where a disk or a network failed; "metrology" computes; "store"
+    publishes."""
     kept: bool = True
+    """Whether its time has a column. That of publishing cannot be in what is published."""
 
 
 STEPS = (

@@ -24,21 +24,13 @@ _GAP = 1.5  # spacings between positions that are still next to each other
 
 @dataclass(frozen=True)
 class Excess:
-    """The worst of one quantity over a stretch: the position that is farthest beyond its limit.
-
-    Attributes
-    ----------
-    quantity : Quantity
-    row : Feature
-    limit : Limit
-    beyond : float
-        In the quantity's unit; negative inside.
-    """
+    """The worst of one quantity over a stretch: the position that is farthest beyond its limit."""
 
     quantity: Quantity
     row: Feature
     limit: Limit
     beyond: float
+    """In the quantity's unit; negative inside."""
 
     @property
     def value(self) -> float:
@@ -54,27 +46,18 @@ class Excess:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Consecutive positions of a course that do not simply pass, for the same reason.
-
-    Attributes
-    ----------
-    kind : Kind
-    name : str
-        Of the course.
-    rows : tuple of Course
-        In their order, judged.
-    spacing_mm : float
-        Usual distance of the course's positions.
-    excesses : tuple of Excess
-        Of the quantities that lie beyond a limit or within U95 of one, the worst one first; none where nothing was
-        measured.
-    """
+    """Consecutive positions of a course that do not simply pass, for the same reason."""
 
     kind: Kind
     name: str
+    """Of the course."""
     rows: tuple[Course, ...]
+    """In their order, judged."""
     spacing_mm: float
+    """Usual distance of the course's positions."""
     excesses: tuple[Excess, ...]
+    """Of the quantities that lie beyond a limit or within U95 of one, the worst one first; none where nothing was
+    measured."""
 
     @property
     def from_mm(self) -> float:

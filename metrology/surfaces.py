@@ -25,18 +25,12 @@ _ENOUGH = 1500  # points for all but the last steps
 
 @dataclass(frozen=True)
 class Frame:
-    """A right-handed frame on a surface.
-
-    Attributes
-    ----------
-    origin : (3,) ndarray
-        Rig frame, mm.
-    axes : (3, 3) ndarray
-        Rows: along the surface, along the surface, normal towards the rig (negative z).
-    """
+    """A right-handed frame on a surface."""
 
     origin: Array
+    """(3,): rig frame, mm."""
     axes: Array
+    """(3, 3): rows: along the surface, along the surface, normal towards the rig (negative z)."""
 
     @classmethod
     def on_plane(cls, origin: ArrayLike, normal: ArrayLike) -> Frame:
@@ -71,30 +65,20 @@ def monomials(x: ArrayLike, y: ArrayLike, order: int) -> Array:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A fitted surface h(x, y).
-
-    Attributes
-    ----------
-    order : int
-        1 plane, 2 quadric.
-    coefficients : (k,) ndarray
-        Of `monomials`.
-    covariance : (k, k) ndarray
-        For independent noise of the size that the residuals show.
-    rms_mm : float
-        Standard deviation of the residuals, robust.
-    chi : float
-        Residuals over their expected standard deviation, robust; 1 where σ is right.
-    weights : (n,) ndarray
-        Robust weight of each point given, 0 for outliers.
-    """
+    """A fitted surface h(x, y)."""
 
     order: int
+    """1 plane, 2 quadric."""
     coefficients: Array
+    """(k,): of `monomials`."""
     covariance: Array
+    """(k, k): for independent noise of the size that the residuals show."""
     rms_mm: float
+    """Standard deviation of the residuals, robust."""
     chi: float
+    """Residuals over their expected standard deviation, robust; 1 where σ is right."""
     weights: Array
+    """(n,): robust weight of each point given, 0 for outliers."""
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
         """h at x, y."""

@@ -35,21 +35,14 @@ _WORST_SIGMA_PX = 0.3
 
 @dataclass(frozen=True)
 class TextureOffsets:
-    """Registered patches.
-
-    Attributes
-    ----------
-    left_px : (n, 2) ndarray
-        Centres in the left image.
-    across_px : (n,) ndarray
-        How far off its epipolar line the right camera sees the patch, right pixels; + towards larger v.
-    sigma_px : (n,) ndarray
-        Standard deviation as the patch's own residual tells it.
-    """
+    """Registered patches."""
 
     left_px: Array
+    """(n, 2): centres in the left image."""
     across_px: Array
+    """(n,): how far off its epipolar line the right camera sees the patch, right pixels; + towards larger v."""
     sigma_px: Array
+    """(n,): standard deviation as the patch's own residual tells it."""
 
 
 def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) -> TextureOffsets:
@@ -57,7 +50,6 @@ def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) 
 
     Parameters
     ----------
-    reconstruction : Reconstruction
     centres : (n, 2) int array
         Left pixels; those without enough texture or points are left out.
     """

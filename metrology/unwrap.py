@@ -28,26 +28,19 @@ _LOVASZ = 0.99
 
 @dataclass(frozen=True)
 class OrderLattice:
-    """The wrap-count lattice of a set of n fringe counts, seen along the count vector.
-
-    Attributes
-    ----------
-    counts : (n,) ndarray of float
-    basis : (n, n − 1) ndarray of whole numbers as float
-        Wrap-count vectors that, with `counts`, generate all whole-number vectors, and whose projections are reduced.
-    to_lattice : (n − 1, n) ndarray
-        Lattice coordinates of a vector of wrapped phases in turns.
-    gram : (n − 1, n − 1) ndarray
-        Scalar products of the projected basis, turns².
-    shortest : float
-        Least distance between lattice points, turns.
-    """
+    """The wrap-count lattice of a set of n fringe counts, seen along the count vector."""
 
     counts: NDArray[np.float64]
+    """(n,) of float."""
     basis: NDArray[np.float64]
+    """(n, n − 1) of whole numbers as float: wrap-count vectors that, with `counts`, generate all whole-number vectors,
+    and whose projections are reduced."""
     to_lattice: NDArray[np.float64]
+    """(n − 1, n): lattice coordinates of a vector of wrapped phases in turns."""
     gram: NDArray[np.float64]
+    """(n − 1, n − 1): scalar products of the projected basis, turns²."""
     shortest: float
+    """Least distance between lattice points, turns."""
 
 
 def largest_sigma(shortest: float, slip_probability: float) -> float:
@@ -149,7 +142,6 @@ def nearest_lattice_point(
     ----------
     turns : (counts, n) ndarray
         Wrapped phases, turns.
-    lattice : OrderLattice
 
     Returns
     -------

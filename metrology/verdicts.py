@@ -26,50 +26,33 @@ class Verdict:
 
 @dataclass(frozen=True)
 class SeverityLook:
-    """A severity.
-
-    Attributes
-    ----------
-    words : str
-    short : str
-        For the projector, in capitals.
-    symbol : Symbol
-        Filled disc, filled diamond, diagonal cross, empty ring. The projector's ring round a head has ticks where the
-        diamond has its corners or the cross its arms, none for a disc, and is broken for a ring.
-    sign : str
-        The symbol as a letter.
-    screen, paper : str
-        Colour as #RRGGBB.
-    projector : (red, green, blue)
-        0 … 255.
-    """
+    """A severity."""
 
     words: str
     short: str
+    """For the projector, in capitals."""
     symbol: Symbol
+    """Filled disc, filled diamond, diagonal cross, empty ring. The projector's ring round a head has ticks where the
+    diamond has its corners or the cross its arms, none for a disc, and is broken for a ring."""
     sign: str
+    """The symbol as a letter."""
     screen: str
     paper: str
+    """screen, paper: colour as #RRGGBB."""
     projector: tuple[int, int, int]
+    """(red, green, blue): 0 … 255."""
 
 
 @dataclass(frozen=True)
 class DecisionLook:
-    """A decision.
-
-    Attributes
-    ----------
-    sign : str
-        Never one of the severities' signs.
-    tone : "good", "fair", "doubtful", "bad" or "none"
-        How it is shaded where it stands as a word.
-    note : str
-        Behind a projected value.
-    """
+    """A decision."""
 
     sign: str
+    """Never one of the severities' signs."""
     tone: Literal["good", "fair", "doubtful", "bad", "none"]
+    """How it is shaded where it stands as a word."""
     note: str = ""
+    """Behind a projected value."""
 
 
 SEVERITIES: dict[Severity | None, SeverityLook] = {

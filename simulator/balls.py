@@ -22,20 +22,13 @@ _BAND = 64  # rows at once
 
 @dataclass(frozen=True)
 class Ball:
-    """A sphere.
-
-    Attributes
-    ----------
-    id : str
-    x_mm, y_mm, z_mm : float
-        Its centre, panel frame.
-    diameter_mm : float
-    """
+    """A sphere."""
 
     id: str
     x_mm: float
     y_mm: float
     z_mm: float
+    """x_mm, y_mm, z_mm: its centre, panel frame."""
     diameter_mm: float
 
     def __post_init__(self) -> None:
@@ -55,12 +48,10 @@ def trace_balls(
 
     Parameters
     ----------
-    balls : tuple of Ball
     reflectance : float
         Of the spheres.
     back_mm : float
         How far behind the panel frame's origin the plate stands.
-    light : Light
     camera, projector : Device
         Posed in the panel's frame.
     blur_px : float

@@ -26,22 +26,14 @@ class PrintedBoard:
 
     Attributes
     ----------
-    kind : str
-        asymmetric_circles: dots at ((2c + r mod 2) s, r s); circles: at (c s, r s); chessboard: inner corners at
-        (c s, r s), the square above and to the left of the first corner black; charuco: OpenCV's board of cols × rows
-        squares, its inner corners at ((c + 1) s, (r + 1) s).
     cols, rows, spacing_mm, dot_diameter_mm, marker_mm, dictionary
         As in calibration.json.
-    layout : "new" or "old"
-        Of a ChArUco board with an even number of rows: "old" has a white square in its upper left corner, as OpenCV
-        drew it before 4.6.
-    border_mm : float
-        White margin around the outermost features.
-    paper, ink : float
-        Reflectances.
     """
 
     kind: Literal["asymmetric_circles", "circles", "chessboard", "charuco"] = "asymmetric_circles"
+    """asymmetric_circles: dots at ((2c + r mod 2) s, r s); circles: at (c s, r s); chessboard: inner corners at (c s, r
+    s), the square above and to the left of the first corner black; charuco: OpenCV's board of cols × rows squares,
+    its inner corners at ((c + 1) s, (r + 1) s)."""
     cols: int = 7
     rows: int = 11
     spacing_mm: float = 15.0
@@ -49,9 +41,13 @@ class PrintedBoard:
     marker_mm: float = 11.0
     dictionary: str = "DICT_5X5_100"
     layout: Literal["new", "old"] = "new"
+    """Of a ChArUco board with an even number of rows: "old" has a white square in its upper left corner, as OpenCV drew
+    it before 4.6."""
     border_mm: float = 15.0
+    """White margin around the outermost features."""
     paper: float = 0.8
     ink: float = 0.06
+    """paper, ink: reflectances."""
 
     def __post_init__(self) -> None:
         if self.kind not in _KINDS:

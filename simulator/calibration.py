@@ -77,26 +77,21 @@ class CaptureSettings:
 
     Attributes
     ----------
-    poses : int
-        Number of board poses.
-    tilt_deg : float
-        Largest tilt of the board.
-    depth_mm : float
-        How far the poses reach before and behind the rig's aim point.
-    turns_deg : tuple of float
-        How the board is turned in its own plane: pose k by the (k mod n)-th, beside a few degrees.
-    fringe : FringeCode or None
-        Fringes along the projector's columns and rows instead of dots: its steps and counts for axis x; `rows_counts`
-        for axis y.
     brightness, ambient, blur_px, samples
         As in `simulator.spec`.
     """
 
     poses: int = 9
+    """Number of board poses."""
     tilt_deg: float = 28.0
+    """Largest tilt of the board."""
     depth_mm: float = 45.0
+    """How far the poses reach before and behind the rig's aim point."""
     turns_deg: tuple[float, ...] = (0.0,)
+    """How the board is turned in its own plane: pose k by the (k mod n)-th, beside a few degrees."""
     fringe: FringeCode | None = None
+    """Fringes along the projector's columns and rows instead of dots: its steps and counts for axis x; `rows_counts`
+    for axis y."""
     rows_counts: tuple[int, ...] = (44, 40, 37)
     brightness: float = 210.0
     ambient: float = 22.0
@@ -198,7 +193,6 @@ def simulate_calibration(
 
     Parameters
     ----------
-    spec : SimulationSpec
     rig : Rig, optional
         As it really is; the specification's own if None.
     progress : callable, optional

@@ -16,34 +16,23 @@ STEEPEST = 1.0  # slope of a defect: rays meet a steeper one more than once
 
 @dataclass(frozen=True)
 class Dent:
-    """A dent (or a bump) in the skin.
-
-    Attributes
-    ----------
-    id : str
-    x_mm, y_mm : float
-        Where its deepest point lies.
-    depth_mm : float
-        Along the skin's normal there, below the skin as it would be without; negative for a bump.
-    axes_mm : (float, float)
-        Full length and width of its outline at half depth, in the tangent plane.
-    angle_deg : float
-        Direction of the length from +x.
-    shape : "smooth", "sharp" or "crease"
-        A cos² bowl that ends at twice its half-depth outline; one with a pointed bottom (1 − ρ/3.41)²; a fold along
-        the length with that profile across it and cos² along it.
-    bottom_radius_mm : float
-        Least radius of curvature to which a pointed bottom or a fold is rounded.
-    """
+    """A dent (or a bump) in the skin."""
 
     id: str
     x_mm: float
     y_mm: float
+    """x_mm, y_mm: where its deepest point lies."""
     depth_mm: float
+    """Along the skin's normal there, below the skin as it would be without; negative for a bump."""
     axes_mm: Point
+    """Full length and width of its outline at half depth, in the tangent plane."""
     angle_deg: float = 0.0
+    """Direction of the length from +x."""
     shape: Literal["smooth", "sharp", "crease"] = "smooth"
+    """A cos² bowl that ends at twice its half-depth outline; one with a pointed bottom (1 − ρ/3.41)²; a fold along the
+    length with that profile across it and cos² along it."""
     bottom_radius_mm: float = 2.0
+    """Least radius of curvature to which a pointed bottom or a fold is rounded."""
 
     def __post_init__(self) -> None:
         where = f"dent {self.id}"
@@ -98,29 +87,19 @@ class Dent:
 
 @dataclass(frozen=True)
 class Gouge:
-    """A straight scratch that has cut into the skin; its material may stand up along both sides.
-
-    Attributes
-    ----------
-    id : str
-    start_mm, end_mm : (x, y)
-        Where its bottom has come up to half its depth.
-    width_mm : float
-        At half depth.
-    depth_mm : float
-    lip_mm : float
-        How high the edges stand.
-    contrast : float
-        Reflectance of its ground relative to the skin's, less 1.
-    """
+    """A straight scratch that has cut into the skin; its material may stand up along both sides."""
 
     id: str
     start_mm: Point
     end_mm: Point
+    """start_mm, end_mm: (x, y): where its bottom has come up to half its depth."""
     width_mm: float
+    """At half depth."""
     depth_mm: float
     lip_mm: float = 0.0
+    """How high the edges stand."""
     contrast: float = 0.0
+    """Reflectance of its ground relative to the skin's, less 1."""
 
     def __post_init__(self) -> None:
         where = f"gouge {self.id}"
@@ -144,23 +123,16 @@ class Gouge:
 
 @dataclass(frozen=True)
 class Hail:
-    """A field of round smooth dents drawn at random, clear of each other.
-
-    Attributes
-    ----------
-    seed, number : int
-    depth_mm, diameter_mm : (least, most)
-        Diameter at half depth.
-    centre_mm, size_mm : (x, y)
-        The rectangle in which their centres lie.
-    """
+    """A field of round smooth dents drawn at random, clear of each other."""
 
     seed: int = 1
     number: int = 20
     depth_mm: Point = (0.05, 0.3)
     diameter_mm: Point = (8.0, 16.0)
+    """depth_mm, diameter_mm: (least, most): diameter at half depth."""
     centre_mm: Point = (0.0, 0.0)
     size_mm: Point = (250.0, 160.0)
+    """centre_mm, size_mm: (x, y): the rectangle in which their centres lie."""
 
     def __post_init__(self) -> None:
         require(0 <= self.number <= 200, "hail number", self.number, "0 to 200")

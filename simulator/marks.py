@@ -18,28 +18,17 @@ _BLUR_MM = 0.06  # how soft the edge of a painted letter is
 
 @dataclass(frozen=True)
 class Stencil:
-    """A line of painted letters.
-
-    Attributes
-    ----------
-    text : str
-    x_mm, y_mm : float
-        Middle of the line.
-    cap_mm : float
-        Height of its capitals.
-    angle_deg : float
-    contrast : float
-        Reflectance of the paint relative to the skin's, less 1.
-    thickness_mm : float
-    bold : bool
-    """
+    """A line of painted letters."""
 
     text: str
     x_mm: float
     y_mm: float
+    """x_mm, y_mm: middle of the line."""
     cap_mm: float = 6.0
+    """Height of its capitals."""
     angle_deg: float = 0.0
     contrast: float = -0.75
+    """Reflectance of the paint relative to the skin's, less 1."""
     thickness_mm: float = 0.02
     bold: bool = True
 

@@ -15,26 +15,20 @@ from simulator.require import require as _require
 
 @dataclass(frozen=True)
 class Skin:
-    """The undisturbed skin: a torus patch, optionally wavy.
-
-    Attributes
-    ----------
-    radius_1_mm, radius_2_mm : float
-        Radii of curvature along `direction_deg` and across it; positive is convex towards the rig, inf is flat.
-        Equal radii make a sphere, one infinite radius a cylinder.
-    direction_deg : float
-        Direction of the first radius from +x towards +y.
-    waviness_mm, wavelength_mm, wave_direction_deg, wave_phase_deg : float
-        Amplitude and course of a sine wave on top (0: none).
-    """
+    """The undisturbed skin: a torus patch, optionally wavy."""
 
     radius_1_mm: float = math.inf
     radius_2_mm: float = math.inf
+    """radius_1_mm, radius_2_mm: radii of curvature along `direction_deg` and across it; positive is convex towards the
+    rig, inf is flat. Equal radii make a sphere, one infinite radius a cylinder."""
     direction_deg: float = 0.0
+    """Direction of the first radius from +x towards +y."""
     waviness_mm: float = 0.0
     wavelength_mm: float = 150.0
     wave_direction_deg: float = 0.0
     wave_phase_deg: float = 0.0
+    """waviness_mm, wavelength_mm, wave_direction_deg, wave_phase_deg: amplitude and course of a sine wave on top (0:
+    none)."""
 
     def __post_init__(self) -> None:
         for name in ("radius_1_mm", "radius_2_mm"):
@@ -45,25 +39,18 @@ class Skin:
 
 @dataclass(frozen=True)
 class Slot:
-    """Recess of a head.
-
-    Attributes
-    ----------
-    length_mm, width_mm : float
-        Of a slot; over all and of the wings of a cross or a Torq-set; across the flats, both, of a hexagon.
-    depth_mm, angle_deg : float
-    cross : bool
-        Short for the shape "cross".
-    shape : "slot", "cross", "torq-set" or "hex"
-        A Torq-set's wings are set off sideways by half their width.
-    """
+    """Recess of a head."""
 
     length_mm: float
     width_mm: float
+    """length_mm, width_mm: of a slot; over all and of the wings of a cross or a Torq-set; across the flats, both, of a
+    hexagon."""
     depth_mm: float = 0.5
     angle_deg: float = 0.0
     cross: bool = False
+    """Short for the shape "cross"."""
     shape: Literal["slot", "cross", "torq-set", "hex"] = "slot"
+    """A Torq-set's wings are set off sideways by half their width."""
 
     def __post_init__(self) -> None:
         shapes = ("slot", "cross", "torq-set", "hex")
@@ -74,42 +61,30 @@ class Slot:
 
 @dataclass(frozen=True)
 class Rivet:
-    """A countersunk head in its hole.
-
-    Attributes
-    ----------
-    id : str
-    x_mm, y_mm : float
-        Where the skin point under the head's centre lies.
-    diameter_mm : float
-    height_mm : float
-        Mean of the head's distance to the skin's tangent plane at its centre, + proud.
-    tilt_deg, tilt_azimuth_deg : float
-        Angle between the head's and the skin's normal, and the direction in which the head's normal leans.
-    crown_mm : float
-        How far the middle of a domed head stands above its rim.
-    ring_width_mm, ring_depth_mm : float
-        The gap around the head.
-    ring_reflectance, head_reflectance : float
-        Relative to the skin's.
-    arcs_deg : tuple of (start, end), or None
-        Where the ring is open; elsewhere it is filled flush, as under paint. None: all around.
-    slot : Slot or None
-    """
+    """A countersunk head in its hole."""
 
     id: str
     x_mm: float
     y_mm: float
+    """x_mm, y_mm: where the skin point under the head's centre lies."""
     diameter_mm: float
     height_mm: float = 0.0
+    """Mean of the head's distance to the skin's tangent plane at its centre, + proud."""
     tilt_deg: float = 0.0
     tilt_azimuth_deg: float = 0.0
+    """tilt_deg, tilt_azimuth_deg: angle between the head's and the skin's normal, and the direction in which the head's
+    normal leans."""
     crown_mm: float = 0.0
+    """How far the middle of a domed head stands above its rim."""
     ring_width_mm: float = 0.15
     ring_depth_mm: float = 0.3
+    """ring_width_mm, ring_depth_mm: the gap around the head."""
     ring_reflectance: float = 0.35
     head_reflectance: float = 1.0
+    """ring_reflectance, head_reflectance: relative to the skin's."""
     arcs_deg: tuple[Point, ...] | None = None
+    """tuple of (start, end), or None: where the ring is open; elsewhere it is filled flush, as under paint. None: all
+    around."""
     slot: Slot | None = None
 
     def __post_init__(self) -> None:
@@ -130,33 +105,23 @@ class Rivet:
 
 @dataclass(frozen=True)
 class Hole:
-    """A hole without a rivet.
-
-    Attributes
-    ----------
-    x_mm, y_mm, diameter_mm : float
-        Of the bore.
-    depth_mm : float
-        Of its ground: the sheet's thickness where it goes through, less where something fills it.
-    reflectance : float
-        Of its ground, relative to the skin's; 0 where nothing lies behind the sheet.
-    id : str
-        By its number if left out.
-    countersink_mm, countersink_deg : float
-        Outer diameter (0: none) and full angle of a countersink.
-    filled : bool
-        Closed with sealant up to its ground.
-    """
+    """A hole without a rivet."""
 
     x_mm: float
     y_mm: float
     diameter_mm: float
+    """x_mm, y_mm, diameter_mm: of the bore."""
     depth_mm: float = 4.0
+    """Of its ground: the sheet's thickness where it goes through, less where something fills it."""
     reflectance: float = 0.1
+    """Of its ground, relative to the skin's; 0 where nothing lies behind the sheet."""
     id: str = ""
+    """By its number if left out."""
     countersink_mm: float = 0.0
     countersink_deg: float = 100.0
+    """countersink_mm, countersink_deg: outer diameter (0: none) and full angle of a countersink."""
     filled: bool = False
+    """Closed with sealant up to its ground."""
 
     def __post_init__(self) -> None:
         _require(0 < self.diameter_mm <= 40, "hole diameter_mm", self.diameter_mm, "above 0, up to 40 mm")
@@ -178,51 +143,35 @@ class Hole:
 
 @dataclass(frozen=True)
 class Seam:
-    """A joint between two plates.
-
-    Attributes
-    ----------
-    id : str
-    points_mm : tuple of (x, y)
-        Its course, at least two points that advance along the line from the first to the last.
-    course : "smooth" or "polyline"
-        A cubic spline through the points, or straight pieces with corners rounded over ±`CORNER_MM`.
-    width_mm : tuple of float
-        Distance between the two walls at equal intervals along the course, smoothly interpolated.
-    step_mm : tuple of float
-        Height of the plate to the left of the course above the one to its right, likewise.
-    chamfer_mm, chamfer_deg : float
-        Width of the broken edges and their slope against the skin.
-    depth_mm : float
-        Floor below the skin; for a filled seam how far the sealant lies below both edges.
-    filled : bool
-        Sealant that joins both edges, instead of an open gap.
-    floor_reflectance, edge_reflectance : float
-        Of the gap's floor and of the chamfers, relative to the skin's.
-    starts_at, ends_at : str or None
-        Another seam's id where this one begins or ends (a T joint). None: at the panel's border.
-    joint : "butt" or "lap"
-        A lap's higher plate ends at the course on top of the lower one: no gap, so its width is 0, and only the higher
-        plate's edge is broken.
-    edge_radius_mm : float
-        Edges rounded with that radius in place of a chamfer (0: not).
-    """
+    """A joint between two plates."""
 
     id: str
     points_mm: tuple[Point, ...]
+    """tuple of (x, y): its course, at least two points that advance along the line from the first to the last."""
     width_mm: tuple[float, ...]
+    """Distance between the two walls at equal intervals along the course, smoothly interpolated."""
     step_mm: tuple[float, ...] = (0.0,)
+    """Height of the plate to the left of the course above the one to its right, likewise."""
     course: Literal["smooth", "polyline"] = "smooth"
+    """A cubic spline through the points, or straight pieces with corners rounded over ±`CORNER_MM`."""
     chamfer_mm: float = 0.0
     chamfer_deg: float = 45.0
+    """chamfer_mm, chamfer_deg: width of the broken edges and their slope against the skin."""
     depth_mm: float = 3.0
+    """Floor below the skin; for a filled seam how far the sealant lies below both edges."""
     filled: bool = False
+    """Sealant that joins both edges, instead of an open gap."""
     floor_reflectance: float = 0.3
     edge_reflectance: float = 0.85
+    """floor_reflectance, edge_reflectance: of the gap's floor and of the chamfers, relative to the skin's."""
     starts_at: str | None = None
     ends_at: str | None = None
+    """starts_at, ends_at: another seam's id where this one begins or ends (a T joint). None: at the panel's border."""
     joint: Literal["butt", "lap"] = "butt"
+    """A lap's higher plate ends at the course on top of the lower one: no gap, so its width is 0, and only the higher
+    plate's edge is broken."""
     edge_radius_mm: float = 0.0
+    """Edges rounded with that radius in place of a chamfer (0: not)."""
 
     def __post_init__(self) -> None:
         where = f"seam {self.id}"
@@ -256,38 +205,27 @@ class Seam:
 
 @dataclass(frozen=True)
 class Surface:
-    """How the skin reflects.
-
-    Attributes
-    ----------
-    reflectance : float
-        Matt reflectance of the skin.
-    specular, roughness : float
-        Weight of the mirror-like lobe relative to the matt part (1: aluminium about as it comes) and GGX width α.
-    brushing : float
-        Standard deviation of the fine streaks, relative.
-    brushing_deg, streak_mm, grain_mm : float
-        Their direction, length and width.
-    blotches, blotch_mm : float
-        Standard deviation and size of slow changes.
-    scratches : tuple of Scratch; patches : tuple of Patch
-    random_scratches : int
-        That many more, drawn at random.
-    stencils : tuple of Stencil; strokes : tuple of Stroke
-    """
+    """How the skin reflects."""
 
     reflectance: float = 0.5
+    """Matt reflectance of the skin."""
     specular: float = 0.0
     roughness: float = 0.35
+    """specular, roughness: weight of the mirror-like lobe relative to the matt part (1: aluminium about as it comes)
+    and GGX width α."""
     brushing: float = 0.02
+    """Standard deviation of the fine streaks, relative."""
     brushing_deg: float = 0.0
     streak_mm: float = 2.0
     grain_mm: float = 0.25
+    """brushing_deg, streak_mm, grain_mm: their direction, length and width."""
     blotches: float = 0.08
     blotch_mm: float = 35.0
+    """blotches, blotch_mm: standard deviation and size of slow changes."""
     scratches: tuple[Scratch, ...] = ()
     patches: tuple[Patch, ...] = ()
     random_scratches: int = 0
+    """That many more, drawn at random."""
     stencils: tuple[Stencil, ...] = ()
     strokes: tuple[Stroke, ...] = ()
 

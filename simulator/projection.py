@@ -25,27 +25,18 @@ _MARGIN = 12  # projector pixels of darkness kept around
 
 @dataclass(frozen=True)
 class Beamer:
-    """How the projector turns values into light.
-
-    Attributes
-    ----------
-    gamma : float
-        Light = value^gamma; 1 is linear.
-    blur_px : float
-        Standard deviation of its lens's blur on the panel, projector pixels.
-    bits : int
-        Bits per pixel of what it shows; 0 shows any value.
-    black : float
-        Light of a black pixel, relative to a white one.
-    fill : float
-        Share of a pixel's width and height that is lit: below 1 the gaps between pixels show.
-    """
+    """How the projector turns values into light."""
 
     gamma: float = 1.0
+    """Light = value^gamma; 1 is linear."""
     blur_px: float = 0.8
+    """Standard deviation of its lens's blur on the panel, projector pixels."""
     bits: int = 8
+    """Bits per pixel of what it shows; 0 shows any value."""
     black: float = 0.002
+    """Light of a black pixel, relative to a white one."""
     fill: float = 1.0
+    """Share of a pixel's width and height that is lit: below 1 the gaps between pixels show."""
 
     def __post_init__(self) -> None:
         if self.gamma <= 0:
@@ -75,20 +66,15 @@ class Beamer:
 
 @dataclass(frozen=True)
 class Stripes:
-    """Fringe patterns as projected: they vary along one axis only.
-
-    Attributes
-    ----------
-    along : "x" or "y"
-    light : (frames, n) float32
-        Light along the axis, `_FINE` entries per pixel, first entry at −0.5 − _MARGIN (entry centres).
-    aperture : (m,) float32
-        The same for the other axis: 1 inside the projector's field.
-    """
+    """Fringe patterns as projected: they vary along one axis only."""
 
     along: str
+    """"x" or "y"."""
     light: Float32
+    """(frames, n) float32: light along the axis, `_FINE` entries per pixel, first entry at −0.5 − _MARGIN (entry
+    centres)."""
     aperture: Float32
+    """(m,) float32: the same for the other axis: 1 inside the projector's field."""
 
 
 def project_stripes(code: FringeCode, width: int, height: int, beamer: Beamer) -> Stripes:

@@ -33,19 +33,10 @@ _WORDS = (
 
 @dataclass(frozen=True)
 class Clutter:
-    """How much of each is drawn, (fewest, most).
-
-    Attributes
-    ----------
-    characters : int
-        Stencilled letters and digits, at least so many in all.
-    rings, stickers, strokes, specks, gouges, dents, bumps, creases, holes, clecos : (int, int)
-    countersunk, recessed : float
-        Shares of the holes and of the heads above 4.5 mm.
-    dent_depth_mm, dent_axes_mm : Range
-    """
+    """How much of each is drawn, (fewest, most)."""
 
     characters: int = 20
+    """Stencilled letters and digits, at least so many in all."""
     rings: tuple[int, int] = (1, 3)
     stickers: tuple[int, int] = (1, 2)
     strokes: tuple[int, int] = (1, 4)
@@ -58,6 +49,7 @@ class Clutter:
     clecos: tuple[int, int] = (0, 2)
     countersunk: float = 0.5
     recessed: float = 0.4
+    """countersunk, recessed: shares of the holes and of the heads above 4.5 mm."""
     dent_depth_mm: Range = (0.05, 0.6)
     dent_axes_mm: Range = (10.0, 36.0)
 

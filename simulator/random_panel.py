@@ -18,28 +18,12 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Variety:
-    """Within which bounds panels are drawn; pairs are (least, most).
-
-    Attributes
-    ----------
-    size_mm : (width, height)
-    radius_mm : Range
-        Of curvature, drawn uniformly in 1/R, either sign with `concave`; inf is flat.
-    rivets : (int, int); diameters_mm : tuple of float
-    height_mm, tilt_deg, crown_mm : Range
-    distance_diameters : float
-        Least distance of two rivets' centres, in mean diameters.
-    ring_levels : Range
-        Contrast of the rings in the image, grey levels (log-uniform), for a skin at `skin_level`.
-    ring_width_mm : Range
-    partial_rings, slots, bright_rings : float
-        Shares of rivets with a partly filled ring, a screw slot, a ring brighter than the skin.
-    scratches : (int, int); stickers, holes, smudges, cables : int, at most so many
-    reflectance, specular : Range
-    """
+    """Within which bounds panels are drawn; pairs are (least, most)."""
 
     size_mm: tuple[float, float] = (290.0, 200.0)
+    """(width, height)."""
     radius_mm: Range = (900.0, math.inf)
+    """Of curvature, drawn uniformly in 1/R, either sign with `concave`; inf is flat."""
     concave: bool = False
     rivets: tuple[int, int] = (10, 24)
     diameters_mm: tuple[float, ...] = (4.0, 4.8, 5.5, 6.4, 8.0, 9.5, 12.0)
@@ -47,17 +31,22 @@ class Variety:
     tilt_deg: Range = (0.0, 0.7)
     crown_mm: Range = (0.0, 0.0)
     distance_diameters: float = 1.5
+    """Least distance of two rivets' centres, in mean diameters."""
     ring_levels: Range = (6.0, 50.0)
+    """Contrast of the rings in the image, grey levels (log-uniform), for a skin at `skin_level`."""
     skin_level: float = 100.0
     ring_width_mm: Range = (0.10, 0.30)
     partial_rings: float = 0.15
     slots: float = 0.1
     bright_rings: float = 0.0
+    """partial_rings, slots, bright_rings: shares of rivets with a partly filled ring, a screw slot, a ring brighter
+    than the skin."""
     scratches: tuple[int, int] = (0, 40)
     stickers: int = 2
     holes: int = 0
     smudges: int = 3
     cables: int = 0
+    """stickers, holes, smudges, cables: int, at most so many."""
     reflectance: Range = (0.35, 0.6)
     specular: Range = (0.0, 0.5)
 

@@ -56,27 +56,21 @@ COURSE, WIDTH, STEP = range(3)
 
 
 class Relief(NamedTuple):
-    """A panel packed into few arrays (a kernel's call copies the description of each).
-
-    Attributes
-    ----------
-    frame : (F_SIZE,) float64
-    rivets : (n, R_SIZE + 2 arcs) float64
-    seams : (m, S_SIZE + 15 pieces) float64
-    cells : (rows, columns, k) int32
-        For each cell of 1 mm the indices of the rivets near it, −1 where none; last, whether a seam is near (0 or 1).
-    dents : (d, D_SIZE) float64
-        Dents and scratches (`simulator.overlay`); they belong to the plates.
-    coat : (rows, columns) float32
-        Thickness of what is painted or stuck on the plates, mm; (0, 0) where nothing is.
-    """
+    """A panel packed into few arrays (a kernel's call copies the description of each)."""
 
     frame: Floats
+    """(F_SIZE,) float64."""
     rivets: Floats
+    """(n, R_SIZE + 2 arcs) float64."""
     seams: Floats
+    """(m, S_SIZE + 15 pieces) float64."""
     cells: NDArray[np.int32]
+    """(rows, columns, k) int32: for each cell of 1 mm the indices of the rivets near it, −1 where none; last, whether a
+    seam is near (0 or 1)."""
     dents: Floats
+    """(d, D_SIZE) float64: dents and scratches (`simulator.overlay`); they belong to the plates."""
     coat: NDArray[np.float32]
+    """(rows, columns) float32: thickness of what is painted or stuck on the plates, mm; (0, 0) where nothing is."""
 
 
 @kernel

@@ -15,21 +15,7 @@ from simulator.relief import Floats
 
 @dataclass(frozen=True)
 class RigDesign:
-    """What a rig is built to; a built one departs from it a little.
-
-    Attributes
-    ----------
-    camera_width, camera_height, projector_width, projector_height : int
-    camera_focal_px, projector_focal_px : float
-    baseline_mm : float
-        Distance between the cameras.
-    stand_off_mm : float
-        Distance of the point all three look at from the middle of the baseline.
-    projector_rise_mm : float
-        How far the projector stands above the baseline.
-    spread : float
-        Size of the departures from the design: 1 is an ordinary build, 0 none.
-    """
+    """What a rig is built to; a built one departs from it a little."""
 
     camera_width: int = 1624
     camera_height: int = 1234
@@ -38,9 +24,13 @@ class RigDesign:
     projector_height: int = 800
     projector_focal_px: float = 2550.0
     baseline_mm: float = 300.0
+    """Distance between the cameras."""
     stand_off_mm: float = 700.0
+    """Distance of the point all three look at from the middle of the baseline."""
     projector_rise_mm: float = 90.0
+    """How far the projector stands above the baseline."""
     spread: float = 1.0
+    """Size of the departures from the design: 1 is an ordinary build, 0 none."""
 
     def __post_init__(self) -> None:
         for name in ("camera_focal_px", "projector_focal_px", "baseline_mm", "stand_off_mm"):

@@ -33,54 +33,34 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class SimulatedScene:
-    """One rendered scan.
-
-    Attributes
-    ----------
-    name : str
-        Unique within the specification; a folder name.
-    aircraft_serial, panel, station, captured_at, operator : str
-        Keys of scene.json.
-    rig : Rig
-        The calibration the scan is to be inspected with.
-    fringe : FringeCode
-    exposures : tuple of float
-    left, right : (exposures, frames, h, w) uint8 or uint16
-    pose : Pose
-    truth : dict
-        As truth.json has it.
-    """
+    """One rendered scan."""
 
     name: str
+    """Unique within the specification; a folder name."""
     aircraft_serial: str
     panel: str
     station: str
     captured_at: str
     operator: str | None
+    """aircraft_serial, panel, station, captured_at, operator: keys of scene.json."""
     rig: Rig
+    """The calibration the scan is to be inspected with."""
     fringe: FringeCode
     exposures: tuple[float, ...]
     left: Frames
     right: Frames
+    """left, right: (exposures, frames, h, w) uint8 or uint16."""
     pose: Pose
     truth: dict[str, Any]
+    """As truth.json has it."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A panel set up before a rig: everything that does not depend on the projected image or the noise.
-
-    Attributes
-    ----------
-    rig : Rig
-        As it really stands.
-    pose : Pose
-    relief : Relief
-    left, right : Hits
-    truth : Truth
-    """
+    """A panel set up before a rig: everything that does not depend on the projected image or the noise."""
 
     rig: Rig
+    """As it really stands."""
     pose: Pose
     relief: Relief
     left: Hits
@@ -183,7 +163,6 @@ def simulate(
 
     Parameters
     ----------
-    spec : SimulationSpec
     progress : callable, optional
         Called with the share done (0 … 1) and what is being done.
     rig : Rig, optional

@@ -12,24 +12,16 @@ from metrology.errors import SpecError
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera's sensor.
-
-    Attributes
-    ----------
-    gain : float
-        Grey levels per photo-electron: the shot noise's variance is gain × signal. 0: no shot noise.
-    read_noise : float
-        Standard deviation of the read-out, grey levels.
-    offset : float
-        Grey level of no light.
-    bits : int
-        8 or 16.
-    """
+    """A camera's sensor."""
 
     gain: float = 0.016
+    """Grey levels per photo-electron: the shot noise's variance is gain × signal. 0: no shot noise."""
     read_noise: float = 0.6
+    """Standard deviation of the read-out, grey levels."""
     offset: float = 3.0
+    """Grey level of no light."""
     bits: int = 8
+    """8 or 16."""
 
     def __post_init__(self) -> None:
         for name in ("gain", "read_noise", "offset"):
@@ -47,8 +39,6 @@ class Sensor:
         ----------
         light : (h, w) float32
             Grey levels at exposure 1 on the 8-bit scale, unlimited.
-        exposure : float
-        rng : numpy.random.Generator
         """
         signal = exposure * light
         if self.gain > 0:

@@ -57,21 +57,14 @@ class RigSpec:
 
 @dataclass(frozen=True)
 class Placement:
-    """One placement of the panel before the rig.
-
-    Attributes
-    ----------
-    offset_mm : (x, y, z)
-        In the panel's frame, from the point both cameras look at.
-    rotation_deg : (x, y, z)
-        About the panel's own axes, applied in the order z, y, x of the turned frame.
-    station : str or None
-        The scene's own station if None.
-    """
+    """One placement of the panel before the rig."""
 
     offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(x, y, z): in the panel's frame, from the point both cameras look at."""
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(x, y, z): about the panel's own axes, applied in the order z, y, x of the turned frame."""
     station: str | None = None
+    """The scene's own station if None."""
 
     def __post_init__(self) -> None:
         if max(abs(a) for a in self.rotation_deg[:2]) > 45:
@@ -98,21 +91,14 @@ class Camera:
 
 @dataclass(frozen=True)
 class Lighting:
-    """Light on the panel.
-
-    Attributes
-    ----------
-    brightness : float
-        Grey levels of a white matt surface that faces the projector at the rig's aim point, at exposure 1.
-    ambient : float
-        Grey levels of a white matt surface in the ambient light alone.
-    wall_reflectance : float
-        Of the walls of gaps, relative to the skin's.
-    """
+    """Light on the panel."""
 
     brightness: float = 300.0
+    """Grey levels of a white matt surface that faces the projector at the rig's aim point, at exposure 1."""
     ambient: float = 25.0
+    """Grey levels of a white matt surface in the ambient light alone."""
     wall_reflectance: float = 0.5
+    """Of the walls of gaps, relative to the skin's."""
 
     def __post_init__(self) -> None:
         for name in ("brightness", "ambient", "wall_reflectance"):
@@ -122,27 +108,18 @@ class Lighting:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What goes wrong during a scan; all off by default.
-
-    Attributes
-    ----------
-    vibration_px : float
-        Standard deviation of the pattern's position from frame to frame, projector pixels.
-    ambient_drift : float
-        Relative change of the ambient light from the first frame to the last.
-    warming_k : float
-        By how much the rig's frame is warmer than when it was calibrated.
-    vibration_mm : float
-        Standard deviation, along each axis, of the panel's place against the rig from frame to frame.
-    flicker : float
-        Relative standard deviation of the projector's brightness from frame to frame.
-    """
+    """What goes wrong during a scan; all off by default."""
 
     vibration_px: float = 0.0
+    """Standard deviation of the pattern's position from frame to frame, projector pixels."""
     ambient_drift: float = 0.0
+    """Relative change of the ambient light from the first frame to the last."""
     warming_k: float = 0.0
+    """By how much the rig's frame is warmer than when it was calibrated."""
     vibration_mm: float = 0.0
+    """Standard deviation, along each axis, of the panel's place against the rig from frame to frame."""
     flicker: float = 0.0
+    """Relative standard deviation of the projector's brightness from frame to frame."""
 
     def __post_init__(self) -> None:
         for name, most in (("vibration_px", 10.0), ("vibration_mm", 0.2), ("flicker", 0.3)):
@@ -159,26 +136,17 @@ class Disturbances:
 
 @dataclass(frozen=True)
 class CalibrationSpec:
-    """The capture with which the rig is to be calibrated, by the same cameras and projector as the scans.
-
-    Attributes
-    ----------
-    show : "dots" or "fringes"
-        What the projector shows on the board beside white and black: a dot grid, or fringes in both axes.
-    poses : int
-    tilt_deg : float
-        Largest tilt of the board.
-    depth_mm : float
-        How far the poses reach before and behind the rig's aim point.
-    brightness : float
-        Grey levels of white matt paper that faces the projector at the aim point.
-    """
+    """The capture with which the rig is to be calibrated, by the same cameras and projector as the scans."""
 
     show: Literal["dots", "fringes"] = "dots"
+    """What the projector shows on the board beside white and black: a dot grid, or fringes in both axes."""
     poses: int = 9
     tilt_deg: float = 28.0
+    """Largest tilt of the board."""
     depth_mm: float = 45.0
+    """How far the poses reach before and behind the rig's aim point."""
     brightness: float = 210.0
+    """Grey levels of white matt paper that faces the projector at the aim point."""
     board: PrintedBoard = field(default_factory=PrintedBoard)
 
     def __post_init__(self) -> None:

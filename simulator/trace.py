@@ -62,26 +62,19 @@ class Hits:
     """What a camera's pixels see, independent of the image that is projected.
 
     Pixel i (row-major) owns the samples first[i] … first[i+1]−1, all of equal weight.
-
-    Attributes
-    ----------
-    height, width : int
-    first : (height·width + 1,) int64
-    column, row : (n,) float64
-        Projector coordinates of the sample, centres at integers.
-    direct : (n,) float32
-        Grey levels at exposure 1 under full projector light; 0 in shadow.
-    ambient : (n,) float32
-        Grey levels at exposure 1 of the ambient light.
     """
 
     height: int
     width: int
     first: NDArray[np.int64]
+    """(height·width + 1,) int64."""
     column: Floats
     row: Floats
+    """column, row: (n,) float64: projector coordinates of the sample, centres at integers."""
     direct: Float32
+    """(n,) float32: grey levels at exposure 1 under full projector light; 0 in shadow."""
     ambient: Float32
+    """(n,) float32: grey levels at exposure 1 of the ambient light."""
 
 
 @kernel

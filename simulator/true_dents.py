@@ -23,37 +23,34 @@ Visible = Callable[[Floats], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class TrueDent:
-    """One defect, as if it were alone.
-
-    Attributes
-    ----------
-    xyz_mm, uv_px : its deepest (highest) point in the rig frame and the left image.
-    depth_mm : along the normal there, below the skin without it; negative above.
-    half_depth_axes_mm, foot_axes_mm : full length and width of its outline at half depth, and where it ends.
-    angle_deg : direction of its length from the panel's +x.
-    area_mm2, foot_area_mm2 : within these two outlines, in the tangent plane.
-    volume_mm3 : between it and the skin without it; negative above (a gouge: without its lips).
-    least_radius_mm : of curvature at its bottom, the skin's own left out.
-    visible : all of its half-depth outline and its deepest point are in both images, lit and not hidden.
-    kind : "dent", "bump", "crease" or "scratch"; shape : as specified, "gouge" for a scratch.
-    lip_mm : how high a scratch's edges stand.
-    """
+    """One defect, as if it were alone."""
 
     id: str
     xyz_mm: list[float]
     uv_px: list[float]
+    """xyz_mm, uv_px: its deepest (highest) point in the rig frame and the left image."""
     depth_mm: float
+    """Along the normal there, below the skin without it; negative above."""
     half_depth_axes_mm: list[float]
     foot_axes_mm: list[float]
+    """half_depth_axes_mm, foot_axes_mm: full length and width of its outline at half depth, and where it ends."""
     angle_deg: float
+    """Direction of its length from the panel's +x."""
     area_mm2: float
     foot_area_mm2: float
+    """area_mm2, foot_area_mm2: within these two outlines, in the tangent plane."""
     volume_mm3: float
+    """Between it and the skin without it; negative above (a gouge: without its lips)."""
     least_radius_mm: float
+    """Of curvature at its bottom, the skin's own left out."""
     visible: bool
+    """All of its half-depth outline and its deepest point are in both images, lit and not hidden."""
     kind: str
+    """"dent", "bump", "crease" or "scratch"."""
     shape: str
+    """As specified, "gouge" for a scratch."""
     lip_mm: float = 0.0
+    """How high a scratch's edges stand."""
 
 
 def true_dents(panel: Panel, relief: Relief, place: Place, visible: Visible) -> tuple[TrueDent, ...]:

@@ -41,53 +41,47 @@ class Pose:
 
 @dataclass(frozen=True)
 class TrueRivet:
-    """One rivet.
-
-    Attributes
-    ----------
-    xyz_mm : head centre (at its mean height) in the rig frame; uv_px : its image in the left camera.
-    height_mean_mm : distance of the head to the skin's tangent plane at its centre, + proud, mean over the head.
-    head_edge_rise_mm : how far the rim rises and falls about that by the tilt alone.
-    visible : inside both images and the projector's field, and not hidden.
-    kind : "head", or "recessed" where it has a recess.
-    """
+    """One rivet."""
 
     id: str
     xyz_mm: list[float]
+    """Head centre (at its mean height) in the rig frame."""
     uv_px: list[float]
+    """Its image in the left camera."""
     diameter_mm: float
     visible: bool
+    """Inside both images and the projector's field, and not hidden."""
     height_mean_mm: float
+    """Distance of the head to the skin's tangent plane at its centre, + proud, mean over the head."""
     head_edge_rise_mm: float
+    """How far the rim rises and falls about that by the tilt alone."""
     tilt_deg: float
     dome_mm: float
     kind: str = "head"
+    """"head", or "recessed" where it has a recess."""
 
 
 @dataclass(frozen=True)
 class TrueHole:
-    """An open hole, a hole filled with sealant ("hole") or a temporary fastener ("cleco"): among the rivets in a file.
-
-    Attributes
-    ----------
-    xyz_mm, uv_px : middle of its outer border on the skin (a cleco: of its top) in the rig frame and the left image.
-    diameter_mm : of the bore, or of a cleco's body.
-    height_mean_mm : of its ground (negative), or of a cleco's top, above the skin.
-    countersink_mm, countersink_depth_mm, countersink_deg : 0 without a countersink.
-    filled : closed with sealant up to its ground.
-    """
+    """An open hole, one filled with sealant ("hole") or a temporary fastener ("cleco"): among the rivets in a file."""
 
     id: str
     xyz_mm: list[float]
     uv_px: list[float]
+    """xyz_mm, uv_px: middle of its outer border on the skin (a cleco: of its top) in the rig frame and the left image.
+    """
     diameter_mm: float
+    """Of the bore, or of a cleco's body."""
     visible: bool
     height_mean_mm: float
+    """Of its ground (negative), or of a cleco's top, above the skin."""
     kind: str
     countersink_mm: float = 0.0
     countersink_depth_mm: float = 0.0
     countersink_deg: float = 0.0
+    """countersink_mm, countersink_depth_mm, countersink_deg: 0 without a countersink."""
     filled: bool = False
+    """Closed with sealant up to its ground."""
     head_edge_rise_mm: float = 0.0
     tilt_deg: float = 0.0
     dome_mm: float = 0.0
@@ -95,27 +89,23 @@ class TrueHole:
 
 @dataclass(frozen=True)
 class TrueSeam:
-    """One seam, station by station (about every millimetre along its course).
-
-    Attributes
-    ----------
-    xyz_mm, uv_px : midpoint of the ideal edges D′ and G′ in the rig frame and the left image.
-    step_mm : height of side B minus side A, eqs 6–8 with their signs.
-    width_mm : eqs 9–11.
-    chamfer_mm, edge_radius_mm : width of the broken edges, or their radius.
-    kind : "butt", "sealed" (a butt joint filled with sealant) or "lap".
-    visible : both edges and some skin beside them are in both images, lit, and clear of borders and other seams.
-    """
+    """One seam, station by station (about every millimetre along its course)."""
 
     id: str
     visible: list[bool]
+    """Both edges and some skin beside them are in both images, lit, and clear of borders and other seams."""
     uv_px: list[list[float]]
     xyz_mm: list[list[float]]
+    """xyz_mm, uv_px: midpoint of the ideal edges D′ and G′ in the rig frame and the left image."""
     step_mm: list[float]
+    """Height of side B minus side A, eqs 6–8 with their signs."""
     width_mm: list[float]
+    """Eqs 9–11."""
     chamfer_mm: float
     kind: str = "butt"
+    """"butt", "sealed" (a butt joint filled with sealant) or "lap"."""
     edge_radius_mm: float = 0.0
+    """chamfer_mm, edge_radius_mm: width of the broken edges, or their radius."""
 
 
 @dataclass(frozen=True)
@@ -141,12 +131,10 @@ def truth(panel: Panel, relief: Relief, rig: Rig, pose: Pose) -> Truth:
 
     Parameters
     ----------
-    panel : Panel
     relief : Relief
         The same panel, packed.
     rig : Rig
         The rig as it really is.
-    pose : Pose
     """
     rivets = tuple(_rivet(rivet, relief, rig, pose) for rivet in panel.rivets)
     seams = tuple(_seam(k, seam, panel, relief, rig, pose) for k, seam in enumerate(panel.seams))

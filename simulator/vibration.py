@@ -19,18 +19,12 @@ from simulator.truth import Pose
 
 @dataclass(frozen=True)
 class Sway:
-    """How a view changes with the panel's motion (x, y, z in the panel's frame, mm), at the rig's aim point.
-
-    Attributes
-    ----------
-    pattern : (3,) array
-        By how many projector pixels the pattern's coordinate at a camera pixel grows, per mm.
-    image : (3, 2) array
-        By how many camera pixels (u, v) a place of the skin moves, per mm.
-    """
+    """How a view changes with the panel's motion (x, y, z in the panel's frame, mm), at the rig's aim point."""
 
     pattern: Floats
+    """(3,): by how many projector pixels the pattern's coordinate at a camera pixel grows, per mm."""
     image: Floats
+    """(3, 2): by how many camera pixels (u, v) a place of the skin moves, per mm."""
 
 
 def sway_of(rig: Rig, side: str, pose: Pose, axis: str) -> Sway:

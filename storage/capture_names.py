@@ -31,10 +31,8 @@ def named_capture(
 
     Parameters
     ----------
-    folder : Path
     pattern : str
         Such as ``{camera}/pose{pose}/{frame}.png``; without {camera} there is one camera.
-    board : Board
     projector_size : (width, height)
     shown : mapping of axis to FringeModel
         The code along either axis of the projector.

@@ -10,21 +10,14 @@ from storage.models import Line, StrictModel, UtcTime
 
 
 class CertificateModel(StrictModel):
-    """A calibration certificate.
-
-    Attributes
-    ----------
-    number : str
-    laboratory : str or None
-        Who calibrated, with the accreditation where there is one.
-    calibrated_at, due_at : datetime
-        When it was calibrated, and until when that holds.
-    """
+    """A calibration certificate."""
 
     number: Line
     laboratory: Line | None = None
+    """Who calibrated, with the accreditation where there is one."""
     calibrated_at: UtcTime | None = None
     due_at: UtcTime | None = None
+    """calibrated_at, due_at: when it was calibrated, and until when that holds."""
 
     @model_validator(mode="after")
     def _due_later(self) -> CertificateModel:

@@ -34,21 +34,14 @@ _COMMENTS = {
 
 @dataclass(frozen=True)
 class StoredCloud:
-    """A cloud as it comes back from the store.
-
-    Attributes
-    ----------
-    points : (h, w, 3) float32
-        Rig frame, mm, to 0.5 µm; NaN where none.
-    sigma_z : (h, w) float32
-        mm; NaN where none.
-    flags : (h, w) uint16
-        metrology.cloud.PixelFlag bits.
-    """
+    """A cloud as it comes back from the store."""
 
     points: NDArray[np.float32]
+    """(h, w, 3) float32: rig frame, mm, to 0.5 µm; NaN where none."""
     sigma_z: NDArray[np.float32]
+    """(h, w) float32: mm; NaN where none."""
     flags: NDArray[np.uint16]
+    """(h, w) uint16: metrology.cloud.PixelFlag bits."""
 
 
 def encode_cloud(reconstruction: Reconstruction) -> bytes:

@@ -64,21 +64,13 @@ class CloudSceneModel(ScanModel):
 
 @dataclass(frozen=True)
 class CloudScene:
-    """A cloud scene whose manifest is sound and whose files are there and of one size.
-
-    Attributes
-    ----------
-    folder : Path
-    model : CloudSceneModel
-    picture_header : FrameHeader
-    files_state : str
-        Names the folder's files as they lay on disk when they were looked at.
-    """
+    """A cloud scene whose manifest is sound and whose files are there and of one size."""
 
     folder: Path
     model: CloudSceneModel
     picture_header: FrameHeader
     files_state: str
+    """Names the folder's files as they lay on disk when they were looked at."""
 
     @property
     def key(self) -> SceneKey:

@@ -34,27 +34,18 @@ _RGB_TO_GREY = np.array([0.299, 0.587, 0.114])
 
 @dataclass(frozen=True)
 class ForeignCloud:
-    """A cloud as its file has it.
-
-    Attributes
-    ----------
-    points : (n, 3) ndarray
-        In the file's unit; NaN where a cell of the grid is empty. Row by row where there is a grid.
-    grid : (int, int) or None
-        Rows and columns; None where the points have no order.
-    grey : (n,) ndarray of uint8 or uint16, or None
-        Brightness of the points, where the file has it.
-    sigma : (n,) ndarray or None
-        Standard deviation of depth, in the file's unit, where the file has it.
-    mm : float
-        What the file's kind of unit usually is.
-    """
+    """A cloud as its file has it."""
 
     points: Array
+    """(n, 3): in the file's unit; NaN where a cell of the grid is empty. Row by row where there is a grid."""
     grid: tuple[int, int] | None = None
+    """(int, int) or None: rows and columns; None where the points have no order."""
     grey: NDArray[Any] | None = None
+    """(n,) of uint8 or uint16, or None: brightness of the points, where the file has it."""
     sigma: Array | None = None
+    """(n,) or None: standard deviation of depth, in the file's unit, where the file has it."""
     mm: float = 1.0
+    """What the file's kind of unit usually is."""
 
 
 def read_foreign_cloud(path: Path) -> ForeignCloud:

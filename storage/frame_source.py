@@ -22,18 +22,12 @@ class ShortFrame(BadFrame):
 
 @dataclass(frozen=True)
 class FrameSource:
-    """A frame's bytes.
-
-    Attributes
-    ----------
-    size : int
-        Bytes in all.
-    take : callable
-        `take(at, count)` gives at most `count` bytes from `at` on.
-    """
+    """A frame's bytes."""
 
     size: int
+    """Bytes in all."""
     take: Callable[[int, int], bytes]
+    """`take(at, count)` gives at most `count` bytes from `at` on."""
 
     def read(self, at: int, count: int) -> bytes:
         """Exactly `count` bytes."""

@@ -130,17 +130,12 @@ def file_checksum(path: Path, error: ErrorType) -> int:
 
 @dataclass(frozen=True)
 class FrameStack:
-    """Decoded frames of one kind.
-
-    Attributes
-    ----------
-    frames : (n, height, width) ndarray of uint8 or uint16
-    checksums : tuple of int
-        Of the files, in the same order.
-    """
+    """Decoded frames of one kind."""
 
     frames: Frame
+    """(n, height, width) of uint8 or uint16."""
     checksums: tuple[int, ...]
+    """Of the files, in the same order."""
 
 
 def read_stack(

@@ -152,26 +152,17 @@ class PanelSpecModel(StrictModel):
 
 @dataclass(frozen=True)
 class PanelSpecification:
-    """A panel specification as it was read.
-
-    Attributes
-    ----------
-    limits : PanelSpec
-    layout : PanelLayout
-        Empty where the file gives no pattern.
-    document : mapping
-        The file's content, for traceability.
-    rules : tuple of Rule
-        What the panel as a whole must meet.
-    example : bool
-        Whether its limits are an example and nobody's requirement.
-    """
+    """A panel specification as it was read."""
 
     limits: PanelSpec
     layout: PanelLayout
+    """Empty where the file gives no pattern."""
     document: Mapping[str, Any]
+    """The file's content, for traceability."""
     example: bool = False
+    """Whether its limits are an example and nobody's requirement."""
     rules: tuple[Rule, ...] = ()
+    """What the panel as a whole must meet."""
 
     def __str__(self) -> str:
         return f"{self.limits.panel} {self.limits.revision}"

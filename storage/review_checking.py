@@ -14,21 +14,14 @@ from storage.review_keeping import Keeping
 
 @dataclass(frozen=True)
 class CheckedLog:
-    """A log that was looked at.
-
-    Attributes
-    ----------
-    place : str
-        Where it is kept.
-    entries : tuple of Entry
-        Up to the first damaged or changed one.
-    problems : tuple of str
-        One line each.
-    """
+    """A log that was looked at."""
 
     place: str
+    """Where it is kept."""
     entries: tuple[Entry, ...]
+    """Up to the first damaged or changed one."""
     problems: tuple[str, ...]
+    """One line each."""
 
     @property
     def sign_offs(self) -> tuple[Entry, ...]:

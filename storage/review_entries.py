@@ -77,24 +77,13 @@ def format_of(action: str, stretch: bool) -> str:
 
 
 class Entry(NamedTuple):
-    """An entry of the log: its document, and what of it is asked for often.
-
-    Attributes
-    ----------
-    document : str
-        As it was written.
-    checksum : str
-        SHA-256 of the document.
-    decided_at : str
-    decided_verdict, decided_value_mm, decided_tilt_deg, decided_width_mm : str, float or None
-        Of the finding as it was shown.
-    previous : str
-        Checksum of the entry before.
-    """
+    """An entry of the log: its document, and what of it is asked for often."""
 
     number: int
     document: str
+    """As it was written."""
     checksum: str
+    """SHA-256 of the document."""
     format: str
     decided_at: str
     who: str
@@ -109,7 +98,9 @@ class Entry(NamedTuple):
     decided_value_mm: float | None
     decided_tilt_deg: float | None
     decided_width_mm: float | None
+    """decided_verdict, decided_value_mm, decided_tilt_deg, decided_width_mm: of the finding as it was shown."""
     previous: str
+    """Checksum of the entry before."""
 
     @classmethod
     def of_document(cls, document: str) -> Entry:
@@ -183,18 +174,12 @@ def _text(value: object) -> str | None:
 
 @dataclass(frozen=True)
 class Feature:
-    """A feature of a scene, such as a rivet, a position along a seam, or a stretch of positions.
-
-    Attributes
-    ----------
-    kind : str
-        Name of its kind.
-    id : str
-        As the kind makes it (`metrology.kinds.Kind.id_of`); of a stretch ``COURSE@FROM-TO``.
-    """
+    """A feature of a scene, such as a rivet, a position along a seam, or a stretch of positions."""
 
     kind: str
+    """Name of its kind."""
     id: str
+    """As the kind makes it (`metrology.kinds.Kind.id_of`); of a stretch ``COURSE@FROM-TO``."""
 
     @property
     def is_stretch(self) -> bool:
@@ -204,23 +189,15 @@ class Feature:
 
 @dataclass(frozen=True)
 class ShownFinding:
-    """A finding as a person had it before them.
-
-    Attributes
-    ----------
-    scene_id, run_id : str
-    feature : Feature
-    values : mapping
-        What was shown, as JSON knows it.
-    last_entry : int
-        Number of the last entry about the feature that was shown; 0 for none.
-    """
+    """A finding as a person had it before them."""
 
     scene_id: str
     run_id: str
     feature: Feature
     values: Mapping[str, Any] = field(default_factory=dict)
+    """What was shown, as JSON knows it."""
     last_entry: int = 0
+    """Number of the last entry about the feature that was shown; 0 for none."""
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -232,20 +209,13 @@ class ShownFinding:
 
 @dataclass(frozen=True)
 class ShownScene:
-    """A scene with its decisions as a person had them before them.
-
-    Attributes
-    ----------
-    scene_id, run_id : str
-    values : mapping
-    last_entry : int
-        Number of the last entry about the scene or one of its features that was shown; 0 for none.
-    """
+    """A scene with its decisions as a person had them before them."""
 
     scene_id: str
     run_id: str
     values: Mapping[str, Any] = field(default_factory=dict)
     last_entry: int = 0
+    """Number of the last entry about the scene or one of its features that was shown; 0 for none."""
 
 
 _Held = dict[tuple[str, Feature], tuple[Entry, ...]]
@@ -253,18 +223,12 @@ _Held = dict[tuple[str, Feature], tuple[Entry, ...]]
 
 @dataclass(frozen=True)
 class Review:
-    """All that was decided so far.
-
-    Attributes
-    ----------
-    entries : tuple of Entry
-        From the first to the last.
-    problem : str or None
-        Where the log was damaged or changed; entries before that place only are given.
-    """
+    """All that was decided so far."""
 
     entries: tuple[Entry, ...] = ()
+    """From the first to the last."""
     problem: str | None = None
+    """Where the log was damaged or changed; entries before that place only are given."""
 
     def with_more(self, entries: Sequence[Entry]) -> Review:
         """A review that goes on with further entries; what is known of the former ones is not looked for again."""

@@ -23,18 +23,12 @@ _TEXT = re.compile(r"(\d{1,18}):([0-9a-f]{64})")
 
 @dataclass(frozen=True)
 class Head:
-    """The last entry of a log.
-
-    Attributes
-    ----------
-    number : int
-        0 where there is none.
-    checksum : str
-        SHA-256 of its document; of an empty log what its first entry will name as the one before.
-    """
+    """The last entry of a log."""
 
     number: int = 0
+    """0 where there is none."""
     checksum: str = FIRST
+    """SHA-256 of its document; of an empty log what its first entry will name as the one before."""
 
     def __str__(self) -> str:
         return f"{self.number}:{self.checksum}"
@@ -51,17 +45,11 @@ class Head:
 
 @dataclass(frozen=True)
 class KeptHead:
-    """What head.json says.
-
-    Attributes
-    ----------
-    head : Head
-    following : Head or None
-        What was going to be the head when a writer was stopped.
-    """
+    """What head.json says."""
 
     head: Head = Head()
     following: Head | None = None
+    """What was going to be the head when a writer was stopped."""
 
     def allows(self, found: Head) -> bool:
         """Whether a log may end with an entry."""

@@ -36,39 +36,25 @@ from storage.scene_models import (
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene folder whose manifest is sound and whose frames are all there, whole and of one kind.
-
-    Attributes
-    ----------
-    folder : Path
-    key : SceneKey
-    rig_id : str
-        The calibration that was valid at capture.
-    operator : str or None
-    code : FringeCode
-    exposures : tuple of float
-        Relative exposure times.
-    left, right : tuple of Path
-        Frames, exposure-major.
-    left_header : FrameHeader
-        What all frames of a camera have in common.
-    right_header : FrameHeader or None
-        None where there is one camera, which then has no frames in `right`.
-    files_state : str or None
-        Names the folder's files as they lay on disk when they were looked at (see `storage.scan_identity`).
-    """
+    """A scene folder whose manifest is sound and whose frames are all there, whole and of one kind."""
 
     folder: Path
     key: SceneKey
     rig_id: str
+    """The calibration that was valid at capture."""
     operator: str | None
     code: FringeCode
     exposures: tuple[float, ...]
+    """Relative exposure times."""
     left: tuple[Path, ...]
     right: tuple[Path, ...]
+    """left, right: frames, exposure-major."""
     left_header: FrameHeader
+    """What all frames of a camera have in common."""
     right_header: FrameHeader | None
+    """None where there is one camera, which then has no frames in `right`."""
     files_state: str | None = None
+    """Names the folder's files as they lay on disk when they were looked at (see `storage.scan_identity`)."""
 
     @property
     def headers(self) -> dict[Camera, FrameHeader]:

@@ -80,7 +80,6 @@ def count_names(found: Mapping[Path, Values], code: FringeCode, labels: Sequence
     ----------
     found : mapping
         Paths, and what their names say.
-    code : FringeCode
     labels : sequence of str
         What the counts are said to be called: any names, or numbers that names with leading zeros fit too.
     """

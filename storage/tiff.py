@@ -29,18 +29,13 @@ _ORIENTATIONS = {
 
 @dataclass(frozen=True)
 class TiffDirectory:
-    """What is asked of a directory.
-
-    Attributes
-    ----------
-    values : mapping of tag to tuple of int
-        Of the tags that say how the pixels lie; of others than lists only the first value.
-    following : int
-        Where the next directory begins; 0: nowhere.
-    """
+    """What is asked of a directory."""
 
     values: Mapping[int, tuple[int, ...]]
+    """mapping of tag to tuple of int: of the tags that say how the pixels lie; of others than lists only the first
+    value."""
     following: int
+    """Where the next directory begins; 0: nowhere."""
 
     def first(self, tag: int, default: int) -> int:
         """A tag's first value."""

@@ -36,25 +36,15 @@ _MOST_SATURATED = 0.002
 
 @dataclass(frozen=True)
 class Order:
-    """What to take.
-
-    Attributes
-    ----------
-    key : SceneKey
-    rig : Rig
-    code : FringeCode
-    exposures_ms : tuple of float
-        Empty: found by pictures of the skin.
-    start_ms : float
-        Where the search begins.
-    operator : str or None
-    """
+    """What to take."""
 
     key: SceneKey
     rig: Rig
     code: FringeCode
     exposures_ms: tuple[float, ...] = ()
+    """Empty: found by pictures of the skin."""
     start_ms: float = 10.0
+    """Where the search begins."""
     operator: str | None = None
 
 

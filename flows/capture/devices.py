@@ -22,17 +22,12 @@ class Dropped(CaptureError):
 
 @dataclass(frozen=True)
 class Taken:
-    """A picture.
-
-    Attributes
-    ----------
-    frame : (h, w) ndarray of uint8 or uint16
-    number : int
-        The camera's own count of its pictures, by which a lost one shows.
-    """
+    """A picture."""
 
     frame: Frame
+    """(h, w) of uint8 or uint16."""
     number: int
+    """The camera's own count of its pictures, by which a lost one shows."""
 
 
 class Cameras(Protocol):

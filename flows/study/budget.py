@@ -23,22 +23,14 @@ _QUANTITIES: tuple[Quantity, ...] = ("height", "step", "width")
 
 @dataclass(frozen=True)
 class Condition:
-    """One disturbance.
-
-    Attributes
-    ----------
-    name, meaning : str
-    switch_on : callable
-        Turns the faultless simulation into the disturbed one.
-    varies : bool
-        Whether scans differ from each other.
-    rig : RigKind
-    """
+    """One disturbance."""
 
     name: str
     meaning: str
     switch_on: Callable[[SimulationSpec], SimulationSpec]
+    """Turns the faultless simulation into the disturbed one."""
     varies: bool = False
+    """Whether scans differ from each other."""
     rig: RigKind = "true"
 
 

@@ -100,22 +100,14 @@ class Bar:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a study's report.
-
-    Attributes
-    ----------
-    title : str
-    text : tuple of str
-        Paragraphs, first of all the conditions.
-    tables : tuple of Table
-    figures : tuple of plotly.graph_objects.Figure
-    bars : tuple of Bar
-    """
+    """A part of a study's report."""
 
     title: str
     text: tuple[str, ...] = ()
+    """Paragraphs, first of all the conditions."""
     tables: tuple[Table, ...] = ()
     figures: tuple[Any, ...] = ()
+    """tuple of plotly.graph_objects.Figure."""
     bars: tuple[Bar, ...] = ()
 
 

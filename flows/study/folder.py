@@ -16,20 +16,13 @@ MANIFEST = "study.json"
 
 @dataclass(frozen=True)
 class Finished:
-    """What a study left.
-
-    Attributes
-    ----------
-    report : Path
-        HTML.
-    bars : tuple of Bar
-    problems : tuple of str
-        Why scans could not be inspected.
-    """
+    """What a study left."""
 
     report: Path
+    """HTML."""
     bars: tuple[Bar, ...]
     problems: tuple[str, ...]
+    """Why scans could not be inspected."""
 
 
 def claim(out: Path, kind: str, specification: str) -> None:

@@ -32,49 +32,32 @@ class ReferenceModel(StrictModel):
 
 
 class GagePlan(StrictModel):
-    """A plan.
-
-    Attributes
-    ----------
-    title : str
-    panel : str
-    aircraft, stations : tuple of str
-        Each aircraft's station is scanned by each operator; its features are the parts.
-    operators : tuple of str
-        As scene.json names them.
-    trials : int
-    quantities : tuple of str
-    parts : tuple of str
-        Features to look at; all that every scan measured where none is given.
-    positions : int
-        Places along a course, such as a seam, that count as parts.
-    since, until : datetime or None
-        Scans of that time only.
-    tolerance : mapping
-        Upper less lower limit of a quantity, in its unit: %GRR of tolerance.
-    acceptable_percent, conditional_percent : float
-        %GRR up to which the gage is acceptable, and may be acceptable.
-    least_categories : int
-        ndc.
-    reference : tuple of ReferenceModel
-    """
+    """A plan."""
 
     format: Literal["flushline-gage/1"]
     title: Line = "Gage study"
     panel: Identifier
     aircraft: Annotated[tuple[Identifier, ...], Field(min_length=1)]
     stations: Annotated[tuple[Identifier, ...], Field(min_length=1)]
+    """aircraft, stations: each aircraft's station is scanned by each operator; its features are the parts."""
     operators: Annotated[tuple[Line, ...], Field(min_length=2)]
+    """As scene.json names them."""
     trials: Annotated[WholeNumber, Field(ge=2)] = 3
     quantities: Annotated[tuple[Line, ...], Field(min_length=1)] = ("height",)
     parts: tuple[Line, ...] = ()
+    """Features to look at; all that every scan measured where none is given."""
     positions: Annotated[WholeNumber, Field(ge=2)] = 10
+    """Places along a course, such as a seam, that count as parts."""
     since: UtcTime | None = None
     until: UtcTime | None = None
+    """since, until: scans of that time only."""
     tolerance: dict[str, PositiveNumber] = Field(default_factory=dict)
+    """Upper less lower limit of a quantity, in its unit: %GRR of tolerance."""
     acceptable_percent: PositiveNumber = 10.0
     conditional_percent: PositiveNumber = 30.0
+    """acceptable_percent, conditional_percent: %GRR up to which the gage is acceptable, and may be acceptable."""
     least_categories: WholeNumber = 5
+    """ndc."""
     reference: tuple[ReferenceModel, ...] = ()
 
     @model_validator(mode="after")
@@ -105,21 +88,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Scanned:
-    """What the archive holds of a plan.
-
-    Attributes
-    ----------
-    cells : tuple of Cell
-        Every aircraft, station and operator of the plan.
-    trials : int
-        Complete ones, of all cells.
-    others : mapping
-        Scans of the panel's stations by whom the plan does not name, by the operator's name ("" for nobody).
-    """
+    """What the archive holds of a plan."""
 
     cells: tuple[Cell, ...]
+    """Every aircraft, station and operator of the plan."""
     trials: int
+    """Complete ones, of all cells."""
     others: dict[str, int] = field(default_factory=dict)
+    """Scans of the panel's stations by whom the plan does not name, by the operator's name ("" for nobody)."""
 
     def still(self, wanted: int) -> list[tuple[str, str, str]]:
         """(operator, aircraft, station) of every scan still to be made, in a random order that stays the same."""

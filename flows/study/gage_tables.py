@@ -18,26 +18,17 @@ _SCALE = 1000.0
 
 @dataclass(frozen=True)
 class Crossed:
-    """A quantity's values and their analysis.
-
-    Attributes
-    ----------
-    quantity, unit : str
-    parts : list of str
-    values : (parts, operators, trials) ndarray
-        Complete.
-    left_out : list of str
-        Parts that some trial did not measure.
-    study : GageStudy or None
-        None with fewer than two complete parts.
-    """
+    """A quantity's values and their analysis."""
 
     quantity: str
     unit: str
     parts: list[str]
     values: NDArray[np.float64]
+    """(parts, operators, trials): complete."""
     left_out: list[str]
+    """Parts that some trial did not measure."""
     study: GageStudy | None
+    """None with fewer than two complete parts."""
 
     @property
     def named(self) -> str:

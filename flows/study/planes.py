@@ -23,20 +23,13 @@ _MOST_POINTS = 50_000  # a fit to more shows nothing new
 
 @dataclass(frozen=True)
 class Plane:
-    """A part of the left image that shows something flat.
-
-    Attributes
-    ----------
-    id : str
-    region_px : (u0, v0, u1, v1)
-        Columns and rows, the last ones included.
-    station : str or None
-        Scenes of this station only.
-    """
+    """A part of the left image that shows something flat."""
 
     id: str
     region_px: tuple[int, int, int, int]
+    """(u0, v0, u1, v1): columns and rows, the last ones included."""
     station: str | None = None
+    """Scenes of this station only."""
 
     def __post_init__(self) -> None:
         u0, v0, u1, v1 = self.region_px

@@ -31,7 +31,6 @@ def study_flow(
 
     Parameters
     ----------
-    kind : "accuracy" or "repeatability"
     out, spec, settings : str
         Paths; without `spec` the study that ships with Flushline.
     quick : bool

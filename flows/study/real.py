@@ -50,8 +50,6 @@ def run_real(
 
     Parameters
     ----------
-    captured : Captured
-    settings : InspectionSettings
     call : callable
         Runs a step.
     on_progress : callable

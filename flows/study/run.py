@@ -47,10 +47,8 @@ def run_study(
 
     Parameters
     ----------
-    study : Study
     out : Path
         Gets the store, the rigs, the report and its tables.
-    settings : InspectionSettings
     call : callable
         Runs a step of an inspection or a calibration.
     on_progress : callable

@@ -22,19 +22,12 @@ RigKind = Literal["true", "calibrated"]
 
 @dataclass(frozen=True)
 class Series:
-    """Scans of a panel in one condition.
-
-    Attributes
-    ----------
-    name : str
-        The store knows the series by it, as aircraft_serial.
-    simulation : SimulationSpec
-        With the number of scans as `repeats`.
-    rigs : tuple of RigKind
-    """
+    """Scans of a panel in one condition."""
 
     name: str
+    """The store knows the series by it, as aircraft_serial."""
     simulation: SimulationSpec
+    """With the number of scans as `repeats`."""
     rigs: tuple[RigKind, ...] = ("calibrated",)
 
     def __len__(self) -> int:

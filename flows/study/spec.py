@@ -25,20 +25,13 @@ def _at_least(least: float, what: str, found: float) -> None:
 
 @dataclass(frozen=True)
 class RepeatedScans:
-    """Scans of one panel with nothing changed between them but the noise.
-
-    Attributes
-    ----------
-    simulation : str
-        A simulation specification: the name of one that ships with Flushline, or a TOML file beside the study's.
-    scans : int
-    positions : int
-        Places along each seam whose step and width are followed.
-    """
+    """Scans of one panel with nothing changed between them but the noise."""
 
     simulation: str
+    """A simulation specification: the name of one that ships with Flushline, or a TOML file beside the study's."""
     scans: int = 10
     positions: int = 10
+    """Places along each seam whose step and width are followed."""
 
     def __post_init__(self) -> None:
         _at_least(2, "scans", self.scans)
@@ -60,30 +53,22 @@ class GageSpec:
 
 @dataclass(frozen=True)
 class BudgetSpec:
-    """How strong each disturbance is when it is switched on alone.
-
-    Attributes
-    ----------
-    simulation : str
-        Its skin, surface, blur and sensor are what is switched on.
-    scans : int
-        Of each condition that differs from scan to scan.
-    gamma, vibration_px, ambient_drift, warming_k : float
-        As in a simulation specification.
-    sharp_blur_px : float
-        Blur of the cameras while the edges' influence is switched off.
-    quiet : float
-        Share of the noise that stays while it is switched off: thresholds that follow the noise make no sense without.
-    """
+    """How strong each disturbance is when it is switched on alone."""
 
     simulation: str = "skin"
+    """Its skin, surface, blur and sensor are what is switched on."""
     scans: int = 3
+    """Of each condition that differs from scan to scan."""
     gamma: float = 2.2
     vibration_px: float = 0.05
     ambient_drift: float = 0.2
     warming_k: float = 5.0
+    """gamma, vibration_px, ambient_drift, warming_k: as in a simulation specification."""
     sharp_blur_px: float = 0.3
+    """Blur of the cameras while the edges' influence is switched off."""
     quiet: float = 0.1
+    """Share of the noise that stays while it is switched off: thresholds that follow the noise make no sense without.
+    """
 
     def __post_init__(self) -> None:
         _at_least(2, "scans", self.scans)
@@ -93,26 +78,17 @@ class BudgetSpec:
 
 @dataclass(frozen=True)
 class DetectionSpec:
-    """Random panels whose rivets' rings all have one contrast.
-
-    Attributes
-    ----------
-    simulation : str
-        Its rig, light and cameras.
-    ring_levels : tuple of float
-        Contrast of the rings, grey levels.
-    panels : int
-        Panels of each contrast.
-    seed : int
-    clutter : bool
-        Add what a hall adds: letters, marks, chips, open holes, temporary fasteners, recesses, dents and scratches.
-    """
+    """Random panels whose rivets' rings all have one contrast."""
 
     simulation: str = "skin"
+    """Its rig, light and cameras."""
     ring_levels: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
+    """Contrast of the rings, grey levels."""
     panels: int = 2
+    """Panels of each contrast."""
     seed: int = 1
     clutter: bool = False
+    """Add what a hall adds: letters, marks, chips, open holes, temporary fasteners, recesses, dents and scratches."""
 
     def __post_init__(self) -> None:
         _at_least(1, "panels", self.panels)

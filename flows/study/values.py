@@ -23,31 +23,20 @@ _REACH_MM = 4.0  # a position is measured where stations lie within that on both
 
 @dataclass(frozen=True)
 class Value:
-    """One quantity of one feature in one scan.
-
-    Attributes
-    ----------
-    series : str
-    station : str
-        Placement and rig.
-    scan : int
-        Counted from 0 in each placement.
-    feature : str
-        Rivet, or seam and position.
-    quantity : "height", "step" or "width"
-    true_mm : float
-    measured_mm, u95_mm : float or None
-        None where it was not found or not measured.
-    """
+    """One quantity of one feature in one scan."""
 
     series: str
     station: str
+    """Placement and rig."""
     scan: int
+    """Counted from 0 in each placement."""
     feature: str
+    """Rivet, or seam and position."""
     quantity: Quantity
     true_mm: float
     measured_mm: float | None
     u95_mm: float | None
+    """measured_mm, u95_mm: None where it was not found or not measured."""
 
     @property
     def error_mm(self) -> float:
@@ -200,7 +189,6 @@ def shared_places(scans: Sequence[list[tuple[dict[str, Any], float]]], number: i
     ----------
     scans : sequence of list of (row, arc length in mm)
         In their order along the course.
-    number : int
     """
     first = max(stations[0][1] for stations in scans) + _SAME_PLACE_MM
     last = min(stations[-1][1] for stations in scans) - _SAME_PLACE_MM

@@ -29,25 +29,16 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Workshop:
-    """Where a study works, and with what.
-
-    Attributes
-    ----------
-    out : Path
-        Gets the store, the rigs and, while a scan is inspected, its frames.
-    settings : InspectionSettings
-    calibration : CalibrationSpec
-        The capture from which calibrated rigs come.
-    tolerance_mm : float
-    call : callable
-        Runs a step of an inspection or a calibration.
-    """
+    """Where a study works, and with what."""
 
     out: Path
+    """Gets the store, the rigs and, while a scan is inspected, its frames."""
     settings: InspectionSettings
     calibration: CalibrationSpec
+    """The capture from which calibrated rigs come."""
     tolerance_mm: float
     call: Call = directly
+    """Runs a step of an inspection or a calibration."""
     renderer: Renderer = field(default_factory=Renderer)
 
     @property

@@ -37,19 +37,12 @@ _CONVERGED = 1e-7
 
 @dataclass(frozen=True)
 class Tie:
-    """What two scans, by their numbers, share.
-
-    Attributes
-    ----------
-    first, second : int
-    heads : (m, 2) ndarray of int
-    skin : SkinTies
-    seam : SeamTies
-    """
+    """What two scans, by their numbers, share."""
 
     first: int
     second: int
     heads: Ints
+    """(m, 2) of int."""
     skin: SkinTies
     seam: SeamTies
 
@@ -65,20 +58,13 @@ class NominalTie:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Placements of all scans.
-
-    Attributes
-    ----------
-    placements : tuple of Placement
-    covariance : (6 n, 6 n) ndarray
-        Of each scan's turn (rad) and shift (mm) about the middle of its skin, panel frame.
-    scatter : float
-        Size of the residuals against their standard deviations, at least 1; the covariance is scaled by its square.
-    """
+    """Placements of all scans."""
 
     placements: tuple[Placement, ...]
     covariance: Array = field(repr=False)
+    """(6 n, 6 n): of each scan's turn (rad) and shift (mm) about the middle of its skin, panel frame."""
     scatter: float
+    """Size of the residuals against their standard deviations, at least 1; the covariance is scaled by its square."""
 
     def moved(self, motion: Placement) -> Adjusted:
         """The same in another frame."""

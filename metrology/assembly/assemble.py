@@ -27,49 +27,31 @@ _NOMINAL_REACH_MM = 3.0
 
 @dataclass(frozen=True)
 class Part:
-    """Scans in one frame.
-
-    Attributes
-    ----------
-    numbers : tuple of int
-        Of the scans.
-    fit : Adjusted
-        Placements to the panel's frame, in the order of `numbers`.
-    nominal : bool
-        Whether the frame is the specification's.
-    ties : int
-        Overlaps that hold it together.
-    frame_id : str
-        Names its frame; parts of other assemblies with the same name lie in the same one.
-    former : int or None
-        The part of the assembly before whose frame it is in.
-    """
+    """Scans in one frame."""
 
     numbers: tuple[int, ...]
+    """Of the scans."""
     fit: Adjusted
+    """Placements to the panel's frame, in the order of `numbers`."""
     nominal: bool = False
+    """Whether the frame is the specification's."""
     ties: int = 0
+    """Overlaps that hold it together."""
     frame_id: str = ""
+    """Names its frame; parts of other assemblies with the same name lie in the same one."""
     former: int | None = None
+    """The part of the assembly before whose frame it is in."""
 
 
 @dataclass(frozen=True)
 class Assembly:
-    """A panel put together.
-
-    Attributes
-    ----------
-    scans : tuple of PanelScan
-    parts : tuple of Part
-        Those in the specification's frame first, then the largest first; no part's frame says where another lies.
-    left_out : mapping of int to str
-        Scans that contradict the others, and why.
-    warnings : tuple of str
-    """
+    """A panel put together."""
 
     scans: tuple[PanelScan, ...]
     parts: tuple[Part, ...]
+    """Those in the specification's frame first, then the largest first; no part's frame says where another lies."""
     left_out: dict[int, str] = field(default_factory=dict)
+    """Scans that contradict the others, and why."""
     warnings: tuple[str, ...] = ()
 
     def placed(self) -> Iterator[tuple[int, int, Placement]]:

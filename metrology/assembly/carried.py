@@ -30,21 +30,14 @@ _SPARSE_MM = 10.0  # of a remembered course
 
 @dataclass(frozen=True)
 class Known:
-    """What an earlier assembly named.
-
-    Attributes
-    ----------
-    part : int
-        Of the assembly before, in whose frame it lies.
-    places : (n, 4) ndarray
-        s, x, y, z, mm; one row with s = 0 for what is no course.
-    side : float
-        Of a course: positive where side B lies to the left of it for a viewer outside; 0 where unknown.
-    """
+    """What an earlier assembly named."""
 
     part: int
+    """Of the assembly before, in whose frame it lies."""
     places: Array
+    """(n, 4): s, x, y, z, mm; one row with s = 0 for what is no course."""
     side: float = 0.0
+    """Of a course: positive where side B lies to the left of it for a viewer outside; 0 where unknown."""
 
 
 Names = Mapping[str, Mapping[str, Known]]
@@ -53,23 +46,15 @@ Names = Mapping[str, Mapping[str, Known]]
 
 @dataclass(frozen=True)
 class Former:
-    """The assembly before.
-
-    Attributes
-    ----------
-    scans : mapping of str to (str, int, Placement)
-        Station, part and placement of its scans, by scene id.
-    frames : mapping of int to str
-        Which frame each part lies in.
-    names : Names
-    load : callable
-        Fetches one of the scans by its scene id; None where the archive has it no more.
-    """
+    """The assembly before."""
 
     scans: Mapping[str, tuple[str, int, Placement]]
+    """Station, part and placement of its scans, by scene id."""
     frames: Mapping[int, str]
+    """Which frame each part lies in."""
     names: Names
     load: Callable[[str], PanelScan | None]
+    """Fetches one of the scans by its scene id; None where the archive has it no more."""
 
 
 def with_frames(assembly: Assembly, layout: PanelLayout, former: Former | None) -> Assembly:

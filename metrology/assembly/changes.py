@@ -26,23 +26,15 @@ _STAY = (RIVET, SEAM_STATION)
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What an assembly says.
-
-    Attributes
-    ----------
-    frames : mapping of int to str
-        The name of each part's frame.
-    features : mapping of str to sequence of (int, Feature)
-        Part and judged row, by the names of the kinds.
-    findings : sequence of FindingRow
-    shows : callable
-        Whether skin was seen at a frame's x and y, mm.
-    """
+    """What an assembly says."""
 
     frames: Mapping[int, str]
+    """The name of each part's frame."""
     features: Mapping[str, Sequence[tuple[int, Feature]]]
+    """Part and judged row, by the names of the kinds."""
     findings: Sequence[FindingRow]
     shows: Callable[[str, float, float], bool]
+    """Whether skin was seen at a frame's x and y, mm."""
 
     def of(self, finding: FindingRow) -> tuple[str, list[Feature]]:
         """The frame and the rows of a finding."""

@@ -26,21 +26,14 @@ _CELL_MM = 5.0
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of a panel is covered.
-
-    Attributes
-    ----------
-    rows : tuple of CoverageRow
-        Of every nominal fastener and stretch of a seam; empty where no pattern says what there should be.
-    area_mm2 : float
-        Skin that was measured.
-    next_station : str or None
-        Where to stand next; None where nothing is missing.
-    """
+    """How much of a panel is covered."""
 
     rows: tuple[CoverageRow, ...]
+    """Of every nominal fastener and stretch of a seam; empty where no pattern says what there should be."""
     area_mm2: float
+    """Skin that was measured."""
     next_station: str | None
+    """Where to stand next; None where nothing is missing."""
 
     @property
     def gaps(self) -> list[str]:

@@ -26,21 +26,14 @@ LEAST_REACH_MM = 1.0
 
 @dataclass(frozen=True)
 class Sighting:
-    """A row of a scan, in the panel's frame.
-
-    Attributes
-    ----------
-    scan : int
-        Number of the scan.
-    row : Feature
-        With panel coordinates.
-    place_u95_mm : float or None
-        U95 of its place, mm.
-    """
+    """A row of a scan, in the panel's frame."""
 
     scan: int
+    """Number of the scan."""
     row: Feature
+    """With panel coordinates."""
     place_u95_mm: float | None = None
+    """U95 of its place, mm."""
 
     @property
     def place(self) -> Array:
@@ -51,21 +44,13 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Difference:
-    """What two scans say of one quantity of a feature.
-
-    Attributes
-    ----------
-    quantity : Quantity
-    scans : (int, int)
-    values : (float, float)
-    u95 : float
-        Of the difference.
-    """
+    """What two scans say of one quantity of a feature."""
 
     quantity: Quantity
     scans: tuple[int, int]
     values: tuple[float, float]
     u95: float
+    """Of the difference."""
 
     @property
     def beyond(self) -> bool:
@@ -75,37 +60,24 @@ class Difference:
 
 @dataclass(frozen=True)
 class PanelFeature:
-    """A physical feature of the panel.
-
-    Attributes
-    ----------
-    kind : Kind
-    part : int
-        Number of the part whose frame its place is in.
-    row : Feature
-        Its name, place and values, of all scans together.
-    best : int
-        The scan that measured it best.
-    seen_by, measured_by : tuple of int
-        Scans that found it, and those whose values are in it.
-    seen_as : tuple of str
-        What the scans that found it call it.
-    side : float
-        Of a course: positive where side B lies to the left of it for a viewer outside; 0 where unknown.
-    place_u95_mm : float or None
-    differences : tuple of Difference
-    """
+    """A physical feature of the panel."""
 
     kind: Kind
     part: int
+    """Number of the part whose frame its place is in."""
     row: Feature
+    """Its name, place and values, of all scans together."""
     best: int
+    """The scan that measured it best."""
     seen_by: tuple[int, ...]
     measured_by: tuple[int, ...]
+    """seen_by, measured_by: scans that found it, and those whose values are in it."""
     place_u95_mm: float | None
     differences: tuple[Difference, ...] = ()
     seen_as: tuple[str, ...] = ()
+    """What the scans that found it call it."""
     side: float = 0.0
+    """Of a course: positive where side B lies to the left of it for a viewer outside; 0 where unknown."""
 
     @property
     def name(self) -> str:

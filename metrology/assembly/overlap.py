@@ -45,27 +45,19 @@ NO_SKIN = SkinTies(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empt
 
 @dataclass(frozen=True)
 class SeamTies:
-    """Seam positions of the second scan beside the first one's course, rig frames.
-
-    Attributes
-    ----------
-    first, second : (k, 3) ndarray
-        The foot on the first scan's course, and the position.
-    tangent : (k, 3) ndarray
-        Of the first scan's course.
-    steps : (k, 2) ndarray
-        Step of the first and the second, on the same sides, mm; NaN where not measured.
-    step_u95 : (k, 2) ndarray
-    seams : tuple of (str, str)
-        Names of the seams that belong together.
-    """
+    """Seam positions of the second scan beside the first one's course, rig frames."""
 
     first: Array
     second: Array
+    """first, second: (k, 3): the foot on the first scan's course, and the position."""
     tangent: Array
+    """(k, 3): of the first scan's course."""
     steps: Array
+    """(k, 2): step of the first and the second, on the same sides, mm; NaN where not measured."""
     step_u95: Array
+    """(k, 2)."""
     seams: tuple[tuple[str, str], ...] = ()
+    """Names of the seams that belong together."""
 
     def __len__(self) -> int:
         return len(self.first)

@@ -56,24 +56,16 @@ DISTINCT = float(np.log(20.0))
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Two scans of one skin.
-
-    Attributes
-    ----------
-    placement : Placement
-        From the second scan's rig frame to the first one's.
-    evidence : float
-        Natural logarithm of the odds.
-    rival : float
-        The evidence of the best placement that pairs heads otherwise; −inf where there is none.
-    heads : (m, 2) ndarray of int
-        Heads that are the same.
-    """
+    """Two scans of one skin."""
 
     placement: Placement
+    """From the second scan's rig frame to the first one's."""
     evidence: float
+    """Natural logarithm of the odds."""
     rival: float
+    """The evidence of the best placement that pairs heads otherwise; −inf where there is none."""
     heads: Ints
+    """(m, 2) of int: heads that are the same."""
 
     @property
     def ambiguous(self) -> bool:

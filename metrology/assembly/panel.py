@@ -65,7 +65,6 @@ def panel_features(
     ----------
     assembly : Assembly
         Its scans hold rows as measured, not judged.
-    spec : PanelSpec
     layout : PanelLayout, optional
         The specification's pattern, whose names stay.
     former : Former, optional

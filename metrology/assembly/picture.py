@@ -34,29 +34,20 @@ _BRIGHT = 120.0  # median grey of each scan's share
 
 @dataclass(frozen=True)
 class Stitched:
-    """A part of a panel as it looks from outside, x to the right and y upwards.
-
-    Attributes
-    ----------
-    part : int
-    grey : (h, w) uint8
-    seen : (h, w) bool
-        Where any scan measured the skin.
-    deviation : (h / FINER, w / FINER) float32
-        Above the smooth skin, along its normal, mm; NaN where there is no point.
-    left_mm, top_mm : float
-        x of the picture's left edge and y of its upper edge, panel's frame.
-    mm_per_px : float
-        Of the picture.
-    """
+    """A part of a panel as it looks from outside, x to the right and y upwards."""
 
     part: int
     grey: Texture
+    """(h, w) uint8."""
     seen: NDArray[np.bool_]
+    """(h, w): where any scan measured the skin."""
     deviation: NDArray[np.float32]
+    """(h / FINER, w / FINER) float32: above the smooth skin, along its normal, mm; NaN where there is no point."""
     left_mm: float
     top_mm: float
+    """left_mm, top_mm: x of the picture's left edge and y of its upper edge, panel's frame."""
     mm_per_px: float
+    """Of the picture."""
 
     @property
     def size_mm(self) -> tuple[float, float]:

@@ -19,42 +19,26 @@ from metrology.results import PanelKey, SceneKey
 
 @dataclass(frozen=True)
 class PanelResult:
-    """An assembled panel.
-
-    Attributes
-    ----------
-    key : PanelKey
-    assembly : Assembly
-    runs : mapping of SceneKey to str
-        The run of each scan that went in.
-    features : mapping
-        By kind, named and judged.
-    panel_spec : mapping
-        The specification that it was judged by, as plain values.
-    spec_name : str
-        Its panel and revision.
-    judgement : Judgement
-    coverage : Coverage
-    warnings : tuple of str
-    versions : mapping
-    pictures : tuple of Stitched
-        Of each part.
-    remembered : mapping
-        Names of earlier assemblies that nothing in this one has.
-    """
+    """An assembled panel."""
 
     key: PanelKey
     assembly: Assembly
     runs: Mapping[SceneKey, str]
+    """The run of each scan that went in."""
     features: PanelFeatures
+    """By kind, named and judged."""
     panel_spec: Mapping[str, Any]
+    """The specification that it was judged by, as plain values."""
     spec_name: str
+    """Its panel and revision."""
     judgement: Judgement
     coverage: Coverage
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     pictures: tuple[Stitched, ...] = ()
+    """Of each part."""
     remembered: Names = field(default_factory=dict)
+    """Names of earlier assemblies that nothing in this one has."""
 
     @property
     def captured_at(self) -> datetime:

@@ -25,26 +25,17 @@ _REACH_SPACINGS = 1.5  # positions farther apart than this have something unmeas
 
 @dataclass(frozen=True)
 class Piece:
-    """A scan's rows of one course.
-
-    Attributes
-    ----------
-    scan : int
-    name : str
-        By the scan.
-    sightings : tuple of Sighting
-        In the order along it.
-    across : (k, 3) ndarray or None
-        From side A to side B at the rows with a place, panel frame.
-    listed : bool
-        Whether the name is the specification's.
-    """
+    """A scan's rows of one course."""
 
     scan: int
     name: str
+    """By the scan."""
     sightings: tuple[Sighting, ...]
+    """In the order along it."""
     across: Array | None = None
+    """(k, 3) or None: from side A to side B at the rows with a place, panel frame."""
     listed: bool = False
+    """Whether the name is the specification's."""
 
     @property
     def placed(self) -> list[Sighting]:

@@ -27,18 +27,12 @@ _NORMAL_REACH = 1.5  # in diameters of the head
 
 @dataclass(frozen=True)
 class Skin:
-    """Points of the left image's grid, every STRIDE-th row and column.
-
-    Attributes
-    ----------
-    points : (h, w, 3) float32
-        Rig frame, mm; NaN where none.
-    sigma : (h, w) float32
-        Standard deviation of a point's depth, mm.
-    """
+    """Points of the left image's grid, every STRIDE-th row and column."""
 
     points: NDArray[np.float32]
+    """(h, w, 3) float32: rig frame, mm; NaN where none."""
     sigma: NDArray[np.float32]
+    """(h, w) float32: standard deviation of a point's depth, mm."""
 
     @classmethod
     def thinned(cls, points: NDArray[np.float32], sigma: NDArray[np.float32]) -> Skin:
@@ -74,30 +68,20 @@ class Skin:
 
 @dataclass(frozen=True)
 class PanelScan:
-    """A scan of a panel.
-
-    Attributes
-    ----------
-    key : SceneKey
-    rig : Rig
-    skin : Skin
-    features : mapping
-        As stored, by the names of the kinds.
-    across : mapping of (str, float) to (3,) ndarray
-        From side A to side B of seam positions (seam_id, s_mm), rig frame, where it is kept.
-    nominal : Placement or None
-        In the frame of the specification's pattern, where the scan was recognised in it.
-    expected : Placement or None
-        Where the station should stand: good enough to know which scans cannot overlap.
-    """
+    """A scan of a panel."""
 
     key: SceneKey
     rig: Rig
     skin: Skin
     features: Features
+    """As stored, by the names of the kinds."""
     across: Mapping[tuple[str, float], Array] = field(default_factory=dict)
+    """mapping of (str, float) to (3,): from side A to side B of seam positions (seam_id, s_mm), rig frame, where it is
+    kept."""
     nominal: Placement | None = None
+    """In the frame of the specification's pattern, where the scan was recognised in it."""
     expected: Placement | None = None
+    """Where the station should stand: good enough to know which scans cannot overlap."""
 
     @cached_property
     def heads(self) -> tuple[Rivet, ...]:

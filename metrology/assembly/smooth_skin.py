@@ -22,17 +22,12 @@ _LEAST_MM = 0.005  # scatter of a skin's points
 
 @dataclass(frozen=True)
 class SmoothSkin:
-    """A tensor product of cubic splines.
-
-    Attributes
-    ----------
-    knots : (x, y)
-        Of the two directions, mm.
-    coefficients : (nx, ny) ndarray
-    """
+    """A tensor product of cubic splines."""
 
     knots: tuple[Array, Array]
+    """(x, y): of the two directions, mm."""
     coefficients: Array
+    """(nx, ny)."""
 
     @classmethod
     def fitted(cls, points: Array) -> SmoothSkin:

@@ -18,19 +18,11 @@ from metrology.verdicts import IN_ORDER
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a panel is judged to be.
-
-    Attributes
-    ----------
-    verdict : PanelVerdict
-    reason : str
-        The rule that decided, or what is missing.
-    rules : tuple of RuleRow
-    findings : tuple of FindingRow
-    """
+    """What a panel is judged to be."""
 
     verdict: PanelVerdict
     reason: str
+    """The rule that decided, or what is missing."""
     rules: tuple[RuleRow, ...]
     findings: tuple[FindingRow, ...]
 

@@ -26,24 +26,16 @@ _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
 @dataclass(frozen=True)
 class OverlaySettings:
-    """How the overlay looks.
-
-    Attributes
-    ----------
-    background : int
-        Grey level of the unmarked field, 0 … 255: dim enough for the marks, bright enough to see the skin.
-    text_height_mm : float
-        Height of a capital letter on the skin; 4 mm reads well at 1 m.
-    line_width_px : int
-        Base line width in projector pixels.
-    label_every_mm : float
-        Distance between value labels along a seam whose verdict does not change.
-    """
+    """How the overlay looks."""
 
     background: int = 24
+    """Grey level of the unmarked field, 0 … 255: dim enough for the marks, bright enough to see the skin."""
     text_height_mm: float = 4.0
+    """Height of a capital letter on the skin; 4 mm reads well at 1 m."""
     line_width_px: int = 2
+    """Base line width in projector pixels."""
     label_every_mm: float = 50.0
+    """Distance between value labels along a seam whose verdict does not change."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.background <= 255:
@@ -58,21 +50,18 @@ class Overlay:
 
     Attributes
     ----------
-    size : (width, height)
-        The projector's, pixels.
-    background : int
-        Grey level.
     strokes, labels
         What is drawn, projector pixels.
-    outside : tuple of str
-        Ids of the rivets, and of the seams with stations, that the projector's field does not reach.
     """
 
     size: tuple[int, int]
+    """(width, height): the projector's, pixels."""
     background: int
+    """Grey level."""
     strokes: tuple[Stroke, ...]
     labels: tuple[Label, ...]
     outside: tuple[str, ...] = field(default=())
+    """Ids of the rivets, and of the seams with stations, that the projector's field does not reach."""
 
     def image(self) -> NDArray[np.uint8]:
         """(h, w, 3) uint8 RGB at the projector's resolution."""

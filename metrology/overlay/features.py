@@ -38,32 +38,20 @@ class Wish:
 
 @dataclass(frozen=True)
 class Canvas:
-    """What is drawn on, and what was drawn so far.
-
-    Attributes
-    ----------
-    reconstruction : MeasuredSkin
-    layout : Layout
-    px_per_mm : float
-        Projector pixels per millimetre of skin.
-    line_width : int
-    label_every_mm : float
-    names : mapping of str to str, or None
-        What is written before the values, by the names of single features and of courses; without it, nothing is.
-    strokes, wishes : list
-    outside : list of str
-        Names of what the projector's field does not reach, at least in part.
-    """
+    """What is drawn on, and what was drawn so far."""
 
     reconstruction: MeasuredSkin
     layout: Layout
     px_per_mm: float
+    """Projector pixels per millimetre of skin."""
     line_width: int
     label_every_mm: float
     names: Mapping[str, str] | None = None
+    """What is written before the values, by the names of single features and of courses; without it, nothing is."""
     strokes: list[Stroke] = field(default_factory=list)
     wishes: list[Wish] = field(default_factory=list)
     outside: list[str] = field(default_factory=list)
+    """Names of what the projector's field does not reach, at least in part."""
 
     def named(self, name: str, text: str) -> str:
         """A label's text, behind the name of its feature where names are written."""

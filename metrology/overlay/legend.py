@@ -46,7 +46,6 @@ def draw_legend(
     Parameters
     ----------
     groups : sequence of lists of Entry
-    layout : Layout
     height : float
         Of a capital letter, px.
     angle : float

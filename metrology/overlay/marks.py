@@ -69,7 +69,6 @@ def rivet_marks(outline: Array, severity: Severity | None, width: int) -> list[S
     ----------
     outline : (n, 2) array
         Points around the rim, projector pixels.
-    severity : "green", "blue", "red" or None
     width : int
         Base line width in pixels.
     """
@@ -116,8 +115,6 @@ def seam_marks(course: Array, severity: Severity | None, px_per_mm: float, width
     ----------
     course : (n, 2) array
         The stations, projector pixels.
-    severity : "green", "blue", "red" or None
-    px_per_mm : float
     width : int
         Base line width in pixels.
     """
@@ -163,7 +160,6 @@ def circle_points(
     ----------
     centre_mm, normal : (3,) arrays
         Rig frame.
-    radius_mm : float
     project : function
         (n, 3) points of the rig frame to (n, 2) projector pixels.
 

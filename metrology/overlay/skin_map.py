@@ -34,25 +34,18 @@ class MeasuredSkin(Protocol):
 
 @dataclass(frozen=True)
 class SkinMap:
-    """The skin in projector pixels.
-
-    Attributes
-    ----------
-    px_per_mm : float
-        Projector pixels per millimetre along the skin, downwards in the left image; the most over the field, so that
-        what is drawn by it is nowhere smaller than asked for.
-    angle : float
-        Direction of the left image's +u in the projector image, radians: the operator's horizontal.
-    cell_px : float
-        Size of the table's cells, projector pixels.
-    table : (rows + 1, columns + 1) ndarray of int
-        Number of cells with skin above and to the left of each corner (a summed-area table).
-    """
+    """The skin in projector pixels."""
 
     px_per_mm: float
+    """Projector pixels per millimetre along the skin, downwards in the left image; the most over the field, so that
+    what is drawn by it is nowhere smaller than asked for."""
     angle: float
+    """Direction of the left image's +u in the projector image, radians: the operator's horizontal."""
     cell_px: float
+    """Size of the table's cells, projector pixels."""
     table: NDArray[np.int64]
+    """(rows + 1, columns + 1) of int: number of cells with skin above and to the left of each corner (a summed-area
+    table)."""
 
     def share(self, low: Array, high: Array) -> Array:
         """(n,) shares of boxes that lie on the skin; corners (n, 2) in projector pixels."""

@@ -22,23 +22,15 @@ _ALONG_THE_SEAM = 0.17
 
 @dataclass(frozen=True)
 class _Piece:
-    """A found piece of a seam.
-
-    Attributes
-    ----------
-    stations : sequence of SeamStation
-    measured : list of SeamStation
-        Those with a place, k of them.
-    foot : Foot
-        Their feet on the nominal course.
-    across : (k, 3) ndarray
-        From side A to side B, rig frame.
-    """
+    """A found piece of a seam."""
 
     stations: Sequence[SeamStation]
     measured: list[SeamStation]
+    """Those with a place, k of them."""
     foot: Foot
+    """Their feet on the nominal course."""
     across: Array
+    """(k, 3): from side A to side B, rig frame."""
 
 
 def on_course(pieces: Sequence[Sequence[SeamStation]], seam: NominalSeam, placement: Placement) -> list[SeamStation]:

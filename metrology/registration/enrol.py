@@ -38,7 +38,6 @@ def enrol(
         With the ids that they are to keep. What is unconfirmed is no part of the pattern.
     points : (h, w, 3) array
         Organised cloud on the left image's pixels, rig frame, mm.
-    station : str
     doubts : sequence of str
         Why nobody can vouch for the scan; with any, or with neither rivets nor seams, it becomes no pattern.
     """

@@ -25,46 +25,31 @@ _INDEPENDENT_STATIONS = 5
 
 @dataclass(frozen=True)
 class FitWeights:
-    """Standard deviations that weigh the residuals.
-
-    Attributes
-    ----------
-    rivet_mm : float
-        Of a rivet's position against the nominal one.
-    normal_rad : float
-        Of the skin's direction against the nominal one.
-    seam_mm : float
-        Of a seam's course against the nominal one.
-    prior_mm, prior_rad : float
-        Of the placement before the fit, in shift and turn.
-    """
+    """Standard deviations that weigh the residuals."""
 
     rivet_mm: float = 0.5
+    """Of a rivet's position against the nominal one."""
     normal_rad: float = 0.035
+    """Of the skin's direction against the nominal one."""
     seam_mm: float = 1.0
+    """Of a seam's course against the nominal one."""
     prior_mm: float = 50.0
     prior_rad: float = 0.1
+    """prior_mm, prior_rad: of the placement before the fit, in shift and turn."""
 
 
 @dataclass(frozen=True)
 class Correspondences:
-    """What belongs together: n rivets with positions in both frames, and pieces of seams with their nominal seam.
-
-    Attributes
-    ----------
-    found, nominal : (n, 3) ndarray
-        Rivets in the rig frame and in the panel frame, mm.
-    found_normals, nominal_normals : (n, 3) ndarray
-        Unit normals; NaN where unknown.
-    seams : sequence of ((k, 3) ndarray, NominalSeam)
-        Stations in the rig frame.
-    """
+    """What belongs together: n rivets with positions in both frames, and pieces of seams with their nominal seam."""
 
     found: Array
     nominal: Array
+    """found, nominal: (n, 3): rivets in the rig frame and in the panel frame, mm."""
     found_normals: Array
     nominal_normals: Array
+    """found_normals, nominal_normals: (n, 3): unit normals; NaN where unknown."""
     seams: Sequence[tuple[Array, NominalSeam]] = ()
+    """sequence of ((k, 3), NominalSeam): stations in the rig frame."""
 
 
 def fit_placement(pairs: Correspondences, start: Placement, prior: Placement, weights: FitWeights) -> Placement:

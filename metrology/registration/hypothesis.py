@@ -42,23 +42,15 @@ class Scan:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A refined placement and what belongs together under it.
-
-    Attributes
-    ----------
-    placement : Placement
-    partner : (n,) ndarray of int
-        Index of the nominal rivet per found one, −1 where none.
-    seams : mapping of str to NominalSeam
-        By the scan's own seam id.
-    score : float
-        Log-probability up to a constant.
-    """
+    """A refined placement and what belongs together under it."""
 
     placement: Placement
     partner: Ints
+    """(n,) of int: index of the nominal rivet per found one, −1 where none."""
     seams: Mapping[str, NominalSeam]
+    """By the scan's own seam id."""
     score: float
+    """Log-probability up to a constant."""
 
     def same_as(self, other: Hypothesis) -> bool:
         """Whether both name most features alike."""
@@ -70,24 +62,14 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Matcher:
-    """A scan held against a pattern.
-
-    Attributes
-    ----------
-    scan : Scan
-    nominal : PointPattern
-        The layout's rivets.
-    layout : PanelLayout
-    prior : Placement or None
-        The station's nominal placement.
-    rig : Rig
-    settings : RegistrationSettings
-    """
+    """A scan held against a pattern."""
 
     scan: Scan
     nominal: PointPattern
+    """The layout's rivets."""
     layout: PanelLayout
     prior: Placement | None
+    """The station's nominal placement."""
     rig: Rig
     settings: RegistrationSettings
 

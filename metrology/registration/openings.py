@@ -21,7 +21,6 @@ def missing_fasteners(holes: Sequence[Hole], missing: Sequence[NominalRivet]) ->
     ----------
     holes : sequence of Hole
         In panel coordinates where the panel was recognised.
-    missing : sequence of NominalRivet
     """
     return [_named(hole, missing) for hole in holes]
 

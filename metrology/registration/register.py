@@ -42,46 +42,32 @@ _AMBIGUOUS = float(np.log(20.0))
 
 @dataclass(frozen=True)
 class Registration:
-    """A scan in terms of its panel.
-
-    Attributes
-    ----------
-    status : "recognised", "enrolled", "not enrolled" or "not recognised"
-        Not enrolled: there is no pattern yet, and this scan is not fit to become it.
-    placement : Placement or None
-        Rig frame to panel frame.
-    rivets, stations : tuple
-        With the panel's ids, zones and panel coordinates; rows for what is missing included where
-        asked for. As measured where the scan was not recognised.
-    matched, missing, unlisted : tuple of str
-        Rivet ids: recognised; expected in view and not found; found and in no pattern.
-    rms_mm : float or None
-        Of the recognised rivets' distances from their nominal places.
-    shift_mm, turn_deg : float or None
-        How far the rig stands from the station's nominal placement.
-    warnings : tuple of str
-    enrolled : PanelLayout or None
-        The pattern whose first scan this one is.
-    others : mapping
-        Features of other kinds, which no pattern names, in panel coordinates where the placement is known.
-    ambiguous : bool
-        Whether another placement fits almost as well, so that names may be shifted.
-    """
+    """A scan in terms of its panel."""
 
     status: Status
+    """Not enrolled: there is no pattern yet, and this scan is not fit to become it."""
     placement: Placement | None
+    """Rig frame to panel frame."""
     rivets: tuple[Rivet, ...]
     stations: tuple[SeamStation, ...]
+    """rivets, stations: with the panel's ids, zones and panel coordinates; rows for what is missing included where
+    asked for. As measured where the scan was not recognised."""
     matched: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     unlisted: tuple[str, ...] = ()
+    """matched, missing, unlisted: rivet ids: recognised; expected in view and not found; found and in no pattern."""
     rms_mm: float | None = None
+    """Of the recognised rivets' distances from their nominal places."""
     shift_mm: float | None = None
     turn_deg: float | None = None
+    """shift_mm, turn_deg: how far the rig stands from the station's nominal placement."""
     warnings: tuple[str, ...] = ()
     enrolled: PanelLayout | None = None
+    """The pattern whose first scan this one is."""
     others: Features = field(default_factory=dict)
+    """Features of other kinds, which no pattern names, in panel coordinates where the placement is known."""
     ambiguous: bool = False
+    """Whether another placement fits almost as well, so that names may be shifted."""
 
     @property
     def features(self) -> Features:
@@ -107,7 +93,6 @@ def register(
         As measured, with ids of the scan's own.
     reconstruction : Reconstruction
         Gives the rig (what is in view) and the skin's direction.
-    layout : PanelLayout
     station : str
         Which nominal placement the rig is near; where the layout has none by that name, the whole pattern is searched.
     missing_rows : bool

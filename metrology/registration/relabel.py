@@ -25,26 +25,17 @@ _COURSE_SAMPLE_MM = 2.0
 
 @dataclass(frozen=True)
 class Recognised:
-    """What is what.
-
-    Attributes
-    ----------
-    placement : Placement
-    rivets : mapping of int to NominalRivet
-        By row of the scan's rivets.
-    missing : sequence of NominalRivet
-        Expected in view, not found.
-    seams : mapping of str to NominalSeam
-        By the scan's own seam id.
-    missing_rows : bool
-        Whether missing rivets become rows.
-    """
+    """What is what."""
 
     placement: Placement
     rivets: Mapping[int, NominalRivet]
+    """By row of the scan's rivets."""
     missing: Sequence[NominalRivet]
+    """Expected in view, not found."""
     seams: Mapping[str, NominalSeam]
+    """By the scan's own seam id."""
     missing_rows: bool
+    """Whether missing rivets become rows."""
 
 
 def relabel_rivets(rivets: Sequence[Rivet], known: Recognised, reconstruction: Reconstruction) -> list[Rivet]:

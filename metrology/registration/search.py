@@ -40,25 +40,17 @@ class PointPattern:
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """How far a candidate may be from the nominal placement and from agreement.
-
-    Attributes
-    ----------
-    tolerance_mm : float
-        Between a found and a nominal rivet, along the skin.
-    off_skin_mm : float
-        The same across the skin, before the turn about the line of the pair is refined.
-    max_turn_rad, max_shift_mm : float
-        Of the rig against its nominal placement.
-    diameter_ratio : float
-        Heads whose diameters differ by a larger factor are different rivets.
-    """
+    """How far a candidate may be from the nominal placement and from agreement."""
 
     tolerance_mm: float
+    """Between a found and a nominal rivet, along the skin."""
     off_skin_mm: float
+    """The same across the skin, before the turn about the line of the pair is refined."""
     max_turn_rad: float
     max_shift_mm: float
+    """max_turn_rad, max_shift_mm: of the rig against its nominal placement."""
     diameter_ratio: float
+    """Heads whose diameters differ by a larger factor are different rivets."""
 
 
 def estimated_normals(positions: Array) -> Array:

@@ -14,29 +14,19 @@ State = Literal["done", "partly", "not", "no pattern"]
 
 @dataclass(frozen=True)
 class AircraftPanel:
-    """A panel of an aircraft.
-
-    Attributes
-    ----------
-    panel : str
-    state : "done", "partly", "not" or "no pattern"
-        Done: every nominal feature was measured, in one frame. No pattern: nothing says what there should be.
-    n_scans : int
-        Stations that have a scan.
-    verdict : str or None
-        None where the scans were not put together.
-    missing : str
-        What is not done, in words.
-    next_station : str or None
-        Where to stand next.
-    """
+    """A panel of an aircraft."""
 
     panel: str
     state: State
+    """Done: every nominal feature was measured, in one frame. No pattern: nothing says what there should be."""
     n_scans: int
+    """Stations that have a scan."""
     verdict: str | None
+    """None where the scans were not put together."""
     missing: str
+    """What is not done, in words."""
     next_station: str | None
+    """Where to stand next."""
 
 
 def panels_of_aircraft(store: Store, aircraft: str) -> list[AircraftPanel]:

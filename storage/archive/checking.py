@@ -30,18 +30,12 @@ _CHECKING_THREADS = 4
 
 @dataclass(frozen=True)
 class Check:
-    """What a check of an archive found.
-
-    Attributes
-    ----------
-    runs : int
-        Bundles looked at.
-    problems : tuple of str
-        One line each; empty where all is well.
-    """
+    """What a check of an archive found."""
 
     runs: int
+    """Bundles looked at."""
     problems: tuple[str, ...]
+    """One line each; empty where all is well."""
 
 
 def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequence[Head] = ()) -> Check:

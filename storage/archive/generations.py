@@ -40,21 +40,14 @@ WORTHWHILE_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class Note:
-    """What a generation has more than the one before it; lies beside it.
-
-    Attributes
-    ----------
-    before : str
-        Name of the generation before.
-    runs : tuple of str
-        Runs that were taken up, by their paths in the store.
-    fingerprint : tuple of int
-        Of the generation.
-    """
+    """What a generation has more than the one before it; lies beside it."""
 
     before: str
+    """Name of the generation before."""
     runs: tuple[str, ...]
+    """Runs that were taken up, by their paths in the store."""
     fingerprint: tuple[int, ...]
+    """Of the generation."""
 
 
 def publish(layout: Layout, runs: Sequence[Path]) -> dict[Path, str]:

@@ -29,25 +29,17 @@ _COLUMNS = ("scene_id", "run_id", "config_hash", "rig_hash", "frames_digest", "f
 
 @dataclass(frozen=True)
 class KnownScene:
-    """A scene that has a run, as its shown or newest run has it.
-
-    Attributes
-    ----------
-    run_id : str
-    config_hash, rig_hash : str
-        Settings and limits, and rig, of that run.
-    frames_digest, files_state : str or None
-        Content and files of its frames; None for runs stored before these were kept.
-    first_stored_at : datetime or None
-        When a run of the scene was stored for the first time.
-    """
+    """A scene that has a run, as its shown or newest run has it."""
 
     run_id: str
     config_hash: str
     rig_hash: str
+    """config_hash, rig_hash: settings and limits, and rig, of that run."""
     frames_digest: str | None = None
     files_state: str | None = None
+    """frames_digest, files_state: content and files of its frames; None for runs stored before these were kept."""
     first_stored_at: datetime | None = None
+    """When a run of the scene was stored for the first time."""
 
     def refuse_other(self, scene_id: str, digest: str | None, place: object) -> None:
         """Refuse frames that differ from the scene's; `place` is where they lie."""

@@ -22,22 +22,15 @@ _ACCEPTED = "use as is"
 
 @dataclass(frozen=True)
 class Accepted:
-    """A defect of a scan that was accepted on an earlier one.
-
-    Attributes
-    ----------
-    defect_id, who : str
-    at : datetime
-        When it was accepted.
-    change_mm, change_u95_mm : float or None
-        Of its depth since then; None where one of the two was not measured.
-    """
+    """A defect of a scan that was accepted on an earlier one."""
 
     defect_id: str
     who: str
     at: datetime
+    """When it was accepted."""
     change_mm: float | None
     change_u95_mm: float | None
+    """change_mm, change_u95_mm: of its depth since then; None where one of the two was not measured."""
 
     def __str__(self) -> str:
         since = "its depth was not measured both times"

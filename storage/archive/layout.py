@@ -107,16 +107,10 @@ class Layout:
 
 @dataclass(frozen=True)
 class ScenePaths:
-    """Files of a scene's current run.
-
-    Attributes
-    ----------
-    bundle : Path
-        The run's folder, with its manifest, rig and tables.
-    cloud, overlay, preview : Path
-    """
+    """Files of a scene's current run."""
 
     bundle: Path
+    """The run's folder, with its manifest, rig and tables."""
     cloud: Path
     overlay: Path
     preview: Path

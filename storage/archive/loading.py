@@ -33,18 +33,12 @@ _ARRIVED = "arrived_"
 
 @dataclass
 class Outcome:
-    """What became of runs that were to be loaded.
-
-    Attributes
-    ----------
-    loaded : dict
-        Digests of the rows, by run.
-    refused : dict
-        What is wrong, by run; one line each.
-    """
+    """What became of runs that were to be loaded."""
 
     loaded: dict[Path, int] = field(default_factory=dict)
+    """Digests of the rows, by run."""
     refused: dict[Path, str] = field(default_factory=dict)
+    """What is wrong, by run; one line each."""
 
     def add(self, other: Outcome) -> None:
         """Take another outcome in."""

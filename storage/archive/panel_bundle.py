@@ -39,42 +39,27 @@ REMEMBERED, SIDES = "remembered", "sides"
 
 @dataclass(frozen=True)
 class PanelDocument:
-    """A panel as it is stored.
-
-    Attributes
-    ----------
-    key : PanelKey
-    captured_at : datetime
-        When the newest of its scans was taken.
-    rows : mapping
-        Of every table, without what only the run knows.
-    panel_spec : mapping
-        The specification that it was judged by.
-    scenes : mapping of str to str
-        The run of each scan that went in.
-    warnings : tuple of str
-    versions : mapping
-    remembered : mapping
-        Names of earlier assemblies that nothing in this one has, by kind: part, places and side.
-    sides : mapping
-        Where side B of each course lies, by kind and name.
-    pictures : sequence of mapping
-        What the manifest says of the stitched pictures.
-    files : mapping of str to bytes
-        Their files.
-    """
+    """A panel as it is stored."""
 
     key: PanelKey
     captured_at: datetime
+    """When the newest of its scans was taken."""
     rows: Mapping[str, Sequence[Row]]
+    """Of every table, without what only the run knows."""
     panel_spec: Mapping[str, Any]
+    """The specification that it was judged by."""
     scenes: Mapping[str, str]
+    """The run of each scan that went in."""
     warnings: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     remembered: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Names of earlier assemblies that nothing in this one has, by kind: part, places and side."""
     sides: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Where side B of each course lies, by kind and name."""
     pictures: Sequence[Mapping[str, Any]] = ()
+    """What the manifest says of the stitched pictures."""
     files: Mapping[str, bytes] = field(default_factory=dict)
+    """Their files."""
 
 
 def write_panel_bundle(

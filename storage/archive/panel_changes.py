@@ -36,26 +36,16 @@ _SHIFT = timedelta(hours=4)  # scans farther apart are of different shifts
 
 @dataclass(frozen=True)
 class PanelRun:
-    """A run of a panel's assembly, or one in the making.
-
-    Attributes
-    ----------
-    run_id : str
-    captured_at : datetime
-    scenes : frozenset of str
-    manifest : mapping
-    rows : callable
-        The rows of a table.
-    read : callable
-        The content of one of its files.
-    """
+    """A run of a panel's assembly, or one in the making."""
 
     run_id: str
     captured_at: datetime
     scenes: frozenset[str]
     manifest: Row
     rows: Callable[[str], Sequence[Row]]
+    """The rows of a table."""
     read: Callable[[str], bytes]
+    """The content of one of its files."""
 
     @property
     def spec(self) -> PanelSpecification:

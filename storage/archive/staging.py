@@ -31,23 +31,15 @@ REMOVED = ".removed"
 
 @dataclass(frozen=True)
 class StagedRun:
-    """A run being written.
-
-    Attributes
-    ----------
-    run_id : str
-    folder : Path
-        Where its files are written.
-    final : Path
-        Where the folder will lie.
-    first_stored_at : datetime or None
-        When the scene's first run was stored; None where this is the first one.
-    """
+    """A run being written."""
 
     run_id: str
     folder: Path
+    """Where its files are written."""
     final: Path
+    """Where the folder will lie."""
     first_stored_at: datetime | None = None
+    """When the scene's first run was stored; None where this is the first one."""
 
 
 @contextlib.contextmanager

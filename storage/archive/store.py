@@ -283,7 +283,6 @@ class Store:
         ----------
         sql : str
             With ``?`` where a parameter goes.
-        parameters : sequence
         """
         import duckdb
 

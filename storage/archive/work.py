@@ -77,13 +77,7 @@ _STATE = f"""CASE WHEN d.open_work THEN '{OPEN_WORK}' WHEN g.signed_by IS NOT NU
 
 @dataclass(frozen=True)
 class Standing:
-    """How a finding stands.
-
-    Attributes
-    ----------
-    feature : Feature
-    state : "waiting", "open work" or "decided"
-    """
+    """How a finding stands."""
 
     feature: Feature
     state: State

@@ -29,27 +29,16 @@ Uncertainty = Annotated[float, Field(ge=0)]
 
 
 class LimitsModel(StrictModel):
-    """Maximum permissible amounts; what is not named is reported and not judged.
-
-    Attributes
-    ----------
-    flatness_mm, probing_form_mm : float or None
-        Errors of form: of a plane, of a sphere.
-    probing_size_mm, sphere_spacing_mm, length_mm : float or None
-        Deviations of diameters, of distances of spheres' centres, of lengths on a board.
-    height_mm, step_mm, width_mm : float or None
-        Deviations of single features.
-    height_bias_mm, step_bias_mm, width_bias_mm : float or None
-        Their mean.
-    height_growth, step_growth, width_growth : float or None
-        Slope of the deviation over the certified value, mm per mm (linearity).
-    """
+    """Maximum permissible amounts; what is not named is reported and not judged."""
 
     flatness_mm: PositiveNumber | None = None
     probing_form_mm: PositiveNumber | None = None
+    """flatness_mm, probing_form_mm: errors of form: of a plane, of a sphere."""
     probing_size_mm: PositiveNumber | None = None
     sphere_spacing_mm: PositiveNumber | None = None
     length_mm: PositiveNumber | None = None
+    """probing_size_mm, sphere_spacing_mm, length_mm: deviations of diameters, of distances of spheres' centres, of
+    lengths on a board."""
     height_mm: PositiveNumber | None = None
     height_bias_mm: PositiveNumber | None = None
     height_growth: PositiveNumber | None = None
@@ -57,8 +46,12 @@ class LimitsModel(StrictModel):
     step_bias_mm: PositiveNumber | None = None
     step_growth: PositiveNumber | None = None
     width_mm: PositiveNumber | None = None
+    """height_mm, step_mm, width_mm: deviations of single features."""
     width_bias_mm: PositiveNumber | None = None
+    """height_bias_mm, step_bias_mm, width_bias_mm: their mean."""
     width_growth: PositiveNumber | None = None
+    """height_growth, step_growth, width_growth: slope of the deviation over the certified value, mm per mm (linearity).
+    """
 
 
 class PlaneModel(StrictModel):
@@ -110,28 +103,16 @@ class CertifiedSeamModel(StrictModel):
 
 
 class ArtefactFile(StrictModel):
-    """An artefact.
-
-    Attributes
-    ----------
-    id : str
-    kind : str
-    size_mm : (width, height) or None
-        Of a plate, for its drawing.
-    valid_days : int or None
-        How long a verification with it holds.
-    positions : int
-        Places along each seam that are compared.
-    length_u95_mm : float
-        Expanded uncertainty of a length on the board.
-    """
+    """An artefact."""
 
     format: Literal["flushline-artefact/1"]
     id: Identifier
     kind: Kind
     title: Line = ""
     size_mm: tuple[PositiveNumber, PositiveNumber] | None = None
+    """(width, height) or None: of a plate, for its drawing."""
     valid_days: Annotated[WholeNumber, Field(gt=0)] | None = None
+    """How long a verification with it holds."""
     certificate: CertificateModel | None = None
     limits: LimitsModel = Field(default_factory=LimitsModel)
     plane: PlaneModel | None = None
@@ -140,8 +121,10 @@ class ArtefactFile(StrictModel):
     rivets: tuple[CertifiedRivetModel, ...] = ()
     seams: tuple[CertifiedSeamModel, ...] = ()
     positions: Annotated[WholeNumber, Field(ge=1)] = 5
+    """Places along each seam that are compared."""
     board: BoardModel | None = None
     length_u95_mm: Uncertainty = 0.0
+    """Expanded uncertainty of a length on the board."""
 
     @model_validator(mode="after")
     def _whole(self) -> ArtefactFile:

@@ -32,50 +32,32 @@ _MOST_NAMED = 5
 
 @dataclass(frozen=True)
 class Link:
-    """A link of a chain.
-
-    Attributes
-    ----------
-    name : str
-    said : str
-        What it is; where it is missing, why, and what would close it.
-    missing : bool
-    """
+    """A link of a chain."""
 
     name: str
     said: str
+    """What it is; where it is missing, why, and what would close it."""
     missing: bool = False
 
 
 @dataclass(frozen=True)
 class Sources:
-    """What the chain of a scene is read from.
-
-    Attributes
-    ----------
-    scene : mapping
-        Its row of the table scenes.
-    manifest, rig : mapping
-        Of the run's bundle.
-    manifest_sha256 : str
-    limits : PanelSpec or None
-        As the run was judged by.
-    verifications : tuple of Verification
-        Of the rig, the earliest first.
-    decisions : tuple of Entry
-        What people decided about the scene and its features.
-    review_problem : str or None
-        Why the review log cannot be trusted.
-    """
+    """What the chain of a scene is read from."""
 
     scene: Row
+    """Its row of the table scenes."""
     manifest: Mapping[str, Any]
     rig: Mapping[str, Any]
+    """manifest, rig: of the run's bundle."""
     manifest_sha256: str
     limits: PanelSpec | None
+    """As the run was judged by."""
     verifications: tuple[Verification, ...]
+    """Of the rig, the earliest first."""
     decisions: tuple[Entry, ...]
+    """What people decided about the scene and its features."""
     review_problem: str | None = None
+    """Why the review log cannot be trusted."""
 
 
 def sources(store: Store, scene_id: str) -> Sources:

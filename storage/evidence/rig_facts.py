@@ -15,24 +15,16 @@ from storage.certificate import CertificateModel
 
 @dataclass(frozen=True)
 class RigFacts:
-    """The calibration behind a rig file; None where the file does not say it.
-
-    Attributes
-    ----------
-    calibrated_at, due_at : datetime or None
-    rms_px : mapping
-        Reprojection residuals by device.
-    board : str or None
-        Kind and sizes.
-    certificate : CertificateModel or None
-        Of the board.
-    """
+    """The calibration behind a rig file; None where the file does not say it."""
 
     calibrated_at: datetime | None
     due_at: datetime | None
     rms_px: Mapping[str, float]
+    """Reprojection residuals by device."""
     board: str | None
+    """Kind and sizes."""
     certificate: CertificateModel | None
+    """Of the board."""
 
 
 def rig_facts(document: Mapping[str, Any]) -> RigFacts:

@@ -40,36 +40,25 @@ class _Kept(BaseModel):
 
 
 class MeasureModel(_Kept):
-    """A measure: what was found of the artefact, less what its certificate says where it says something.
-
-    Attributes
-    ----------
-    name, of : str
-        Such as "sphere spacing" of "S1-S2".
-    unit : str
-    value, u95 : float or None
-        The deviation, or the error of form, with its expanded uncertainty; None where it was not measured.
-    measured, certified, certified_u95 : float or None
-    limit : float or None
-        The maximum permissible amount; None where nothing is asked of it.
-    decision : str
-        After ISO 14253-1.
-    n : int
-        Values or points that it rests on.
-    note : str
-    """
+    """A measure: what was found of the artefact, less what its certificate says where it says something."""
 
     name: str
     of: str
+    """name, of: such as "sphere spacing" of "S1-S2"."""
     unit: str
     value: float | None
     u95: float | None
+    """value, u95: the deviation, or the error of form, with its expanded uncertainty; None where it was not measured.
+    """
     measured: float | None = None
     certified: float | None = None
     certified_u95: float | None = None
     limit: float | None = None
+    """The maximum permissible amount; None where nothing is asked of it."""
     decision: Decision
+    """After ISO 14253-1."""
     n: int = 0
+    """Values or points that it rests on."""
     note: str = ""
 
 
@@ -225,21 +214,14 @@ class Verifications:
 
 @dataclass(frozen=True)
 class Verified:
-    """How a rig stood at a moment.
-
-    Attributes
-    ----------
-    last : Verification or None
-        The newest one of this calibration that was made before.
-    later : Verification or None
-        The first one after it.
-    other_calibration : bool
-        Whether the rig was verified before, but with another calibration of the same id.
-    """
+    """How a rig stood at a moment."""
 
     last: Verification | None
+    """The newest one of this calibration that was made before."""
     later: Verification | None = None
+    """The first one after it."""
     other_calibration: bool = False
+    """Whether the rig was verified before, but with another calibration of the same id."""
 
     def problem(self, moment: datetime) -> str | None:
         """Why a measurement at that moment rests on no verification that was passed and held; None where it does."""

@@ -20,21 +20,14 @@ from storage.export.workbook import Sheet, SheetColumn, write_workbook
 
 @dataclass(frozen=True)
 class Field:
-    """A column of the form.
-
-    Attributes
-    ----------
-    head : str
-        With the number of the field where the form has one.
-    of : callable
-        What goes there, of a characteristic.
-    meaning : str
-        For the documentation.
-    """
+    """A column of the form."""
 
     head: str
+    """With the number of the field where the form has one."""
     of: Callable[[Characteristic], object]
+    """What goes there, of a characteristic."""
     meaning: str
+    """For the documentation."""
 
 
 def requirement(limit: Limit | None, unit: str) -> str:

@@ -26,19 +26,13 @@ _LAS_GREY = 257  # from 8 to 16 bits
 
 @dataclass(frozen=True)
 class SceneCloud:
-    """A scene's cloud as it is in the store, with the grey that the left camera saw.
-
-    Attributes
-    ----------
-    scene : ExportedScene
-    cloud : StoredCloud
-        Rig frame.
-    texture : (h, w) uint8
-    """
+    """A scene's cloud as it is in the store, with the grey that the left camera saw."""
 
     scene: ExportedScene
     cloud: StoredCloud
+    """Rig frame."""
     texture: NDArray[np.uint8]
+    """(h, w) uint8."""
 
     @property
     def valid(self) -> NDArray[np.bool_]:

@@ -27,23 +27,15 @@ ORDER BY due_at, rig_id, what
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened.
-
-    Attributes
-    ----------
-    type : str
-        One of the schema's types.
-    id : str
-        The same for the same event, however often it is looked for.
-    at : datetime
-    data : dict
-        As the schema has it.
-    """
+    """Something that happened."""
 
     type: str
+    """One of the schema's types."""
     id: str
+    """The same for the same event, however often it is looked for."""
     at: datetime
     data: dict[str, Any]
+    """As the schema has it."""
 
     @property
     def document(self) -> str:

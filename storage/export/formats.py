@@ -17,46 +17,30 @@ Decimal = Literal["point", "comma"]
 
 @dataclass(frozen=True)
 class Format:
-    """A format.
-
-    Attributes
-    ----------
-    name, what : str
-        As the command line has it, and for people.
-    writer : str
-        "module:function" of `storage.export`, called with a `Subject` and a `Place`; it returns the files.
-    query : str
-        The same for the rows of a query: called with an Arrow table and a `Place`; "" where it takes none.
-    needs : tuple of str
-        Packages of the extra `export`.
-    """
+    """A format."""
 
     name: str
     what: str
+    """name, what: as the command line has it, and for people."""
     writer: str
+    """"module:function" of `storage.export`, called with a `Subject` and a `Place`; it returns the files."""
     query: str = ""
+    """The same for the rows of a query: called with an Arrow table and a `Place`; "" where it takes none."""
     needs: tuple[str, ...] = ()
+    """Packages of the extra `export`."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where files go, and how.
-
-    Attributes
-    ----------
-    folder : Path
-    stem : str
-        Begins the files' names.
-    store : Store
-        For clouds and pictures.
-    decimal : "point" or "comma"
-        Of numbers in CSV; with a comma cells are parted by semicolons, as German spreadsheets have it.
-    """
+    """Where files go, and how."""
 
     folder: Path
     stem: str
+    """Begins the files' names."""
     store: Store
+    """For clouds and pictures."""
     decimal: Decimal = "point"
+    """Of numbers in CSV; with a comma cells are parted by semicolons, as German spreadsheets have it."""
 
     def file(self, ending: str) -> Path:
         """A file of this place, by what follows the stem."""

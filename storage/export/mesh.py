@@ -23,20 +23,14 @@ _ARRAY, _ELEMENTS = 34962, 34963
 
 @dataclass(frozen=True)
 class Mesh:
-    """A surface.
-
-    Attributes
-    ----------
-    points : (n, 3) float64
-        mm.
-    grey : (n,) uint8
-    triangles : (m, 3) uint32
-        Counter-clockwise for who looks at the skin from the rig.
-    """
+    """A surface."""
 
     points: NDArray[np.float64]
+    """(n, 3) float64: mm."""
     grey: NDArray[np.uint8]
+    """(n,) uint8."""
     triangles: NDArray[np.uint32]
+    """(m, 3) uint32: counter-clockwise for who looks at the skin from the rig."""
 
 
 def mesh_of(found: SceneCloud) -> Mesh:

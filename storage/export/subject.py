@@ -34,24 +34,16 @@ def stable_uuid(*parts: object) -> UUID:
 
 @dataclass(frozen=True)
 class ExportedScene:
-    """A scene with what its files say.
-
-    Attributes
-    ----------
-    row : mapping
-        Its row of the table scenes.
-    limits : PanelSpec or None
-        As it was judged by; None where this version cannot read them.
-    placement : Placement or None
-        Rig frame to the panel's frame; None where the scene was not recognised by a specification's pattern.
-    features : mapping of str to tuple of rows
-        By the name of the kind, in the order of their ids.
-    """
+    """A scene with what its files say."""
 
     row: Row
+    """Its row of the table scenes."""
     limits: PanelSpec | None
+    """As it was judged by; None where this version cannot read them."""
     placement: Placement | None
+    """Rig frame to the panel's frame; None where the scene was not recognised by a specification's pattern."""
     features: Mapping[str, tuple[Row, ...]]
+    """mapping of str to tuple of rows: by the name of the kind, in the order of their ids."""
 
     @property
     def scene_id(self) -> str:
@@ -61,35 +53,24 @@ class ExportedScene:
 
 @dataclass(frozen=True)
 class Characteristic:
-    """One quantity of one feature of a scene, numbered within what is exported.
-
-    Attributes
-    ----------
-    number : int
-        From 1.
-    kind, quantity : Kind, Quantity
-    feature : str
-        Id within the scene.
-    row : mapping
-        The feature's row.
-    scene : ExportedScene
-    value, u95 : float or None
-        None where it was not measured.
-    limit : Limit or None
-    decision : Decision
-        Of this quantity alone.
-    """
+    """One quantity of one feature of a scene, numbered within what is exported."""
 
     number: int
+    """From 1."""
     kind: Kind
     quantity: Quantity
+    """kind, quantity: kind, Quantity."""
     feature: str
+    """Id within the scene."""
     row: Row
+    """The feature's row."""
     scene: ExportedScene
     value: float | None
     u95: float | None
+    """value, u95: None where it was not measured."""
     limit: Limit | None
     decision: Decision
+    """Of this quantity alone."""
 
     @property
     def uuid(self) -> UUID:
@@ -105,17 +86,10 @@ class Characteristic:
 
 @dataclass(frozen=True)
 class Subject:
-    """A scene, or the newest scans of a panel's stations.
-
-    Attributes
-    ----------
-    name : str
-        Begins the names of its files.
-    aircraft_serial, panel : str
-    scenes : tuple of ExportedScene
-    """
+    """A scene, or the newest scans of a panel's stations."""
 
     name: str
+    """Begins the names of its files."""
     aircraft_serial: str
     panel: str
     scenes: tuple[ExportedScene, ...]
