@@ -15,6 +15,7 @@ from metrology.results import PanelKey
 from storage.archive import Store
 from storage.archive.panel_changes import compared, earlier_shifts, runs_of_panel
 from storage.archive.panel_rework import rework_sql
+from storage.archive.rows import named_rows
 from storage.archive.work import register
 from storage.documents import utc_text
 from storage.review import ReviewLog
@@ -80,9 +81,7 @@ def _rework(store: Store, key: PanelKey) -> list[dict[str, Any]]:
             "SELECT scene_id FROM scenes WHERE aircraft_serial = ? AND panel = ?", [key.aircraft_serial, key.panel]
         ).fetchall()
         register(connection, ReviewLog(store.root).of_scenes([scene for (scene,) in scenes]))
-        found = connection.execute(rework_sql(), [key.aircraft_serial, key.panel])
-        names = [column[0] for column in found.description or ()]
-        return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+        return named_rows(connection, rework_sql(), [key.aircraft_serial, key.panel])
 
 
 def _rework_said(row: Row) -> str:

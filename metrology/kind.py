@@ -6,7 +6,7 @@ Dataclasses and strings alone, so that reading them costs nothing: what a kind n
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sized
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
@@ -130,6 +130,8 @@ class Kind:
     """Columns of the view `panel_summary` beside the numbers of rows and of those failing, as SQL."""
     subject: str = ""
     """What bears the name, as trends follow it: a seam for its positions."""
+    by_design: bool = False
+    """Whether every aircraft of a type has the same ones: they are followed for drift, and missing ones are no cure."""
     parameter: str = ""
     """As addresses of pages name it."""
     verdict: str = ""
@@ -187,6 +189,11 @@ class Kind:
     def names(self, rows: Iterable[Feature]) -> set[str]:
         """The different names among rows: of seams, where the rows are positions along them."""
         return {getattr(row, self.id_columns[0]) for row in rows}
+
+    def counted(self, rows: Sequence[Feature]) -> dict[str, int]:
+        """Its columns of `scenes` that count it, from its rows."""
+        found = {"rows": len(rows), "names": len(self.names(rows)), "found": sum(row.is_found for row in rows)}
+        return {count.column: found[count.of] for count in self.counts}
 
     def id_of(self, row: Feature | Mapping[str, Any]) -> str:
         """The id of a row within its scene, such as ``R12``, or ``S1@24.0`` for a position along a seam."""

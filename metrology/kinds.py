@@ -6,11 +6,17 @@ how to add a kind.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
 from metrology.kind import Cell, Count, Graded, Kind, LimitName, Quantity, load
+
+if TYPE_CHECKING:
+    from metrology.results import Feature
 
 __all__ = [
     "BY_NAME", "DEFECT", "HOLE", "KINDS", "LIMITS", "RIVET", "SEAM_STATION", "WAVINESS",
-    "Cell", "Count", "Graded", "Kind", "LimitName", "Quantity", "load",
+    "Cell", "Count", "Graded", "Kind", "LimitName", "Quantity", "counted", "load",
 ]  # fmt: skip
 
 RIVET = Kind(
@@ -40,6 +46,7 @@ RIVET = Kind(
         "avg(height_mean_mm) AS height_mean_mm",
     ),
     subject="rivet",
+    by_design=True,
     parameter="rivet",
     verdict="metrology.fastener:size_finding",
     note="metrology.fastener:size_note",
@@ -81,6 +88,7 @@ SEAM_STATION = Kind(
     ),
     per_panel=("max(abs(step_mm)) AS step_worst_mm", "max(width_mm) AS width_worst_mm"),
     subject="seam",
+    by_design=True,
     parameter="station",
     cells=(
         Cell("at mm", ("s_mm",), 0),
@@ -234,3 +242,8 @@ KINDS = (RIVET, SEAM_STATION, HOLE, DEFECT, WAVINESS)
 BY_NAME = {kind.name: kind for kind in KINDS}
 LIMITS = {limit.name: limit for kind in KINDS for quantity in kind.quantities for limit in quantity.all_limits}
 """Everything that a zone may ask, by its key."""
+
+
+def counted(features: Mapping[str, Sequence[Feature]]) -> dict[str, int]:
+    """The columns of `scenes` that count features, from the rows of each kind by its name."""
+    return {column: n for kind in KINDS for column, n in kind.counted(features.get(kind.name, ())).items()}

@@ -26,7 +26,7 @@ from dashboard.scenes import (
 from dashboard.views.feature import absent, close_up
 from dashboard.words import N_, _, capital
 from metrology.errors import FlushlineError, StoreError
-from metrology.kinds import HOLE, KINDS, RIVET, SEAM_STATION, Kind
+from metrology.kinds import HOLE, KINDS, RIVET, Kind
 from storage.archive.views import NEWEST_FIRST
 from storage.archive.work import OPEN_WORK
 from storage.cloud import StoredCloud
@@ -78,7 +78,7 @@ def _counts(context: PageContext, row: Any) -> str:
     for kind in (kind for kind in KINDS if kind.counts):
         column = kind.counts[0].column
         number = getattr(row, column)
-        if kind in (RIVET, SEAM_STATION) or (pd.notna(number) and number):
+        if kind.by_design or (pd.notna(number) and number):
             counted.append(f"{_(column.removeprefix('n_'))}: {context.locale.whole(number)}")
     return ", ".join(counted)
 

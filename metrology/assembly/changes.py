@@ -13,15 +13,13 @@ import numpy as np
 
 from metrology.assembly.features import LEAST_REACH_MM
 from metrology.assembly.rows import Change, ChangeRow, FindingRow
-from metrology.kinds import BY_NAME, RIVET, SEAM_STATION, Kind, Quantity
+from metrology.kinds import BY_NAME, Kind, Quantity
 from metrology.limits import PanelSpec
 from metrology.results import Feature
 from metrology.stretches import Excess, excesses
 from metrology.verdicts import IN_ORDER, gravity
 
 _SLACK_MM = 3.0  # positions of two assemblies along a course lie between each other
-_STAY = (RIVET, SEAM_STATION)
-"""Kinds that should be there: of others it is well when they are there no more."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ def _ended(
     """A finding of the older assembly where the newer one has none."""
     kind = BY_NAME[finding.feature_kind]
     seen = finding.x_panel_mm is not None and shown(frame, finding.x_panel_mm, finding.y_panel_mm or 0.0)
-    is_gone = bool(now) or (seen and kind not in _STAY)
+    is_gone = bool(now) or (seen and not kind.by_design)
     why = None if now else ("nothing is found there any more" if is_gone else "not found" if seen else "not seen")
     then, there = _worst(kind, rows, spec, finding.quantity), _worst(kind, now, spec, finding.quantity)
     return _row("gone" if is_gone else "not seen", finding, now, rows, there, then, why)

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from metrology.cloud import Reconstruction
 from metrology.errors import StoreError
 from metrology.inspection import InspectionResult
-from metrology.kinds import KINDS, Count, Kind
+from metrology.kinds import KINDS, counted
 from metrology.results import PanelKey, SceneKey
 from metrology.steps import TIMED
 from storage import png
@@ -267,7 +267,7 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "epipolar_rms_px": result.epipolar_rms_px,
         "projector_rms_px": result.projector_rms_px,
         "rig_verdict": result.rig_verdict,
-        **{count.column: _counted(kind, count, result) for kind in KINDS for count in kind.counts},
+        **counted(result.features),
         "registration": registration.get("status"),
         "n_missing": len(missing),
         "n_unlisted": len(unlisted),
@@ -281,13 +281,6 @@ def _scene_row(result: InspectionResult, run_id: str, bundle_path: str, first_st
         "overlay_path": f"{bundle_path}/{OVERLAY}",
         "preview_path": f"{bundle_path}/{PREVIEW}",
     }
-
-
-def _counted(kind: Kind, count: Count, result: InspectionResult) -> int:
-    rows = result.features.get(kind.name, ())
-    if count.of == "names":
-        return len(kind.names(rows))
-    return len(rows) if count.of == "rows" else sum(row.is_found for row in rows)
 
 
 def _plain(name: str, value: object) -> object:

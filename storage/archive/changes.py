@@ -8,7 +8,7 @@ no pattern (X01): nothing there is compared.
 
 from __future__ import annotations
 
-from metrology.kinds import KINDS, RIVET, SEAM_STATION, Kind
+from metrology.kinds import KINDS, Kind
 from storage.archive.views import NEWEST_FIRST, RANK_SQL, TAKEN_AT
 from storage.archive.work import ATTENTION
 
@@ -19,8 +19,6 @@ _SLACK_MM = 5.0  # a course is not found to begin at the same place on every sca
 _HALF_STEP_MM = 1.0  # between two positions
 WATCHED = 30
 """Scans of a place that a drift is looked for in, the newest ones."""
-_DRIFTING = (RIVET, SEAM_STATION)
-"""Kinds that are the same thing on every aircraft."""
 
 _KEPT_NAME = """registration IS DISTINCT FROM 'not recognised'
     AND NOT (coalesce(n_unlisted, 0) > 0 AND name LIKE 'X%')"""
@@ -113,7 +111,8 @@ def drift_sql(since: str) -> str:
         f"SELECT scene_id, '{kind.name}' AS feature_kind, {kind.id_columns[0]} AS name, "
         f"avg({kind.quantities[0].column}) AS v FROM {kind.table} SEMI JOIN watched USING (scene_id, captured_at) "
         f"WHERE isfinite({kind.quantities[0].column}) GROUP BY ALL"
-        for kind in _DRIFTING
+        for kind in KINDS
+        if kind.by_design
     )
     return f"""WITH fresh AS (
     SELECT * FROM (SELECT *, {TAKEN_AT} AS taken_at FROM latest_scenes) WHERE {since}

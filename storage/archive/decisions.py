@@ -23,6 +23,7 @@ from storage.archive.anchors import SIGNED_MANIFEST, manifest_checksum
 from storage.archive.bundles import Bundles
 from storage.archive.files import locked
 from storage.archive.layout import Layout
+from storage.archive.rows import named_rows
 from storage.archive.work import OPEN_WORK, UNRESOLVED, features_sql, standings, stretches_sql
 from storage.documents import utc_text
 from storage.review import Disposition, Entry, Feature, Review, ReviewLog, ShownFinding, ShownScene
@@ -43,12 +44,10 @@ def shown_finding(
         AND n.panel = s.panel AND n.station = s.station) AS newest_scan"""
     sql = f"""SELECT s.run_id, s.panel_spec, s.software_version, s.rig_id, s.config_hash, f.* EXCLUDE (feature_kind),
         {newest} FROM ({_one_sql(BY_NAME[feature.kind], feature)}) f JOIN scenes s USING (scene_id)"""
-    found = connection.execute(sql, [scene_id, feature.id])
-    names = [column[0] for column in found.description or ()]
-    rows = found.fetchall()
+    rows = named_rows(connection, sql, [scene_id, feature.id])
     if not rows:
         return None
-    values = {name: _plain(value) for name, value in zip(names, rows[0], strict=True)}
+    values = {name: _plain(value) for name, value in rows[0].items()}
     run_id = str(values.pop("run_id"))
     shown = ShownFinding(values.pop("scene_id"), run_id, feature, values)
     last = review.last_about(scene_id, *shown.features)

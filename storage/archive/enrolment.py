@@ -14,7 +14,7 @@ from metrology.panel import PanelLayout
 from metrology.registration import enrol, enrolment_doubts
 from metrology.registration.relabel import UNLISTED
 from metrology.results import MISSING, Rivet, SceneKey, SeamStation
-from storage.archive.rows import result_of
+from storage.archive.rows import named_rows, result_of
 from storage.archive.store import Store
 
 
@@ -51,13 +51,9 @@ def doubts_of(store: Store, scene_id: str) -> tuple[str, ...]:
 def _rows(store: Store, kind: Kind, scene_id: str) -> list[Any]:
     """The rows of a scene that were found, not those that say that something is missing."""
     with contextlib.closing(store.connect()) as connection:
-        found = connection.execute(
-            f"FROM {kind.table} WHERE scene_id = ? "
-            f"AND NOT starts_with(coalesce(reason, ''), '{MISSING}:') ORDER BY ALL",
-            [scene_id],
-        )
-        names = [column[0] for column in found.description or ()]
-        return [result_of(kind.row_type, dict(zip(names, row, strict=True))) for row in found.fetchall()]
+        found = f"scene_id = ? AND NOT starts_with(coalesce(reason, ''), '{MISSING}:')"
+        rows = named_rows(connection, f"FROM {kind.table} WHERE {found} ORDER BY ALL", [scene_id])
+        return [result_of(kind.row_type, row) for row in rows]
 
 
 def _listed(rivets: Sequence[Rivet]) -> list[Rivet]:

@@ -19,6 +19,7 @@ from storage.archive.bundle import MANIFEST, read_manifest
 from storage.archive.bundles import Bundles
 from storage.archive.files import hold
 from storage.archive.layout import Layout
+from storage.archive.rows import named_rows
 
 if TYPE_CHECKING:
     import duckdb
@@ -109,11 +110,8 @@ def stored_at(run_id: str) -> datetime | None:
 def _from_index(connection: duckdb.DuckDBPyConnection, scene_id: str | None = None) -> dict[str, KnownScene]:
     """All scenes of an index, or one."""
     # An index published by an older version lacks some of the columns.
-    result = connection.execute(
-        f"SELECT COLUMNS('^({'|'.join(_COLUMNS)})$') FROM scenes WHERE $1 IS NULL OR scene_id = $1", [scene_id]
-    )
-    names = [column[0] for column in result.description or ()]
-    rows = [dict(zip(names, row, strict=True)) for row in result.fetchall()]
+    sql = f"SELECT COLUMNS('^({'|'.join(_COLUMNS)})$') FROM scenes WHERE $1 IS NULL OR scene_id = $1"
+    rows = named_rows(connection, sql, [scene_id])
     return {row.pop("scene_id"): KnownScene(**row) for row in rows}
 
 

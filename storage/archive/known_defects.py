@@ -9,6 +9,7 @@ from math import hypot
 from typing import TYPE_CHECKING
 
 from metrology.defects.row import Defect
+from metrology.kinds import DEFECT
 from metrology.results import SceneKey
 from storage.archive.layout import Layout
 from storage.review import Review
@@ -72,7 +73,7 @@ def accepted_before(connection: duckdb.DuckDBPyConnection, review: Review, scene
     found: dict[str, Accepted] = {}
     for entry in sorted(review.current().values(), key=lambda entry: entry.number):
         feature = entry.feature
-        if feature is None or feature.kind != "defect" or (entry.scene_id, feature.id) not in changes:
+        if feature is None or feature.kind != DEFECT.name or (entry.scene_id, feature.id) not in changes:
             continue
         if entry.disposition != _ACCEPTED:
             found.pop(feature.id, None)

@@ -14,7 +14,7 @@ from metrology.assembly.carried import Names
 from metrology.assembly.result import PanelResult
 from metrology.assembly.rows import VerdictRow
 from metrology.assembly.verdict import Judgement
-from metrology.kinds import KINDS, Count, Kind
+from metrology.kinds import KINDS, counted
 from metrology.results import PanelKey
 from storage.archive.bundle import PANEL_FORMAT, as_tables, document_hash, seal
 from storage.archive.schema import (
@@ -180,12 +180,5 @@ def _panel_row(result: PanelResult) -> Row:
         "n_not_measured": states.count("not measured") if states else None,
         "n_not_seen": states.count("not seen") if states else None,
         "next_station": result.coverage.next_station,
-        **{count.column: _counted(kind, count, result) for kind in KINDS for count in kind.counts},
+        **counted({name: [feature.row for feature in found] for name, found in result.features.items()}),
     }
-
-
-def _counted(kind: Kind, count: Count, result: PanelResult) -> int:
-    rows = [feature.row for feature in result.features[kind.name]]
-    if count.of == "names":
-        return len(kind.names(rows))
-    return len(rows) if count.of == "rows" else sum(row.is_found for row in rows)

@@ -10,9 +10,20 @@ from metrology.kinds import KINDS
 from metrology.results import Feature
 
 if TYPE_CHECKING:
+    import duckdb
+
     from storage.archive.store import Store
 
 Row = TypeVar("Row", bound=Feature)
+
+
+def named_rows(
+    connection: duckdb.DuckDBPyConnection, sql: str, parameters: Sequence[object] = ()
+) -> list[dict[str, Any]]:
+    """The rows that a query gives, each by the names of its columns."""
+    result = connection.execute(sql, list(parameters))
+    names = [column[0] for column in result.description or ()]
+    return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
 
 def result_of(kind: type[Row], row: Mapping[str, Any]) -> Row:

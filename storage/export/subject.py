@@ -17,6 +17,7 @@ from metrology.requirements import downstream_of, limit_of
 from metrology.results import Decision
 from metrology.verdicts import DECISIONS, IN_ORDER, gravity
 from storage.archive.bundle import MANIFEST
+from storage.archive.rows import named_rows
 from storage.archive.store import Store
 from storage.documents import read_json
 from storage.panel_spec import judged_by
@@ -59,7 +60,6 @@ class Characteristic:
     """From 1."""
     kind: Kind
     quantity: Quantity
-    """kind, quantity: kind, Quantity."""
     feature: str
     """Id within the scene."""
     row: Row
@@ -163,10 +163,10 @@ def panels_of(store: Store, aircraft_serial: str) -> list[str]:
 
 def _subjects(store: Store, sql: str, values: list[str]) -> Iterator[ExportedScene]:
     with contextlib.closing(store.connect()) as connection:
-        scenes = _rows(connection, sql, values)
+        scenes = named_rows(connection, sql, values)
         names = [scene["scene_id"] for scene in scenes]
         features = {
-            kind.name: _rows(
+            kind.name: named_rows(
                 connection,
                 f"SELECT * FROM {kind.table} WHERE list_contains(?, scene_id) ORDER BY {', '.join(kind.id_columns)}",
                 [names],
@@ -187,12 +187,6 @@ def _placement(manifest: Mapping[str, Any], scene: Row) -> Placement | None:
     spec, found = manifest.get("panel_spec") or {}, (manifest.get("registration") or {}).get("placement")
     common = bool(spec.get("rivets") or spec.get("seams")) and spec.get("panel") == scene["panel"]
     return Placement(found["R"], found["t_mm"]) if found and common else None
-
-
-def _rows(connection: Any, sql: str, values: list[Any]) -> list[dict[str, Any]]:
-    result = connection.execute(sql, values)
-    names = [column[0] for column in result.description]
-    return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
 
 def _measured(scene: ExportedScene) -> Iterator[tuple[Any, ...]]:

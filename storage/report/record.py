@@ -19,6 +19,7 @@ from storage.archive import Store
 from storage.archive.bundle import FITS
 from storage.archive.decisions import same_place
 from storage.archive.known_defects import Accepted, accepted_before
+from storage.archive.rows import named_rows
 from storage.archive.work import Standing, open_work, standings
 from storage.evidence.chain import Link, scene_links, sign_off_link, sources
 from storage.fits import StoredFits, read_fits
@@ -165,9 +166,7 @@ def _earlier_work(store: Store, aircraft_serial: str, panel: str, newest: list[s
 
 def _rows(store: Store, sql: str, *values: str) -> tuple[Row, ...]:
     with contextlib.closing(store.connect()) as connection:
-        result = connection.execute(sql, list(values))
-        names = [column[0] for column in result.description or ()]
-        return tuple(dict(zip(names, row, strict=True)) for row in result.fetchall())
+        return tuple(named_rows(connection, sql, values))
 
 
 def _bytes(path: Path) -> bytes:
