@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import DecodedView
 from metrology.decode import decode_phase
 from metrology.errors import SceneError
@@ -15,8 +16,6 @@ from metrology.fringe import FringeCode
 from metrology.gray import runs_along_rows
 from metrology.reconstruct import usual_size
 from storage.scene import MANIFEST, load_scene
-
-Array = NDArray[np.float64]
 
 _TILE = 360
 _STRIP = 22  # pixels of the words above a tile

@@ -24,7 +24,6 @@ from metrology.requirements import requirements
 from metrology.results import COVERAGE_95, Feature
 from metrology.rules import OF_COURSES, Rule
 
-Array = NDArray[np.float64]
 RuleVerdict = Literal["met", "met with conditions", "not met", "not decided"]
 PanelVerdict = Literal["accepted", "accepted with conditions", "rejected", "incomplete", "no rules"]
 

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from metrology.arrays import Array
 from metrology.errors import SceneError
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 # Signs of the axes against x right, y down, z forward.
 _FRAMES = ((1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, 1.0, -1.0))

@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from metrology.errors import SceneError
 from metrology.robust import MAD
-
-Float32 = NDArray[np.float32]
 
 _TILE = 32
 _ENOUGH = 0.5  # of a tile's pixels

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
 from metrology.unwrap import order_lattice
-
-Array = NDArray[np.float64]
 
 _LEAST_AMPLITUDE = 0.02  # of the range
 _LEAST_PIXELS = 500

@@ -7,12 +7,10 @@ comes from a file written in another convention, and the message says in which.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import RigError
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 LEAST_FIELD_DEG, LARGEST_FIELD_DEG = 1.0, 120.0  # across the image's diagonal
 _LARGEST_ASPECT = 2.5  # of the focal lengths: the pixels of diamond arrays and of binned cameras are 1 : 2

@@ -14,11 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.texture_offset import TextureOffsets
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _BIN_PX = 2  # rows of an image per row of the layout
 _BLOCK = 32  # rows and columns of a block of the layout

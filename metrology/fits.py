@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.defects.row import Defect
 from metrology.results import Rivet, SeamStation
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
 
 _SHOWN = 2.6  # radii at half depth: a bowl's foot is at two
 

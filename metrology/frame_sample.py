@@ -15,13 +15,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.fringe import FringeCode
 from metrology.gray import stripe_positions
 from metrology.noise import NoiseModel
 from metrology.unwrap import nearest_lattice_point, order_lattice
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 # About this many rows and columns are looked at; the columns lie differently in each row, whatever the fringes' period.
 _ROWS, _COLUMNS = 136, 64

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from metrology.arrays import Array
 from metrology.errors import SceneError
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 _NEIGHBOURS = 8
 _REACH_PX = 1.6  # the nearest point of a pixel is no farther than this

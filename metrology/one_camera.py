@@ -7,8 +7,8 @@ and no match tells.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
 from metrology.errors import RigError, SceneError
 from metrology.fringe import FringeCode
@@ -16,8 +16,6 @@ from metrology.jit import over_rows
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Device, Rig
 from metrology.ripple import without_ripple
-
-Array = NDArray[np.float64]
 
 _STEPS = 6
 _SETTLED_PX = 1e-3

@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Array
 from metrology.errors import SpecError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

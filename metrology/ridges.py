@@ -12,12 +12,12 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Float32
 from metrology.errors import UsageError
 from metrology.jit import kernel, over_rows
 
-Float32 = NDArray[np.float32]
 Polarity = Literal["dark", "bright", "both"]
 
 # Half a pixel finds every line point exactly once; a little more closes the holes that rounding leaves in diagonal

@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from metrology.arrays import Array
 from metrology.errors import RigError
-
-Array = NDArray[np.float64]
 
 # Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
 MAX_DISTORTION_TERMS = 8

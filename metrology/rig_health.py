@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.errors import RigError
 from metrology.far_offset import measure_far_offsets
@@ -32,7 +33,6 @@ from metrology.rig import PROJECTOR_OF, Rig
 from metrology.robust import MAD
 from metrology.texture_offset import TextureOffsets, measure_offsets
 
-Array = NDArray[np.float64]
 Verdict = Literal["ok", "warning", "unjudged", "refused"]
 
 

@@ -13,11 +13,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.device_plausibility import check_device
 from metrology.errors import RigError
 from metrology.rig import Device, Rig
 
-Array = NDArray[np.float64]
 Moving = Literal["right", "projector"]
 
 LEAST_APART_MM, LARGEST_APART_MM = 10.0, 10_000.0

@@ -18,11 +18,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import DecodedView
 from metrology.fringe import FringeCode
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
 
 _ORDERS = (1, 2)  # of what passes for fringe
 _UNEVEN = (1, 2)  # times the phase: of frames that are not alike

@@ -10,9 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
 
 MAD = 1.4826  # standard deviation of normal values over their median absolute deviation
 # Tukey's limit in standard deviations: 95 % efficient on normal noise.

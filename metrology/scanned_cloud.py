@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from metrology.cloud import DecodedView, PixelFlag, Reconstruction
 from metrology.cloud_noise import estimate_sigma
 from metrology.edges import flag_neighbourhoods
@@ -17,8 +18,6 @@ from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Rig
 from metrology.rig_health import RigHealth
 from metrology.robust import MAD
-
-Float32 = NDArray[np.float32]
 
 _QUANTISATION = 1.0 / 12.0
 # The Laplacian of neighbours' Laplacians sees noise and hardly a skin; it is 6 standard deviations wide.

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from metrology.arrays import Array
 from metrology.errors import UsageError
-
-Array = NDArray[np.float64]
 
 # Mean of the range of two independent standard normal values, and what the range's 3σ limit is as a multiple of it.
 _D2 = 2 / np.sqrt(np.pi)

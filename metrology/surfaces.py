@@ -11,13 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Array
 from metrology.robust import TUKEY_COVARIANCE, TUKEY_VARIANCE, reweighted
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 
 _JUDGES = 1000  # points on which RANSAC compares samples
 _ENOUGH = 1500  # points for all but the last steps

@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.jit import kernel
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 _HALF_PX = 10  # half-size of a patch
 _SMOOTH_PX = 1.2  # so that linear interpolation does not lean towards whole pixels

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, PPoly
 
+from metrology.arrays import Mask
 from metrology.errors import SpecError
 from simulator import relief as r
 from simulator.clutter import Bead, Cable, Cleco, Speck
@@ -17,7 +18,6 @@ from simulator.panel import Hole, Panel, Rivet, Seam
 from simulator.relief import Floats, Relief
 from simulator.survey import sides_at, survey
 
-Mask = NDArray[np.bool_]
 Line = Seam | Cable | Bead
 Round = Rivet | Hole | Cleco | Speck
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from metrology.arrays import Float32
 from metrology.rig import Device
 from simulator.cast import MAX_BORDERS, cast, lit
 from simulator.compiled import entry, kernel
@@ -45,7 +46,6 @@ from simulator.relief import (
 )  # fmt: skip
 from simulator.shading import OFF, Light, reflectance_at, shade
 
-Float32 = NDArray[np.float32]
 _BAND = 32  # rows per piece of work
 
 

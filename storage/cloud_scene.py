@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from metrology.arrays import Float32
 from metrology.errors import SceneError
 from metrology.results import SceneKey
 from metrology.rig import Rig
@@ -25,7 +25,6 @@ from storage.scene_models import MANIFEST, ScanModel, scan_document
 FORMAT = "flushline-cloud-scene/1"
 PICTURE, POINTS, SIGMA, RIG = "picture.png", "points.npy", "sigma.npy", "rig.json"
 
-Float32 = NDArray[np.float32]
 Row = Annotated[tuple[float, ...], Field(min_length=3, max_length=3)]
 
 

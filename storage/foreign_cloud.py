@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import SceneError, UsageError
 from storage.documents import check_regular_file
 from storage.point_cloud import load_open3d
-
-Array = NDArray[np.float64]
 
 MM_PER_METRE = 1000.0
 _COLOURS = tuple(tuple(name.split()) for name in ("red green blue", "r g b", "colorRed colorGreen colorBlue"))

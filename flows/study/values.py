@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flows.study.series import RigKind, Scan, Series, known
+from metrology.arrays import Array
 from simulator.truth import TrueRivet, TrueSeam, Truth
 from storage.archive import Store
 
 Quantity = Literal["height", "step", "width"]
-Array = NDArray[np.float64]
 
 _SAME_SEAM_MM = 4.0  # a station farther than that from a seam's course is not of this seam
 _SAME_PLACE_MM = 1.0  # seams end where a scan shows no more of them; this far within all scans see them

@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Array, Ints
 from metrology.assembly.overlap import SeamTies, SkinTies
 from metrology.assembly.scan import PanelScan
 from metrology.panel import Placement
 from metrology.registration.fit import cross_matrix
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 HEAD_ALONG_MM = 0.02  # standard deviation of a head's place along the skin
 HEAD_OFF_MM = 0.02  # and across it

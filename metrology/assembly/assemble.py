@@ -7,16 +7,14 @@ from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.adjust import Adjusted, NominalTie, Tie, adjusted
 from metrology.assembly.overlap import head_partners, heads_expected, seam_ties, skin_ties
 from metrology.assembly.pairing import ENOUGH, Neighbours, judged_at, neighbours
 from metrology.assembly.scan import PanelScan
 from metrology.panel import PanelLayout, Placement
 from metrology.results import COVERAGE_95
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 2
 _MARGIN_MM = 60.0  # fields whose boxes are farther apart, by the nominal placements, share nothing

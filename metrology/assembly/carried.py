@@ -11,16 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.assemble import Assembly, Part
 from metrology.assembly.features import LEAST_REACH_MM, PanelFeature
 from metrology.assembly.pairing import neighbours
 from metrology.assembly.scan import PanelScan
 from metrology.kinds import KINDS, Kind
 from metrology.panel import PanelLayout, Placement, course_length, foot_on
-
-Array = NDArray[np.float64]
 
 _SAME_COURSE_MM = 1.5  # median distance of two courses where they run side by side
 _FEWEST_BESIDE = 3

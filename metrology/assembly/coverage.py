@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metrology.assembly.assemble import Assembly
 from metrology.assembly.panel import PanelFeatures
@@ -16,8 +15,6 @@ from metrology.kinds import RIVET, SEAM_STATION
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement, course_length, foot_on, points_along
 from metrology.registration.view import in_view
 from metrology.results import Feature
-
-Array = NDArray[np.float64]
 
 _SAMPLE_MM = 2.0
 _REACH_MM = 3.0  # a position of a seam is measured where one this near along it was

@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.kinds import Kind, Quantity
 from metrology.registration.rows import has_position
 from metrology.results import COVERAGE_95, Feature
-
-Array = NDArray[np.float64]
 
 LEAST_REACH_MM = 1.0
 """Single features nearer than this are one, however small."""

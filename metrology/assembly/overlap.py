@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Ints
 from metrology.assembly.scan import STRIDE, PanelScan
 from metrology.panel import Placement, foot_on
 from metrology.registration.rows import positions
 from metrology.registration.search import alike
 from metrology.results import SeamStation
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 HEAD_REACH_MM = 1.0
 """Heads farther apart than this under a placement are different ones."""

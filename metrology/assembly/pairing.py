@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Ints
 from metrology.assembly.adjust import Tie, adjusted
 from metrology.assembly.overlap import (
     DIAMETER_RATIO,
@@ -27,9 +27,6 @@ from metrology.assembly.scan import PanelScan
 from metrology.panel import Placement
 from metrology.registration.search import PointPattern, alike, frames
 from metrology.results import COVERAGE_95
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 HEAD_SIGMA_MM = 0.02
 """Standard deviation of a head's place along the skin, in each direction, with what a rig's field adds."""

@@ -9,7 +9,6 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metrology.assembly.assemble import Assembly, Part
 from metrology.assembly.carried import Former, Known, known_course, known_in, known_single
@@ -23,7 +22,6 @@ from metrology.registration.rows import has_position, placed
 from metrology.results import COVERAGE_95, Feature
 from metrology.tolerance import judge
 
-Array = NDArray[np.float64]
 PanelFeatures = Mapping[str, Sequence[PanelFeature]]
 """The features of a panel, by the names of the kinds."""
 

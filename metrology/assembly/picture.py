@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.assemble import Assembly
 from metrology.assembly.scan import PanelScan
 from metrology.assembly.smooth_skin import SmoothSkin
 from metrology.panel import Placement
 
-Array = NDArray[np.float64]
 Texture = NDArray[np.uint8]
 
 FINER = 2

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.carried import Known, known_course
 from metrology.assembly.features import PanelFeature, Sighting, combined
 from metrology.kinds import Kind
 from metrology.panel import PanelLayout, course_length, foot_on
 from metrology.registration.courses import exchanged
 from metrology.results import Feature, SeamStation
-
-Array = NDArray[np.float64]
 
 _SAME_COURSE_MM = 1.5  # median distance of two pieces where they run side by side
 _FEWEST_BESIDE = 3

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from metrology.arrays import Array
 from metrology.panel import Placement
 from metrology.registration.rows import has_position, positions
 from metrology.registration.search import PointPattern
@@ -17,8 +18,6 @@ from metrology.registration.view import in_view
 from metrology.results import Features, Rivet, SceneKey, SeamStation, of_type
 from metrology.rig import Rig
 from metrology.skin_normal import skin_normal
-
-Array = NDArray[np.float64]
 
 STRIDE = 4
 """Pixels of the left image from one sample of a thinned cloud to the next."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from metrology.arrays import Array
 from metrology.robust import MAD, TUKEY, tukey
-
-Array = NDArray[np.float64]
 
 _KNOTS_MM = 150.0  # half a field: what bends over less is deviation
 _DEGREE = 3

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import UsageError
 from metrology.kinds import KINDS
 from metrology.overlay.features import Canvas, Wish, mark_course, mark_rings
@@ -18,8 +19,6 @@ from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import MeasuredSkin, map_skin, screen
 from metrology.results import Features, SceneKey
 from metrology.verdicts import DECISIONS
-
-Array = NDArray[np.float64]
 
 _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.kinds import Kind, load
 from metrology.overlay.layout import Layout
 from metrology.overlay.marks import BAR_END_MM, Stroke, arrow_marks, circle_points, rivet_marks, seam_marks
@@ -17,8 +17,6 @@ from metrology.overlay.skin_map import MeasuredSkin, screen
 from metrology.results import MISSING, Feature, Severity
 from metrology.skin_normal import skin_normal
 from metrology.verdicts import DECISIONS
-
-Array = NDArray[np.float64]
 
 _OUTLINE_POINTS = 64
 _LONG = 1.15  # times as long as wide in the left image

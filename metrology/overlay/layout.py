@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.overlay.skin_map import SkinMap
-
-Array = NDArray[np.float64]
 
 _DISTANCES = np.array([5.0, 10.0, 16.0, 28.0, 44.0, 64.0, 90.0, 120.0])  # px from the feature
 # Right, left, below, above first, then what lies between.

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.overlay.layout import Layout
 from metrology.overlay.marks import COLOURS, WORDS, Label, Stroke, rivet_marks
 from metrology.overlay.paint import text_size
 from metrology.results import Severity
-
-Array = NDArray[np.float64]
 
 _MARGIN_PX = 6.0
 _SHAPE_RADIUS = 0.35  # of the text height; ticks and rings reach twice as far

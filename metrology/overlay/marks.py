@@ -14,12 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.results import Severity
 from metrology.verdicts import SEVERITIES, Symbol
 
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 COLOURS: dict[Severity | None, Colour] = {name: look.projector for name, look in SEVERITIES.items()}

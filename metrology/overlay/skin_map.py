@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import UsageError
 from metrology.rig import Device, Rig
-
-Array = NDArray[np.float64]
 
 _CELL_PX = 8.0
 _FIT_ROUNDS = 10

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.fits import FittedStation
 from metrology.panel import Foot, NominalSeam, Placement, foot_on
 from metrology.registration.rows import has_position, placed, positions
 from metrology.results import SeamStation
 from metrology.seams.sides import is_upright, oriented, towards_b
-
-Array = NDArray[np.float64]
 
 # Air that flows within this of a seam's direction crosses it neither way: the sine of 10°.
 _ALONG_THE_SEAM = 0.17

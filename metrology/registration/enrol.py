@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
 from metrology.registration.register import Registration
 from metrology.registration.rows import placed
 from metrology.results import Rivet, SeamStation
 from metrology.skin_normal import skin_normal
-
-Array = NDArray[np.float64]
 
 _NORMAL_REACH = 1.5  # in diameters of the head
 _COURSE_TOLERANCE_MM = 0.05

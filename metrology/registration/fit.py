@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Array
 from metrology.panel import NominalSeam, Placement, foot_on
-
-Array = NDArray[np.float64]
 
 _STEPS = 10
 _CONVERGED = 1e-6  # mm and rad

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from metrology.arrays import Array, Ints
 from metrology.panel import NominalSeam, PanelLayout, Placement, course_length, foot_on
 from metrology.registration.fit import Correspondences, FitWeights, fit_placement
 from metrology.registration.search import PointPattern, SearchLimits, alike, candidates, motion
 from metrology.registration.settings import RegistrationSettings
 from metrology.registration.view import in_view
 from metrology.rig import Rig
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 _REFINEMENTS = 4
 _SEARCHED_BEYOND = 1.5  # times the usual motion of the rig

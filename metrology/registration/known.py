@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.defects.row import Defect
-
-Array = NDArray[np.float64]
 
 _RAISED = ("bump", "raised edge")
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.fastener import size_verdict
 from metrology.kinds import DEFECT, HOLE, RIVET, SEAM_STATION
@@ -30,7 +30,6 @@ from metrology.registration.zones import in_nearest_zone
 from metrology.results import Features, Hole, Rivet, SeamStation, of_type
 from metrology.skin_normal import skin_normal
 
-Array = NDArray[np.float64]
 Status = Literal["recognised", "enrolled", "not enrolled", "not recognised"]
 
 _NORMAL_REACH = 1.5  # in diameters of the head

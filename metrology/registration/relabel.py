@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.panel import NominalRivet, NominalSeam, Placement, course_length, points_along
 from metrology.registration.courses import on_course
@@ -15,8 +15,6 @@ from metrology.registration.rows import placed
 from metrology.registration.view import in_view
 from metrology.results import MISSING, Rivet, SeamStation
 from metrology.rig import Rig
-
-Array = NDArray[np.float64]
 
 UNLISTED = "not in the panel's pattern"
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.panel import Placement
 from metrology.results import Feature
 
-Array = NDArray[np.float64]
 Row = TypeVar("Row", bound=Feature)
 
 

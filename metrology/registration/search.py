@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Array, Ints
 from metrology.panel import Placement
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 _MAX_PAIRS = 60  # of found rivets; with 3 in 10 of them false, half the pairs are still true ones
 _MAX_CANDIDATES = 20_000

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.rig import Rig
-
-Array = NDArray[np.float64]
 
 _MARGIN_PX = 10.0
 
