@@ -22,23 +22,15 @@ Role = Literal["nobody", "viewer", "reviewer"]
 
 @dataclass(frozen=True)
 class Person:
-    """The person at the browser.
-
-    Attributes
-    ----------
-    name : str
-        E-mail address; empty where nobody logs in.
-    role : "nobody", "viewer" or "reviewer"
-    verified : bool
-        Whether a log-in vouches for the name.
-    design_authority : bool
-        Whether a reviewer may also let parts pass that are not as drawn.
-    """
+    """The person at the browser."""
 
     name: str
+    """E-mail address; empty where nobody logs in."""
     role: Role
     verified: bool
+    """Whether a log-in vouches for the name."""
     design_authority: bool = True
+    """Whether a reviewer may also let parts pass that are not as drawn."""
 
     @property
     def may_review(self) -> bool:
@@ -64,7 +56,6 @@ def current_person(roles: RolesModel, root: Path) -> Person:
 
     Parameters
     ----------
-    roles : RolesModel
     root : Path
         The store's folder, which knows who logged out.
     """

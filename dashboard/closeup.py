@@ -36,35 +36,24 @@ NOT_KEPT = N_(
 
 @dataclass(frozen=True)
 class RivetCloseUp:
-    """A head and the skin around it, flattened onto the skin's reference surface.
-
-    Attributes
-    ----------
-    u, v : (n,) ndarray of int
-        Pixels of the points.
-    x, y : (n,) ndarray
-        Along the skin from the head's centre, mm.
-    deviation : (n,) ndarray
-        Above the skin's surface as fitted, mm.
-    inner, outer : (n,) ndarray of bool
-        Points where those of head and skin were taken from.
-    fit : HeadFit
-    height : float
-        Of the head as the fit gives it, mm.
-    along : float
-        Direction in which the head rises most, radians from x towards y.
-    """
+    """A head and the skin around it, flattened onto the skin's reference surface."""
 
     u: NDArray[np.int64]
     v: NDArray[np.int64]
+    """u, v: (n,) of int: pixels of the points."""
     x: Array
     y: Array
+    """x, y: (n,): along the skin from the head's centre, mm."""
     deviation: Array
+    """(n,): above the skin's surface as fitted, mm."""
     inner: Mask
     outer: Mask
+    """inner, outer: (n,) of bool: points where those of head and skin were taken from."""
     fit: HeadFit
     height: float
+    """Of the head as the fit gives it, mm."""
     along: float
+    """Direction in which the head rises most, radians from x towards y."""
 
     def section(self, half_width: float) -> tuple[Array, Array, Mask, Mask]:
         """Points within `half_width` of the line through the centre along the steepest rise.
@@ -130,35 +119,25 @@ def rivet_close_up(cloud: StoredCloud, rivet: Any, fit: HeadFit | None) -> Rivet
 
 @dataclass(frozen=True)
 class SeamSection:
-    """A section across a seam in the frame of the paper's Fig. 8: x from side A to side B, h towards the rig.
-
-    Attributes
-    ----------
-    x, h : (n,) ndarray
-        Points near the section plane, mm.
-    used : (n,) ndarray of bool
-        Points where those of the skin lines were taken from.
-    line_a, line_b : (3,) ndarray
-        L1 and L2: h = c0 + c1 x + c2 x², mm.
-    edge_a, edge_b : (x, h)
-        Where the step was taken, on the lines: the ideal edges D′ and G′ where those are known.
-    inflection_a, inflection_b : (x, h) or None
-        D and G; None where the width was not measured.
-    step : float
-        As the fit gives it, mm.
-    width : float or None
-    """
+    """A section across a seam in the frame of the paper's Fig. 8: x from side A to side B, h towards the rig."""
 
     x: Array
     h: Array
+    """x, h: (n,): points near the section plane, mm."""
     used: Mask
+    """(n,) of bool: points where those of the skin lines were taken from."""
     line_a: Array
     line_b: Array
+    """line_a, line_b: (3,): L1 and L2: h = c0 + c1 x + c2 x², mm."""
     edge_a: Place
     edge_b: Place
+    """edge_a, edge_b: (x, h): where the step was taken, on the lines: the ideal edges D′ and G′ where those are known.
+    """
     inflection_a: Place | None
     inflection_b: Place | None
+    """inflection_a, inflection_b: (x, h) or None: D and G; None where the width was not measured."""
     step: float
+    """As the fit gives it, mm."""
     width: float | None
 
 

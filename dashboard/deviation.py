@@ -20,23 +20,16 @@ _FEWEST = 200
 
 @dataclass(frozen=True)
 class FieldDeviation:
-    """A decimated cloud against its smooth skin.
-
-    Attributes
-    ----------
-    u, v : (w,), (h,) ndarray
-        Pixels of the columns and rows kept.
-    x, y : (h, w) float32
-        Along the skin, mm; NaN where there is no point.
-    deviation : (h, w) float32
-        Above a quadric through the field, mm.
-    """
+    """A decimated cloud against its smooth skin."""
 
     u: NDArray[np.int64]
     v: NDArray[np.int64]
+    """u, v: (w,), (h,): pixels of the columns and rows kept."""
     x: NDArray[np.float32]
     y: NDArray[np.float32]
+    """x, y: (h, w) float32: along the skin, mm; NaN where there is no point."""
     deviation: NDArray[np.float32]
+    """(h, w) float32: above a quadric through the field, mm."""
 
     @property
     def scale_mm(self) -> float:

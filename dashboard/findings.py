@@ -40,16 +40,7 @@ _ORDER = f"{RANK_SQL}, severity = 'red' DESC NULLS LAST, abs(value_mm) DESC NULL
 
 @dataclass(frozen=True)
 class Selection:
-    """Which scenes are meant; empty means all.
-
-    Attributes
-    ----------
-    aircraft, panels, stations, rigs : tuple of str
-    since, until : datetime or None
-        Of the scan.
-    without : tuple of str
-        Patterns of serial numbers that are left out, such as STD-*.
-    """
+    """Which scenes are meant; empty means all."""
 
     aircraft: tuple[str, ...] = ()
     panels: tuple[str, ...] = ()
@@ -57,7 +48,9 @@ class Selection:
     rigs: tuple[str, ...] = ()
     since: datetime | None = None
     until: datetime | None = None
+    """since, until: of the scan."""
     without: tuple[str, ...] = ()
+    """Patterns of serial numbers that are left out, such as STD-*."""
 
     def where(self) -> tuple[str, list[Any]]:
         """A SQL condition on a table's key columns, and its parameters."""
@@ -89,20 +82,13 @@ def start_of(period: str, newest: datetime | None) -> datetime | None:
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which findings of a selection are listed.
-
-    Attributes
-    ----------
-    decisions : tuple of str
-    kinds : tuple of str
-        Their names.
-    state : "open", "open work", "decided" or "all"
-        Open: waiting for a decision, or with open work.
-    """
+    """Which findings of a selection are listed."""
 
     decisions: tuple[str, ...] = OPEN_DECISIONS
     kinds: tuple[str, ...] = tuple(BY_NAME)
+    """Their names."""
     state: str = "open"
+    """"open", "open work", "decided" or "all": open: waiting for a decision, or with open work."""
     selection: Selection = field(default_factory=Selection)
 
 

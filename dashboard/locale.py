@@ -26,17 +26,11 @@ _MEASURED = re.compile(r"(?<![\w.])[-+−]\d+\.\d+|(?<=± )\d+\.\d+|\b\d+\.\d+(?
 
 @dataclass(frozen=True)
 class Locale:
-    """How a person writes numbers and times.
-
-    Attributes
-    ----------
-    style : "us", "de" or "iso"
-    zone : tzinfo
-        In which times are shown.
-    """
+    """How a person writes numbers and times."""
 
     style: Style = "iso"
     zone: tzinfo = UTC
+    """In which times are shown."""
 
     @property
     def separators(self) -> str:

@@ -43,26 +43,19 @@ _SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; nei
 
 @dataclass(frozen=True)
 class PanelView:
-    """An assembled panel.
-
-    Attributes
-    ----------
-    row : Any
-        Of the table `panels`.
-    features : mapping of str to DataFrame
-        Rows of the panel by the names of the kinds, with `feature_id`; u_px, v_px are mm in the panel's frame, v
-        downwards, as pictures are drawn.
-    findings, coverage, rules, stations, verdicts : DataFrame
-        Of the tables of the panel.
-    """
+    """An assembled panel."""
 
     row: Any
+    """Of the table `panels`."""
     features: SceneFeatures
+    """Rows of the panel by the names of the kinds, with `feature_id`; u_px, v_px are mm in the panel's frame, v
+    downwards, as pictures are drawn."""
     findings: pd.DataFrame
     coverage: pd.DataFrame
     rules: pd.DataFrame
     stations: pd.DataFrame
     verdicts: pd.DataFrame
+    """findings, coverage, rules, stations, verdicts: of the tables of the panel."""
 
     @property
     def parts(self) -> list[str]:

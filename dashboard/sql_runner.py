@@ -54,7 +54,6 @@ def run_query(
     ----------
     root : Path
         The store's folder.
-    sql : str
     rows : int
         Rows to fetch at most.
     seconds : float

@@ -21,46 +21,30 @@ SIGNS: tuple[Downstream, ...] = (-1, 0, 1)
 
 @dataclass(frozen=True)
 class LimitGroup:
-    """Values that were judged alike.
-
-    Attributes
-    ----------
-    config_hash, panel_spec, zone : str
-    n : int
-        How many values; 0 where only a step of the other sign occurs.
-    downstream : −1, 0 or 1
-        Of seams, see `metrology.requirements.limit_of`.
-    limit : Limit or None
-    readable : bool
-        Whether the specification that the run keeps can be read by this version.
-    """
+    """Values that were judged alike."""
 
     config_hash: str
     panel_spec: str
     zone: str
     n: int
+    """How many values; 0 where only a step of the other sign occurs."""
     downstream: Downstream
+    """Of seams, see `metrology.requirements.limit_of`."""
     limit: Limit | None
     readable: bool = True
+    """Whether the specification that the run keeps can be read by this version."""
 
 
 @dataclass(frozen=True)
 class Standard:
-    """The limits of a chart.
-
-    Attributes
-    ----------
-    limit : Limit or None
-        In the chart's unit: of the quantity, or ±1.
-    scales : tuple of Scale
-        How to make values relative; empty where the chart is in the quantity's own unit.
-    note : str
-        What a person must know about the limits; "" where there is nothing to say.
-    """
+    """The limits of a chart."""
 
     limit: Limit | None
+    """In the chart's unit: of the quantity, or ±1."""
     scales: tuple[Scale, ...] = ()
+    """How to make values relative; empty where the chart is in the quantity's own unit."""
     note: str = ""
+    """What a person must know about the limits; "" where there is nothing to say."""
 
     @property
     def relative(self) -> bool:

@@ -85,22 +85,15 @@ TYPE_SQL = "round(diameter_mm * 2) / 2"
 
 @dataclass(frozen=True)
 class Subject:
-    """What a trend follows.
-
-    Attributes
-    ----------
-    kind : str
-        What a name stands for, "rivet" or "seam"; or "panel", or "fastener type".
-    panel, station : str
-        Station only for names.
-    name : str
-        The name; the head's diameter in mm for a type.
-    """
+    """What a trend follows."""
 
     kind: str
+    """What a name stands for, "rivet" or "seam"; or "panel", or "fastener type"."""
     panel: str = ""
     station: str = ""
+    """panel, station: station only for names."""
     name: str = ""
+    """The name; the head's diameter in mm for a type."""
 
     def where(self) -> tuple[str, list[Any]]:
         """SQL condition on the quantity's table."""
@@ -194,24 +187,16 @@ def series(
 
 @dataclass(frozen=True)
 class Spread:
-    """How single values are distributed.
-
-    Attributes
-    ----------
-    n : int
-    mean, sd : float
-    centres, counts : (k,) ndarray
-        Histogram.
-    width : float
-        Of a bin.
-    """
+    """How single values are distributed."""
 
     n: int
     mean: float
     sd: float
     centres: np.ndarray
     counts: np.ndarray
+    """centres, counts: (k,): histogram."""
     width: float
+    """Of a bin."""
 
 
 def spread(

@@ -150,49 +150,32 @@ class CaptureModel(StrictModel):
 
 @dataclass(frozen=True)
 class PoseImages:
-    """One camera's pictures of one pose, decoded from their files.
-
-    Attributes
-    ----------
-    white : (h, w) uint8 or uint16
-        Projector white all over; the fringe frames' mean where it was not captured.
-    dark, dots : (h, w) array or None
-        Projector black; projected dots.
-    fringes : mapping of axis to (frames, h, w) array
-        Count-major, then step; empty where none were shown.
-    """
+    """One camera's pictures of one pose, decoded from their files."""
 
     white: GreyFrame
+    """(h, w) uint8 or uint16: projector white all over; the fringe frames' mean where it was not captured."""
     dark: GreyFrame | None
     dots: GreyFrame | None
+    """dark, dots: (h, w) or None: projector black; projected dots."""
     fringes: dict[Axis, GreyFrame]
+    """mapping of axis to (frames, h, w) array: count-major, then step; empty where none were shown."""
 
 
 @dataclass(frozen=True)
 class CalibrationCapture:
-    """A calibration capture whose manifest is sound and whose frames are all there, whole and of one kind.
-
-    Attributes
-    ----------
-    folder : Path
-    board : Board
-    projector_size : (width, height)
-    dots : ProjectedDots or None
-    codes : mapping of axis to FringeCode
-        Empty where no fringes were shown.
-    model : CaptureModel
-        The manifest itself.
-    headers : mapping
-        What all frames of a camera have in common.
-    """
+    """A calibration capture whose manifest is sound and whose frames are all there, whole and of one kind."""
 
     folder: Path
     board: Board
     projector_size: tuple[int, int]
+    """(width, height)."""
     dots: ProjectedDots | None
     codes: dict[Axis, FringeCode]
+    """Empty where no fringes were shown."""
     model: CaptureModel
+    """The manifest itself."""
     headers: dict[Camera, FrameHeader]
+    """What all frames of a camera have in common."""
 
     def __len__(self) -> int:
         return len(self.model.poses)

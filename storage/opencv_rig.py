@@ -48,7 +48,6 @@ def load_opencv_rig(
     ----------
     paths : sequence of Path
         One file or several that together hold intrinsics and extrinsics.
-    rig_id, calibrated_at : str
     size : (int, int), optional
         Width and height of the camera images where the files do not tell.
     unit : str, optional

@@ -12,18 +12,10 @@ from storage.scene import Scene
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A sound scene and the rig that measures it.
-
-    Attributes
-    ----------
-    scene : Scene or CloudScene
-    rig : Rig
-    warnings : tuple of str
-    known : KnownScene or None
-        What the store has of the scene already.
-    """
+    """A sound scene and the rig that measures it."""
 
     scene: Scene | CloudScene
     rig: Rig
     warnings: tuple[str, ...] = ()
     known: KnownScene | None = None
+    """What the store has of the scene already."""

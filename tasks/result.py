@@ -33,18 +33,12 @@ _WITHOUT_PROJECTOR = (
 
 @dataclass(frozen=True)
 class Encoded:
-    """What is stored of a scan itself.
-
-    Attributes
-    ----------
-    preview : (h, w) uint8
-        The texture as a picture.
-    files : mapping
-        Content of the bundle's largest files.
-    """
+    """What is stored of a scan itself."""
 
     preview: NDArray[np.uint8]
+    """(h, w) uint8: the texture as a picture."""
     files: Mapping[str, bytes]
+    """Content of the bundle's largest files."""
 
 
 def encode(reconstruction: Reconstruction) -> Encoded:

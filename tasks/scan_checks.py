@@ -24,22 +24,14 @@ from tasks.settings import SceneChecks
 
 @dataclass(frozen=True)
 class CheckedFrames:
-    """What a camera's frames say about each other.
-
-    Attributes
-    ----------
-    camera : "left" or "right"
-    sample : FrameSample
-    found : tuple of FrameConsistency
-        Of each exposure.
-    diagnosis : FrameDiagnosis or None
-        Of frames that are suspicious.
-    """
+    """What a camera's frames say about each other."""
 
     camera: Camera
     sample: FrameSample
     found: tuple[FrameConsistency, ...]
+    """Of each exposure."""
     diagnosis: FrameDiagnosis | None
+    """Of frames that are suspicious."""
 
 
 def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scene, rig: Rig) -> CheckedFrames:
@@ -47,12 +39,9 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
 
     Parameters
     ----------
-    camera : "left" or "right"
     frames : (exposures, frames, h, w) ndarray of uint8 or uint16
     view : DecodedView
         Of these frames.
-    scene : Scene
-    rig : Rig
     """
     noise = view.noise or NoiseModel(1.0, 0.0)
     sample = sample_frames(frames, scene.code, noise)

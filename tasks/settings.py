@@ -25,26 +25,18 @@ from storage.models import first_problem
 
 @dataclass(frozen=True)
 class SceneChecks:
-    """When a scan is refused, or said to be doubtful.
-
-    Attributes
-    ----------
-    min_valid_fraction : float
-        Share of the left camera's pixels that must have a point; a scan with less shows no skin.
-    max_saturated_fraction : float
-        Share of the skin that may be saturated in every exposure before a warning says so. Glints on heads and edges
-        take up less than a hundredth; where a twentieth is saturated, there are gaps larger than a rivet head.
-    contradictory_warning_fraction : float
-        Share of a camera's lit pixels whose fringes may contradict each other before a warning says so; a sound scan
-        has 0.005 at most.
-    max_contradictory_fraction : float
-        The same share from which a scan is refused, whether or not the wrong frame can be named.
-    """
+    """When a scan is refused, or said to be doubtful."""
 
     min_valid_fraction: float = 0.02
+    """Share of the left camera's pixels that must have a point; a scan with less shows no skin."""
     max_saturated_fraction: float = 0.05
+    """Share of the skin that may be saturated in every exposure before a warning says so. Glints on heads and edges
+    take up less than a hundredth; where a twentieth is saturated, there are gaps larger than a rivet head."""
     contradictory_warning_fraction: float = 0.03
+    """Share of a camera's lit pixels whose fringes may contradict each other before a warning says so; a sound scan has
+    0.005 at most."""
     max_contradictory_fraction: float = 0.2
+    """The same share from which a scan is refused, whether or not the wrong frame can be named."""
 
     def __post_init__(self) -> None:
         for name in (setting.name for setting in fields(self)):
@@ -58,17 +50,12 @@ class VerificationSettings:
 
     A rig that was verified once is watched: a verification that failed or is overdue, or a calibration past its due
     date, is warned of.
-
-    Attributes
-    ----------
-    required : bool
-        Whether a rig that was never verified counts like one whose verification is overdue.
-    refuse : bool
-        Whether scans of such rigs are refused instead of warned of.
     """
 
     required: bool = False
+    """Whether a rig that was never verified counts like one whose verification is overdue."""
     refuse: bool = False
+    """Whether scans of such rigs are refused instead of warned of."""
 
 
 @dataclass(frozen=True)

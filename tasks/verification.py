@@ -39,25 +39,16 @@ _RIM_PX = 5
 
 @dataclass(frozen=True)
 class Look:
-    """A scan of an artefact.
-
-    Attributes
-    ----------
-    scan : ScanModel
-    reconstruction : Reconstruction or None
-        None where the rig does not fit the scan.
-    rivets, stations : tuple
-        By the artefact's names.
-    failure : str
-        Why the rig does not fit.
-    warnings : tuple of str
-    """
+    """A scan of an artefact."""
 
     scan: ScanModel
     reconstruction: Reconstruction | None
+    """None where the rig does not fit the scan."""
     rivets: tuple[Rivet, ...] = ()
     stations: tuple[SeamStation, ...] = ()
+    """rivets, stations: by the artefact's names."""
     failure: str = ""
+    """Why the rig does not fit."""
     warnings: tuple[str, ...] = ()
 
 

@@ -16,32 +16,22 @@ _KINDS = ("asymmetric_circles", "circles", "chessboard", "charuco")
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board with features at known places; the features lie at z = 0 of its own frame.
-
-    Attributes
-    ----------
-    kind : str
-        asymmetric_circles: dots at ((2c + r mod 2) s, r s); circles: dots at (c s, r s); chessboard: inner corners at
-        (c s, r s); charuco: the inner corners of a board of cols × rows squares, at ((c + 1) s, (r + 1) s).
-    cols, rows : int
-        Features per row and number of rows; for charuco the squares.
-    spacing_mm : float
-        s: spacing of the dots (half the distance within a row of an asymmetric grid), or the side of a square.
-    dot_diameter_mm : float or None
-        Of the circles.
-    marker_mm : float or None
-        Side of a ChArUco marker.
-    dictionary : str or None
-        OpenCV's name of the ChArUco markers' dictionary, such as DICT_5X5_100.
-    """
+    """A flat board with features at known places; the features lie at z = 0 of its own frame."""
 
     kind: BoardKind
+    """asymmetric_circles: dots at ((2c + r mod 2) s, r s); circles: dots at (c s, r s); chessboard: inner corners at (c
+    s, r s); charuco: the inner corners of a board of cols × rows squares, at ((c + 1) s, (r + 1) s)."""
     cols: int
     rows: int
+    """cols, rows: features per row and number of rows; for charuco the squares."""
     spacing_mm: float
+    """s: spacing of the dots (half the distance within a row of an asymmetric grid), or the side of a square."""
     dot_diameter_mm: float | None = None
+    """Of the circles."""
     marker_mm: float | None = None
+    """Side of a ChArUco marker."""
     dictionary: str | None = None
+    """OpenCV's name of the ChArUco markers' dictionary, such as DICT_5X5_100."""
 
     def __post_init__(self) -> None:
         if self.kind not in _KINDS:

@@ -29,46 +29,31 @@ _UNDETERMINED = 1e-13  # smallest over largest eigenvalue of the scaled normal m
 
 @dataclass(frozen=True)
 class State:
-    """Devices (in the rig frame) and poses of the board: a point p of the board is at R p + t in the rig frame.
-
-    Attributes
-    ----------
-    devices : dict of str to Device
-        "left" always, at the origin.
-    rotations, translations : dict of int to (3, 3) and (3,) ndarray
-        By the pose's number in the capture.
-    """
+    """Devices (in the rig frame) and poses of the board: a point p of the board is at R p + t in the rig frame."""
 
     devices: dict[DeviceName, Device]
+    """"left" always, at the origin."""
     rotations: dict[int, Array]
     translations: dict[int, Array]
+    """rotations, translations: dict of int to (3, 3) and (3,): by the pose's number in the capture."""
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """The adjusted state.
-
-    Attributes
-    ----------
-    state : State
-    names : tuple of str
-        Of the device parameters, such as "left.fx" or "projector.tz"; lengths in mm, angles (a rotation vector) in rad.
-    covariance : (p, p) ndarray
-        Of those, poses and noise level accounted for.
-    residuals : list of (n, 2) ndarray
-        Predicted minus measured pixels, one per sighting.
-    chi2 : float
-        Sum of squared residuals over their variances.
-    freedom : int
-        Residuals minus parameters.
-    """
+    """The adjusted state."""
 
     state: State
     names: tuple[str, ...]
+    """Of the device parameters, such as "left.fx" or "projector.tz"; lengths in mm, angles (a rotation vector) in rad.
+    """
     covariance: Array
+    """(p, p): of those, poses and noise level accounted for."""
     residuals: list[Array]
+    """list of (n, 2): predicted minus measured pixels, one per sighting."""
     chi2: float
+    """Sum of squared residuals over their variances."""
     freedom: int
+    """Residuals minus parameters."""
 
 
 class _Problem:
@@ -228,7 +213,6 @@ def adjust(
     ----------
     start : State
         Near the solution.
-    sightings : sequence of Sighting
     free : dict of str to sequence of str
         The lens terms (INTRINSICS) to estimate for each device; focal lengths and principal point not named stay, other
         terms not named are zero.

@@ -40,61 +40,39 @@ _NOTABLE_RMS_PX = {"left": 0.1, "right": 0.1, "projector": 0.5}
 
 @dataclass(frozen=True)
 class PoseUse:
-    """What became of one pose.
-
-    Attributes
-    ----------
-    pose : int
-    used : tuple of str
-        Sightings that went into the adjustment, as "left board", "right dots" …; empty for a refused pose.
-    features, outliers : int
-        Features used and left out.
-    rms_px : dict of str to float
-        By sighting: root mean square distance of predicted and measured pixels. That of dots is in camera pixels.
-    reasons : tuple of str
-        Why something was refused.
-    """
+    """What became of one pose."""
 
     pose: int
     used: tuple[str, ...]
+    """Sightings that went into the adjustment, as "left board", "right dots" …; empty for a refused pose."""
     features: int
     outliers: int
+    """features, outliers: features used and left out."""
     rms_px: dict[str, float]
+    """By sighting: root mean square distance of predicted and measured pixels. That of dots is in camera pixels."""
     reasons: tuple[str, ...]
+    """Why something was refused."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Devices calibrated together.
-
-    Attributes
-    ----------
-    adjusted : Adjusted
-    sightings : tuple of Sighting
-        Those used, eccentricity removed, with the noise that the residuals show.
-    terms : dict of str to tuple of str
-        Distortion terms of each device.
-    evidence : tuple of Evidence
-    poses : tuple of PoseUse
-    field : FieldUncertainty or None
-        What the covariance means for measurements; None without a right camera and a projector.
-    rms_px : dict of str to float
-        Root mean square reprojection distance by device, of both coordinates together as OpenCV has it; that of the
-        projector in its own pixels.
-    warnings : tuple of str
-    board_layout : "new", "old" or None
-        Of a ChArUco board: the layout that was found; None where there is but one.
-    """
+    """Devices calibrated together."""
 
     adjusted: Adjusted
     sightings: tuple[Sighting, ...]
+    """Those used, eccentricity removed, with the noise that the residuals show."""
     terms: Terms
+    """Distortion terms of each device."""
     evidence: tuple[Evidence, ...]
     poses: tuple[PoseUse, ...]
     field: FieldUncertainty | None
+    """What the covariance means for measurements; None without a right camera and a projector."""
     rms_px: dict[DeviceName, float]
+    """Root mean square reprojection distance by device, of both coordinates together as OpenCV has it; that of the
+    projector in its own pixels."""
     warnings: tuple[str, ...]
     board_layout: Layout | None = None
+    """Of a ChArUco board: the layout that was found; None where there is but one."""
 
     def rig(self, rig_id: str, calibrated_at: str) -> Rig:
         """The rig, its covariance and residuals in `extra`; with the devices that were calibrated."""
@@ -168,7 +146,6 @@ def calibrate_sightings(
 
     Parameters
     ----------
-    sightings : sequence of Sighting
     sizes : mapping
         Width and height of each device to calibrate, pixels.
     reasons : mapping of pose to texts, optional

@@ -23,21 +23,14 @@ _LEAST_CONTRAST = 3.0  # edge height over the residual's scatter
 
 @dataclass(frozen=True)
 class CornerFit:
-    """A corner.
-
-    Attributes
-    ----------
-    centre : (2,) ndarray
-        Pixels.
-    covariance : (2, 2) ndarray
-        px², from the fit's own residual.
-    blur_px : float
-        Standard deviation of the edges' Gaussian blur.
-    """
+    """A corner."""
 
     centre: Array
+    """(2,): pixels."""
     covariance: Array
+    """(2, 2): px², from the fit's own residual."""
     blur_px: float
+    """Standard deviation of the edges' Gaussian blur."""
 
     @property
     def sigma_px(self) -> float:

@@ -17,28 +17,17 @@ from metrology.errors import CalibrationError
 
 @dataclass(frozen=True)
 class Detection:
-    """What was found in one camera's pictures of one pose.
-
-    Attributes
-    ----------
-    pose : int
-    camera : str
-    size : (int, int)
-        Width and height of the image.
-    board : BoardView or None
-    projected : ProjectionView or None
-    coded : CodedView or None
-    reasons : tuple of str
-        Why something that was asked for is None.
-    """
+    """What was found in one camera's pictures of one pose."""
 
     pose: int
     camera: CameraName
     size: tuple[int, int]
+    """Width and height of the image."""
     board: BoardView | None
     projected: ProjectionView | None
     coded: CodedView | None
     reasons: tuple[str, ...]
+    """Why something that was asked for is None."""
 
 
 def detect(

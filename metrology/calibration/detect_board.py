@@ -39,33 +39,22 @@ _OLDER_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 
 @dataclass(frozen=True)
 class BoardView:
-    """Features of the board that one camera found.
-
-    Attributes
-    ----------
-    index : (n,) int array
-        Which features (rows of `Board.points`).
-    pixels : (n, 2) ndarray
-        Raw pixels; of dots the ellipse's centre, perspective eccentricity still in it.
-    sigma_px : (n,) ndarray
-        Standard deviation of each coordinate as the fit's residual tells it.
-    blur_px : float
-        Median blur of the edges; NaN where the detector does not tell.
-    size : (int, int)
-        Width and height of the image.
-    layout : "new", "old" or None
-        Of a ChArUco board: as OpenCV draws it since 4.6, or before; None where there is no difference.
-    otherwise : BoardView or None
-        The picture read by the other layout, where the markers in view do not tell which it is.
-    """
+    """Features of the board that one camera found."""
 
     index: NDArray[np.intp]
+    """(n,) int array: which features (rows of `Board.points`)."""
     pixels: Array
+    """(n, 2): raw pixels; of dots the ellipse's centre, perspective eccentricity still in it."""
     sigma_px: Array
+    """(n,): standard deviation of each coordinate as the fit's residual tells it."""
     blur_px: float
+    """Median blur of the edges; NaN where the detector does not tell."""
     size: tuple[int, int]
+    """Width and height of the image."""
     layout: Layout | None = None
+    """Of a ChArUco board: as OpenCV draws it since 4.6, or before; None where there is no difference."""
     otherwise: BoardView | None = None
+    """The picture read by the other layout, where the markers in view do not tell which it is."""
 
 
 def detect_board(frames: BoardFrames, board: Board) -> BoardView:

@@ -34,19 +34,14 @@ _SIZE_TOLERANCE = 0.15
 
 @dataclass(frozen=True)
 class ProjectionView:
-    """Projected dots that one camera found.
-
-    Attributes
-    ----------
-    index : (n,) int array
-        Which dots (rows of `ProjectedDots.centres`).
-    pixels, sigma_px : (n, 2) and (n,) ndarray
-        Ellipse centres in raw camera pixels (perspective eccentricity still in them) and their standard deviations.
-    """
+    """Projected dots that one camera found."""
 
     index: NDArray[np.intp]
+    """(n,) int array: which dots (rows of `ProjectedDots.centres`)."""
     pixels: Array
     sigma_px: Array
+    """pixels, sigma_px: (n, 2) and (n,): ellipse centres in raw camera pixels (perspective eccentricity still in them)
+    and their standard deviations."""
 
 
 def detect_projected_dots(frames: BoardFrames, pattern: ProjectedDots) -> ProjectionView:

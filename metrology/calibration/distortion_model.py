@@ -23,24 +23,15 @@ USUAL = LADDER[3]
 
 @dataclass(frozen=True)
 class Evidence:
-    """One lens model of one device against the data.
-
-    Attributes
-    ----------
-    device : str
-    terms : tuple of str
-        Distortion terms of the model.
-    bic : float
-        Bayesian information criterion, relative to the chosen model (0 for that one, positive for the others).
-    p_value : float or None
-        F-test of the terms that it adds to the model before it: how likely noise alone would explain as much.
-    chosen : bool
-    """
+    """One lens model of one device against the data."""
 
     device: DeviceName
     terms: tuple[str, ...]
+    """Distortion terms of the model."""
     bic: float
+    """Bayesian information criterion, relative to the chosen model (0 for that one, positive for the others)."""
     p_value: float | None
+    """F-test of the terms that it adds to the model before it: how likely noise alone would explain as much."""
     chosen: bool
 
 
@@ -51,7 +42,6 @@ def choose_terms(
 
     Parameters
     ----------
-    device : str
     fit : callable
         Terms to (χ², degrees of freedom) of the whole adjustment.
     count : int

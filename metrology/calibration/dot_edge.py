@@ -28,27 +28,18 @@ _RIM_SAMPLES = 72
 
 @dataclass(frozen=True)
 class DotFit:
-    """An ellipse (x − centre)ᵀ shape (x − centre) = 1.
-
-    Attributes
-    ----------
-    centre : (2,) ndarray
-        Pixels.
-    shape : (2, 2) ndarray
-        Symmetric, 1/px².
-    covariance : (2, 2) ndarray
-        Of the centre, px², from the fit's own residual.
-    blur_px : float
-        Standard deviation of the edge's Gaussian blur.
-    rim_fraction : float
-        Part of the rim that was visible.
-    """
+    """An ellipse (x − centre)ᵀ shape (x − centre) = 1."""
 
     centre: Array
+    """(2,): pixels."""
     shape: Array
+    """(2, 2): symmetric, 1/px²."""
     covariance: Array
+    """(2, 2): of the centre, px², from the fit's own residual."""
     blur_px: float
+    """Standard deviation of the edge's Gaussian blur."""
     rim_fraction: float
+    """Part of the rim that was visible."""
 
     @property
     def area(self) -> float:

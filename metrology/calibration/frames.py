@@ -18,24 +18,17 @@ CAMERAS: tuple[CameraName, ...] = ("left", "right")
 
 @dataclass(frozen=True)
 class BoardFrames:
-    """One camera's pictures of one pose; grey levels of uint8 or uint16.
-
-    Attributes
-    ----------
-    white : (h, w) uint8 or uint16
-        Lit by the projector all over.
-    dark : (h, w) array or None
-        Projector black; taken as zero where it was not captured.
-    dots : (h, w) array or None
-        Projected dot pattern.
-    coordinate : (h, w, 2) float array or None
-        Decoded fringes in both axes: the projector column and row that each pixel sees, NaN where none.
-    """
+    """One camera's pictures of one pose; grey levels of uint8 or uint16."""
 
     white: GreyFrame
+    """(h, w) uint8 or uint16: lit by the projector all over."""
     dark: GreyFrame | None = None
+    """(h, w) or None: projector black; taken as zero where it was not captured."""
     dots: GreyFrame | None = None
+    """(h, w) or None: projected dot pattern."""
     coordinate: NDArray[np.floating] | None = None
+    """(h, w, 2) float array or None: decoded fringes in both axes: the projector column and row that each pixel sees,
+    NaN where none."""
 
     @property
     def lit(self) -> NDArray[np.float64]:

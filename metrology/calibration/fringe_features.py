@@ -23,21 +23,14 @@ _LEAST_PART = 0.5  # of the board's features
 
 @dataclass(frozen=True)
 class CodedView:
-    """Projector pixels of the board features that one camera found.
-
-    Attributes
-    ----------
-    index : (n,) int array
-        Which features (rows of `Board.points`).
-    projector_px : (n, 2) ndarray
-        Projector column and row.
-    sigma_px : (n,) ndarray
-        Standard deviation of each coordinate, from the scatter about the local fit.
-    """
+    """Projector pixels of the board features that one camera found."""
 
     index: NDArray[np.intp]
+    """(n,) int array: which features (rows of `Board.points`)."""
     projector_px: Array
+    """(n, 2): projector column and row."""
     sigma_px: Array
+    """(n,): standard deviation of each coordinate, from the scatter about the local fit."""
 
 
 def coded_features(view: BoardView, coordinate: NDArray[np.floating], board: Board) -> CodedView:
@@ -49,10 +42,8 @@ def coded_features(view: BoardView, coordinate: NDArray[np.floating], board: Boa
 
     Parameters
     ----------
-    view : BoardView
     coordinate : (h, w, 2) array
         Projector column and row at every pixel, NaN where there is none.
-    board : Board
     """
     points = board.points[view.index, :2]
     homography = fit_homography(points, view.pixels)

@@ -53,7 +53,6 @@ def start_values(
 
     Parameters
     ----------
-    sightings : sequence of Sighting
     sizes : mapping
         Width and height of every device in pixels.
     """

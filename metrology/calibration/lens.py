@@ -14,20 +14,14 @@ INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 @dataclass(frozen=True)
 class Projected:
-    """Pixels of points with derivatives.
-
-    Attributes
-    ----------
-    pixels : (n, 2) ndarray
-    by_point : (n, 2, 3) ndarray
-        ∂(u, v)/∂(x, y, z), the point in the device's own frame.
-    by_lens : (n, 2, 9) ndarray
-        ∂(u, v)/∂ INTRINSICS.
-    """
+    """Pixels of points with derivatives."""
 
     pixels: Array
+    """(n, 2)."""
     by_point: Array
+    """(n, 2, 3): ∂(u, v)/∂(x, y, z), the point in the device's own frame."""
     by_lens: Array
+    """(n, 2, 9): ∂(u, v)/∂ INTRINSICS."""
 
 
 def project(points: Array, lens: Array) -> Projected:

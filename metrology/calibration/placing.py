@@ -19,18 +19,12 @@ _STRAY = 2  # blobs that fit the lattice by chance
 
 @dataclass(frozen=True)
 class Placement:
-    """A lattice laid onto the board.
-
-    Attributes
-    ----------
-    on_board : (m,) int array
-        Rows of the lattice that lie on the board.
-    index : (m,) int array
-        Their features (rows of `Board.points`).
-    """
+    """A lattice laid onto the board."""
 
     on_board: NDArray[np.intp]
+    """(m,) int array: rows of the lattice that lie on the board."""
     index: NDArray[np.intp]
+    """(m,) int array: their features (rows of `Board.points`)."""
 
 
 def symmetries(board: Board) -> list[NDArray[np.intp]]:

@@ -29,31 +29,24 @@ _COVERAGE = 2.0  # standard deviations of a 95 % interval
 
 @dataclass(frozen=True)
 class FieldUncertainty:
-    """Uncertainty (95 %) that the calibration alone gives a measurement, over the field at one distance.
-
-    Attributes
-    ----------
-    distance_mm : float
-        z of the plane looked at, square to the left camera.
-    left_px : (rows, cols, 2) ndarray
-    height_u95_mm : (rows, cols) ndarray
-        Of a head of 8 mm diameter standing 0.5 mm proud.
-    depth_u95_mm : (rows, cols) ndarray
-        Of a point's z in the rig frame.
-    overlay_u95_mm : (rows, cols) ndarray
-        Of where the projector puts a mark for a measured point, on the skin, along the worse direction of the two.
-    epipolar_sigma_px, projector_sigma_px : float
-        Root mean square over the field of what the rig's health check would see if nothing but calibration noise
-        were wrong: distance from the epipolar line in the right image, and projector column.
-    """
+    """Uncertainty (95 %) that the calibration alone gives a measurement, over the field at one distance."""
 
     distance_mm: float
+    """z of the plane looked at, square to the left camera."""
     left_px: Array
+    """(rows, cols, 2)."""
     height_u95_mm: Array
+    """(rows, cols): of a head of 8 mm diameter standing 0.5 mm proud."""
     depth_u95_mm: Array
+    """(rows, cols): of a point's z in the rig frame."""
     overlay_u95_mm: Array
+    """(rows, cols): of where the projector puts a mark for a measured point, on the skin, along the worse direction of
+    the two."""
     epipolar_sigma_px: float
     projector_sigma_px: float
+    """epipolar_sigma_px, projector_sigma_px: root mean square over the field of what the rig's health check would see
+    if nothing but calibration noise were wrong: distance from the epipolar line in the right image, and projector
+    column."""
 
 
 def field_uncertainty(adjusted: Adjusted) -> FieldUncertainty | None:

@@ -14,29 +14,20 @@ MIN_MARKERS = 3
 
 @dataclass(frozen=True)
 class ProjectedDots:
-    """Bright discs on black at `origin_px + ((2c + r mod 2) s, r s)`, projector pixels with centres at integers.
-
-    Attributes
-    ----------
-    cols, rows : int
-        Dots per row and number of rows.
-    spacing_px : float
-        s, half the distance within a row.
-    origin_px : (float, float)
-        Column and row of dot (0, 0).
-    diameter_px, marker_diameter_px : float
-        Of an ordinary dot and of a marker.
-    markers : tuple of (row, col)
-        The larger dots. They must not be in line, nor look the same after a turn of the grid.
-    """
+    """Bright discs on black at `origin_px + ((2c + r mod 2) s, r s)`, projector pixels with centres at integers."""
 
     cols: int
     rows: int
+    """cols, rows: dots per row and number of rows."""
     spacing_px: float
+    """s, half the distance within a row."""
     origin_px: tuple[float, float]
+    """Column and row of dot (0, 0)."""
     diameter_px: float
     marker_diameter_px: float
+    """diameter_px, marker_diameter_px: of an ordinary dot and of a marker."""
     markers: tuple[tuple[int, int], ...]
+    """tuple of (row, col): the larger dots. They must not be in line, nor look the same after a turn of the grid."""
 
     def __post_init__(self) -> None:
         if self.cols < 3 or self.rows < 3 or not self.spacing_px > 0:

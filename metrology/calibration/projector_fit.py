@@ -41,58 +41,37 @@ _WORST_FOCAL = 0.05  # U95 over the focal length from which the scans count as f
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """Points of one scan and what the projector shows there.
-
-    Attributes
-    ----------
-    axis : "x" or "y"
-        Of the coordinate.
-    points : (n, 3) ndarray
-        Rig frame, mm.
-    coordinate : (n,) ndarray
-        Decoded, projector pixels.
-    block : (n,) int array
-        Blocks of the left image to which the points belong, 0 … m − 1.
-    """
+    """Points of one scan and what the projector shows there."""
 
     axis: Axis
+    """Of the coordinate."""
     points: Array
+    """(n, 3): rig frame, mm."""
     coordinate: Array
+    """(n,): decoded, projector pixels."""
     block: NDArray[np.int64]
+    """(n,) int array: blocks of the left image to which the points belong, 0 … m − 1."""
 
 
 @dataclass(frozen=True)
 class FittedProjector:
-    """A projector and how well it is known.
-
-    Attributes
-    ----------
-    device : Device
-    sigma : mapping of str to float
-        Standard deviations of fx, fy, cx, cy, distortion terms (px), rx, ry, rz (rad), tx, ty, tz (mm).
-    rms_px : float
-        Of the blocks' decoded minus projected coordinates.
-    blocks : int
-    terms : tuple of str
-        Distortion terms that the scans support.
-    evidence : tuple of Evidence
-    assumed : "rows", "columns" or None
-        What no fringes showed.
-    place_u95_mm : float
-        Of the projector's centre, the worst direction, 95 %.
-    assumed_u95_px : float
-        Of the rows or columns that no fringes showed, where the scans have points; 0 where none are assumed.
-    """
+    """A projector and how well it is known."""
 
     device: Device
     sigma: Mapping[str, float]
+    """Standard deviations of fx, fy, cx, cy, distortion terms (px), rx, ry, rz (rad), tx, ty, tz (mm)."""
     rms_px: float
+    """Of the blocks' decoded minus projected coordinates."""
     blocks: int
     terms: tuple[str, ...]
+    """Distortion terms that the scans support."""
     evidence: tuple[Evidence, ...]
     assumed: str | None
+    """"rows", "columns" or None: what no fringes showed."""
     place_u95_mm: float
+    """Of the projector's centre, the worst direction, 95 %."""
     assumed_u95_px: float
+    """Of the rows or columns that no fringes showed, where the scans have points; 0 where none are assumed."""
 
     @property
     def summary(self) -> dict[str, object]:

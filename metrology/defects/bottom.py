@@ -25,27 +25,19 @@ _FLATTEST = 1e-6  # 1/mm
 
 @dataclass(frozen=True)
 class Bottom:
-    """The deepest point.
-
-    Attributes
-    ----------
-    x, y : float
-        mm in the patch's frame.
-    depth, sd : float
-        mm; standard deviation by the noise of the points and by what its form may be.
-    radius, radius_sd : float
-        Least radius of curvature, the skin's own left out, mm.
-    hidden : bool
-        Whether it lies at the border of what was seen: it may be deeper behind it.
-    """
+    """The deepest point."""
 
     x: float
     y: float
+    """x, y: mm in the patch's frame."""
     depth: float
     sd: float
+    """depth, sd: mm; standard deviation by the noise of the points and by what its form may be."""
     radius: float
     radius_sd: float
+    """radius, radius_sd: least radius of curvature, the skin's own left out, mm."""
     hidden: bool
+    """Whether it lies at the border of what was seen: it may be deeper behind it."""
 
 
 def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[float, float, float]) -> Bottom | None:
@@ -56,7 +48,6 @@ def bottom_of(patch: Patch, inside: Mask, at: tuple[int, int], radii: tuple[floa
 
     Parameters
     ----------
-    patch : Patch
     inside : (rows, columns) bool
         Within its outline at half depth.
     at : (row, column)

@@ -61,29 +61,20 @@ _ROUNDED_MM, _ROUNDED_SD_MM = 1.5, 1.0  # radius to which a sheet's point or fol
 
 @dataclass(frozen=True)
 class Points:
-    """Points near a bottom.
-
-    Attributes
-    ----------
-    p, q : (n,) ndarray
-        Along its length and across, over half its axes at half depth.
-    depth, sd : (n,) ndarray
-        mm.
-    centre : (x, y)
-        Of p, q in the patch's frame, mm.
-    radii : (float, float, float)
-        Half its length and width at half depth, mm, and the length's direction.
-    blur_mm : float
-        Standard deviation of the area that a point is a mean of.
-    """
+    """Points near a bottom."""
 
     p: Array
     q: Array
+    """p, q: (n,): along its length and across, over half its axes at half depth."""
     depth: Array
     sd: Array
+    """depth, sd: (n,): mm."""
     centre: tuple[float, float]
+    """(x, y): of p, q in the patch's frame, mm."""
     radii: tuple[float, float, float]
+    """Half its length and width at half depth, mm, and the length's direction."""
     blur_mm: float
+    """Standard deviation of the area that a point is a mean of."""
 
 
 @dataclass(frozen=True)

@@ -36,27 +36,18 @@ _LEAST_CELLS = 400
 
 @dataclass(frozen=True)
 class CellMap:
-    """Means over cells.
-
-    Attributes
-    ----------
-    points : (rows, columns, 3) ndarray
-        Rig frame, mm; NaN without enough sound points.
-    sigma : (rows, columns) ndarray
-        Standard deviation of z if pixels were independent, mm.
-    plate : (rows, columns) int32
-        Which piece of skin between seams a cell lies on, 1 …; 0 on none.
-    seam : (rows, columns) bool
-        Cells of seams.
-    free : (rows, columns) bool
-        Sound cells of a plate that are no fastener, hole or seam.
-    """
+    """Means over cells."""
 
     points: Array
+    """(rows, columns, 3): rig frame, mm; NaN without enough sound points."""
     sigma: Array
+    """(rows, columns): standard deviation of z if pixels were independent, mm."""
     plate: NDArray[np.int32]
+    """(rows, columns) int32: which piece of skin between seams a cell lies on, 1 …; 0 on none."""
     seam: Mask
+    """(rows, columns): cells of seams."""
     free: Mask
+    """(rows, columns): sound cells of a plate that are no fastener, hole or seam."""
 
     @property
     def plates(self) -> range:

@@ -21,33 +21,23 @@ _FEWEST = 12
 
 @dataclass(frozen=True)
 class Outline:
-    """A closed curve in the tangent plane.
-
-    Attributes
-    ----------
-    x, y : (n,) ndarray
-        mm in the patch's frame.
-    cells : (rows, columns) bool
-        Grid cells of the patch within it.
-    length, width : float
-        Its greatest extent, and that at 90° to it, mm.
-    angle : float
-        Direction of the length in the frame, radians.
-    area : float
-        mm².
-    cut_by_view, cut_by_seam : float
-        Shares of its border at which the view, or the plate at a seam, ends.
-    """
+    """A closed curve in the tangent plane."""
 
     x: Array
     y: Array
+    """x, y: (n,): mm in the patch's frame."""
     cells: Mask
+    """(rows, columns): grid cells of the patch within it."""
     length: float
     width: float
+    """length, width: its greatest extent, and that at 90° to it, mm."""
     angle: float
+    """Direction of the length in the frame, radians."""
     area: float
+    """mm²."""
     cut_by_view: float
     cut_by_seam: float
+    """cut_by_view, cut_by_seam: shares of its border at which the view, or the plate at a seam, ends."""
 
 
 def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]) -> Outline | None:
@@ -55,7 +45,6 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
 
     Parameters
     ----------
-    patch : Patch
     depth : (rows, columns) ndarray
         Smoothed, mm.
     level : float

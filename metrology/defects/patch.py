@@ -31,52 +31,35 @@ SUPPORT_PX = 1.4
 
 @dataclass(frozen=True)
 class Patch:
-    """A window of the scan.
-
-    Attributes
-    ----------
-    number : int
-        Of its plate.
-    sign : 1 or −1
-        The defect's side: below or above.
-    reference : Reference
-    frame : Frame
-        Its x, y is the tangent plane of the reference at the defect's deepest cell.
-    x, y : (rows, columns) ndarray
-        mm in the frame, at every step of the grid.
-    depth : (rows, columns) ndarray
-        To the defect's side, mm; smoothed values where no sound skin is.
-    sigma : (rows, columns) ndarray
-        Standard deviation of it if pixels were independent, mm.
-    own : (rows, columns) bool
-        The region's.
-    skin : (rows, columns) bool
-        Sound skin.
-    plate : (rows, columns) bool
-        Where the plate is, fasteners on it included.
-    view : (rows, columns) bool
-        Where it ends at what was not seen, and not at a seam.
-    step_px, step_mm : int, float
-        Of the grid.
-    corner_px : (u, v)
-        First pixel of its first cell.
-    """
+    """A window of the scan."""
 
     number: int
+    """Of its plate."""
     sign: int
+    """The defect's side: below or above."""
     reference: Reference
     frame: Frame
+    """Its x, y is the tangent plane of the reference at the defect's deepest cell."""
     x: Array
     y: Array
+    """x, y: (rows, columns): mm in the frame, at every step of the grid."""
     depth: Array
+    """(rows, columns): to the defect's side, mm; smoothed values where no sound skin is."""
     sigma: Array
+    """(rows, columns): standard deviation of it if pixels were independent, mm."""
     own: Mask
+    """(rows, columns): the region's."""
     skin: Mask
+    """(rows, columns): sound skin."""
     plate: Mask
+    """(rows, columns): where the plate is, fasteners on it included."""
     view: Mask
+    """(rows, columns): where it ends at what was not seen, and not at a seam."""
     step_px: int
     step_mm: float
+    """step_px, step_mm: of the grid."""
     corner_px: tuple[int, int]
+    """(u, v): first pixel of its first cell."""
 
     @property
     def cell_mm2(self) -> float:

@@ -9,32 +9,22 @@ from metrology.errors import UsageError
 
 @dataclass(frozen=True)
 class DefectSettings:
-    """How dents, bumps, creases and scratches are looked for and measured.
-
-    Attributes
-    ----------
-    least_depth_mm : float
-        What is shallower is no defect.
-    largest_mm : float
-        Length at half depth of the largest defect of interest: the reference surface has no wave shorter than twice
-        that, which is about a dent's whole length.
-    straight_edge_mm : float
-        Length of the straight-edge that is laid across a defect.
-    pull_in_mm : float
-        How deep a fastener may draw in the skin round itself without its being a dent; where other fasteners of the
-        scan draw it in half as much or more, twice what is usual.
-    scratch_width_mm : float
-        What is narrower at half depth, and over four times as long, is a scratch.
-    scratch_pixels : float
-        Width at half depth that a scratch must have for its depth to be measured: points are means over fewer pixels.
-    """
+    """How dents, bumps, creases and scratches are looked for and measured."""
 
     least_depth_mm: float = 0.015
+    """What is shallower is no defect."""
     largest_mm: float = 80.0
+    """Length at half depth of the largest defect of interest: the reference surface has no wave shorter than twice
+    that, which is about a dent's whole length."""
     straight_edge_mm: float = 150.0
+    """Length of the straight-edge that is laid across a defect."""
     pull_in_mm: float = 0.1
+    """How deep a fastener may draw in the skin round itself without its being a dent; where other fasteners of the scan
+    draw it in half as much or more, twice what is usual."""
     scratch_width_mm: float = 3.0
+    """What is narrower at half depth, and over four times as long, is a scratch."""
     scratch_pixels: float = 3.0
+    """Width at half depth that a scratch must have for its depth to be measured: points are means over fewer pixels."""
 
     def __post_init__(self) -> None:
         for name, least, most in (

@@ -31,11 +31,8 @@ def section(
 
     Parameters
     ----------
-    patch : Patch
     depth : (rows, columns) ndarray
         Of the patch, smoothed, mm; beyond it the line is taken from the skin's cells.
-    skin : SkinMap
-    reconstruction : Reconstruction
     at : (x, y)
         mm in the patch's frame.
     turn : float

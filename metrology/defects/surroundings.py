@@ -85,8 +85,6 @@ def is_pull_in(
         At half depth.
     depth : float
         mm, positive below.
-    patch : Patch
-    rivets : sequence of Rivet
     usual : mapping
         How deep the skin lies round each fastener of the scan.
     most_mm : float

@@ -41,13 +41,9 @@ def bore_circle(
 
     Parameters
     ----------
-    patch : Patch
-    skin : Polynomial
     views : tuple of (Device, texture)
-    cone : Countersink
     outer : RimCircle
         Where the countersink meets the skin.
-    pixel_mm : float
     blur_px : float
         Of the pictures.
     """

@@ -20,22 +20,15 @@ _SCATTER = 0.12  # of its depth by which a cone's profile may depart from a line
 
 @dataclass(frozen=True)
 class Countersink:
-    """A cone.
-
-    Attributes
-    ----------
-    diameter_mm, diameter_sd_mm : float
-        Where it meets the skin.
-    depth_mm : float
-        From the skin to the lowest place of it that was measured.
-    angle_deg : float
-        Whole angle of the cone.
-    """
+    """A cone."""
 
     diameter_mm: float
     diameter_sd_mm: float
+    """diameter_mm, diameter_sd_mm: where it meets the skin."""
     depth_mm: float
+    """From the skin to the lowest place of it that was measured."""
     angle_deg: float
+    """Whole angle of the cone."""
 
     @property
     def lower_diameter_mm(self) -> float:
@@ -54,7 +47,6 @@ def countersink(r: Array, height: Array, pixel_mm: float, within: float) -> Coun
     ----------
     r, height : (n,) array
         mm.
-    pixel_mm : float
     within : float
         Largest radius at which the cone may begin, mm.
     """

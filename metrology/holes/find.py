@@ -37,18 +37,12 @@ _PARTED_BY_MM = (0.0, 1.5, 3.0, 6.0)
 
 @dataclass(frozen=True)
 class Opening:
-    """A circle with nothing at the skin's height inside.
-
-    Attributes
-    ----------
-    ellipse : Ellipse
-        About where it is in the left image.
-    inside_mm : float or None
-        Median height over the skin of what is seen inside; None where hardly anything is.
-    """
+    """A circle with nothing at the skin's height inside."""
 
     ellipse: Ellipse
+    """About where it is in the left image."""
     inside_mm: float | None
+    """Median height over the skin of what is seen inside; None where hardly anything is."""
 
 
 def find_openings(
@@ -58,8 +52,6 @@ def find_openings(
 
     Parameters
     ----------
-    reconstruction : Reconstruction
-    relief : ReliefMap
     shapes : CircleShapes
         What a circle on the skin looks like where.
     pixels_per_mm : (rows, columns) ndarray

@@ -41,28 +41,19 @@ _NEAREST_PX = 0.02  # of an edge off its place: sampled profiles tell it no bett
 
 @dataclass(frozen=True)
 class Edges:
-    """Places of a rim on the skin.
-
-    Attributes
-    ----------
-    x, y : (n,) ndarray
-        mm, in the patch's frame.
-    direction : (n,) ndarray of int
-        In which of `DIRECTIONS` each lies.
-    lean : (n,) ndarray
-        How far out it seems to lie for each mm that it lies deeper than was taken.
-    sd_px : float
-        How far one may lie off its place systematically, px.
-    blur_px : float
-        Standard deviation of the blur over which it was found: that of a curved line lies too far inside.
-    """
+    """Places of a rim on the skin."""
 
     x: Array
     y: Array
+    """x, y: (n,): mm, in the patch's frame."""
     direction: NDArray[np.int64]
+    """(n,) of int: in which of `DIRECTIONS` each lies."""
     lean: Array
+    """(n,): how far out it seems to lie for each mm that it lies deeper than was taken."""
     sd_px: float
+    """How far one may lie off its place systematically, px."""
     blur_px: float = 0.0
+    """Standard deviation of the blur over which it was found: that of a curved line lies too far inside."""
 
     @property
     def directions(self) -> int:
@@ -72,24 +63,17 @@ class Edges:
 
 @dataclass(frozen=True)
 class RimCircle:
-    """A circle of edges.
-
-    Attributes
-    ----------
-    x, y, radius, radius_sd : float
-        mm.
-    directions : int
-        In how many of them an edge is on it.
-    deeper : float
-        By how much it lies deeper than was taken, mm; 0 where that does not show.
-    """
+    """A circle of edges."""
 
     x: float
     y: float
     radius: float
     radius_sd: float
+    """x, y, radius, radius_sd: mm."""
     directions: int
+    """In how many of them an edge is on it."""
     deeper: float = 0.0
+    """By how much it lies deeper than was taken, mm; 0 where that does not show."""
 
 
 def picture_edges(
@@ -105,10 +89,7 @@ def picture_edges(
 
     Parameters
     ----------
-    patch : Patch
-    skin : Polynomial
     views : tuple of (Device, texture)
-    pixel_mm : float
     start : float
         Radius from which profiles begin, mm.
     outside : float

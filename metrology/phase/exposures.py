@@ -33,22 +33,15 @@ _LEAST_DETERMINANT = 0.02
 
 
 class StepTables(NamedTuple):
-    """What the frames of every count show.
-
-    Attributes
-    ----------
-    first : (n + 1,) int64
-        First frame of each of n counts, and the end of the last one.
-    cosines, sines : (fringe frames,) float32
-        Of the phase steps.
-    offsets : (n,) float32
-        Phase offset of each count, turns.
-    """
+    """What the frames of every count show."""
 
     first: NDArray[np.int64]
+    """(n + 1,) int64: first frame of each of n counts, and the end of the last one."""
     cosines: NDArray[np.float32]
     sines: NDArray[np.float32]
+    """cosines, sines: (fringe frames,) float32: of the phase steps."""
     offsets: NDArray[np.float32]
+    """(n,) float32: phase offset of each count, turns."""
 
 
 @kernel

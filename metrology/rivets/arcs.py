@@ -24,30 +24,21 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Arcs:
-    """Ridge points in the order of their chains.
-
-    Attributes
-    ----------
-    u, v : (n,) float64
-        Sub-pixel position.
-    nu, nv : (n,) float64
-        Unit normal, from the chain where it is long enough, else from the image.
-    curvature, curvature_sd : (n,) float64
-        1/px towards (nu, nv), and its standard deviation.
-    chain : (n,) int64
-        Number of the chain, ascending.
-    strength : (n,) float64
-        Ridge response in units of its noise.
-    """
+    """Ridge points in the order of their chains."""
 
     u: Array
     v: Array
+    """u, v: (n,) float64: sub-pixel position."""
     nu: Array
     nv: Array
+    """nu, nv: (n,) float64: unit normal, from the chain where it is long enough, else from the image."""
     curvature: Array
     curvature_sd: Array
+    """curvature, curvature_sd: (n,) float64: 1/px towards (nu, nv), and its standard deviation."""
     chain: NDArray[np.int64]
+    """(n,) int64: number of the chain, ascending."""
     strength: Array
+    """(n,) float64: ridge response in units of its noise."""
 
     def stronger(self, least: float) -> Arcs:
         """The points of at least this strength."""
@@ -270,7 +261,6 @@ def trace_arcs(
 
     Parameters
     ----------
-    field : RidgeField
     polarity : int
         +1 for dark ridges, −1 for bright ones.
     thresholds : (low, high)
@@ -340,7 +330,6 @@ def vote_centres(
 
     Parameters
     ----------
-    arcs : Arcs
     size : (height, width) of the image
     radii : (n,) ndarray
         Radii to vote for, px, at equal distances.

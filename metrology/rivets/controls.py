@@ -24,12 +24,10 @@ def control_places(
 
     Parameters
     ----------
-    detections : sequence of RivetDetection
     blocked : (h, w) bool
         Pixels without a trustworthy point.
     wanted : int
         At most this many.
-    generator : numpy.random.Generator
     """
     places: list[RivetDetection] = []
     if not detections:

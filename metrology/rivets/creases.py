@@ -31,7 +31,6 @@ def creased_skin(fits: Fits, inflation: Inflation) -> Polynomial:
 
     Parameters
     ----------
-    fits : Fits
     inflation : Inflation
         By which the variances of heights and slopes exceed those of independent noise.
     """

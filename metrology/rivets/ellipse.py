@@ -13,23 +13,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ellipse:
-    """An ellipse in pixels.
-
-    Attributes
-    ----------
-    u, v : float
-        Centre.
-    a, b : float
-        Semi-axes, a ≥ b.
-    angle : float
-        Direction of the major axis from +u towards +v, radians in [0, π).
-    """
+    """An ellipse in pixels."""
 
     u: float
     v: float
+    """u, v: centre."""
     a: float
     b: float
+    """a, b: semi-axes, a ≥ b."""
     angle: float
+    """Direction of the major axis from +u towards +v, radians in [0, π)."""
 
     @classmethod
     def of(cls, parameters: ArrayLike) -> Ellipse:

@@ -14,26 +14,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Flushness:
-    """A head against the skin's tangent plane at the head's centre, mm and radians; deviations are standard ones.
-
-    Attributes
-    ----------
-    mean, low, high : float
-        Mean, least and largest height of the head's surface over its full disc.
-    mean_sd : float
-    tilt, tilt_sd : float
-        Angle between the head's surface at its centre and the tangent plane.
-    crown : float
-        Height of the head's centre over its rim; 0 for a flat head.
-    """
+    """A head against the skin's tangent plane at the head's centre, mm and radians; deviations are standard ones."""
 
     mean: float
     low: float
     high: float
+    """mean, low, high: mean, least and largest height of the head's surface over its full disc."""
     mean_sd: float
     tilt: float
     tilt_sd: float
+    """tilt, tilt_sd: angle between the head's surface at its centre and the tangent plane."""
     crown: float
+    """Height of the head's centre over its rim; 0 for a flat head."""
 
 
 def flushness(

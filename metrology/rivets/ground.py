@@ -16,23 +16,16 @@ from metrology.rivets.shapes import CircleShapes
 
 @dataclass(frozen=True)
 class Ground:
-    """A skin as the left camera sees it.
-
-    Attributes
-    ----------
-    shapes : CircleShapes
-        What a circle on it looks like where.
-    pixels_per_mm : (rows, columns) ndarray
-    radii : (least, most)
-        Of the heads looked for, px.
-    relief : ReliefMap
-        Heights over it.
-    """
+    """A skin as the left camera sees it."""
 
     shapes: CircleShapes
+    """What a circle on it looks like where."""
     pixels_per_mm: NDArray[np.float64]
+    """(rows, columns)."""
     radii: tuple[float, float]
+    """(least, most): of the heads looked for, px."""
     relief: ReliefMap
+    """Heights over it."""
 
 
 def ground_of(reconstruction: Reconstruction, settings: RivetSettings) -> Ground | None:

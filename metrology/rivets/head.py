@@ -37,13 +37,10 @@ def head_surface(
 
     Parameters
     ----------
-    patch : Patch
     inner : (n,) bool
         Points of the head.
     skin : Polynomial
         Surface round the head; its residuals tell how far the noise is from σ.
-    settings : RivetSettings
-    generator : numpy.random.Generator
     """
     surface = _plane_or_dome(patch, inner, settings, generator)
     if surface is not None and np.mean(_off(patch, inner, surface, skin) != 0) > _FEW:

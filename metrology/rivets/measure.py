@@ -42,11 +42,8 @@ def measure_rivets(
 
     Parameters
     ----------
-    detections : sequence of RivetDetection
-    reconstruction : Reconstruction
     seams : sequence of SeamLine
         Cut out of the skin round a head.
-    settings : RivetSettings
     generator : numpy.random.Generator
         Draws the RANSAC samples and the control places; the same seed each time without it.
 

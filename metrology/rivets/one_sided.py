@@ -22,7 +22,6 @@ def head_from_one_side(fits: Fits, inflation: Inflation) -> Polynomial:
 
     Parameters
     ----------
-    fits : Fits
     inflation : Inflation
         By which the variances of heights and slopes exceed those of independent noise.
     """

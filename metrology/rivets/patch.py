@@ -30,37 +30,26 @@ _DEFAULT_RIM_SIGMA_PX = 1.0  # of a head without a visible rim
 
 @dataclass(frozen=True)
 class Patch:
-    """The cloud round a head, in a frame on the skin with the head's centre as origin.
-
-    Attributes
-    ----------
-    frame : Frame
-    radius : float
-        Of the head, mm.
-    guard, guard_px : float
-        Distance from the rim that points keep, mm and pixels.
-    x, y, h, sigma : (n,) ndarray
-        Local coordinates and σ of h, mm.
-    u, v : (n,) ndarray of int
-        Pixels of the points.
-    usable : (n,) bool
-        Neither on a seam, beyond one, nor on a neighbour.
-    edge : (n,) bool
-        Flagged as beside a reflectance or depth edge.
-    """
+    """The cloud round a head, in a frame on the skin with the head's centre as origin."""
 
     frame: Frame
     radius: float
+    """Of the head, mm."""
     guard: float
     guard_px: float
+    """guard, guard_px: distance from the rim that points keep, mm and pixels."""
     x: Array
     y: Array
     h: Array
     sigma: Array
+    """x, y, h, sigma: (n,): local coordinates and σ of h, mm."""
     u: NDArray[np.int64]
     v: NDArray[np.int64]
+    """u, v: (n,) of int: pixels of the points."""
     usable: Mask
+    """(n,): neither on a seam, beyond one, nor on a neighbour."""
     edge: Mask
+    """(n,): flagged as beside a reflectance or depth edge."""
 
     def surface(
         self, members: Mask, order: int, generator: np.random.Generator, scale: float | None = None
@@ -112,13 +101,10 @@ def cut_patch(
 
     Parameters
     ----------
-    detection : RivetDetection
     others : sequence of RivetDetection
         Neighbours, whose heads are cut out.
-    reconstruction : Reconstruction
     blocked, on_seam : (h, w) bool
         See `blocked_pixels` and `seam_pixels`.
-    settings : RivetSettings
     """
     ellipse = ellipse_of(detection)
     scale = _pixels_per_mm(reconstruction, ellipse)

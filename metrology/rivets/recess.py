@@ -16,13 +16,7 @@ _CONE = 0.3  # or that times the distance from its rim: a countersink of 120° f
 
 
 def is_recess(hole: Ellipse, ring: Ellipse, reconstruction: Reconstruction) -> bool:
-    """Whether a ring is the rim of a head and a hole its recess.
-
-    Parameters
-    ----------
-    hole, ring : Ellipse
-    reconstruction : Reconstruction
-    """
+    """Whether a ring is the rim of a head and a hole its recess."""
     off = np.hypot(hole.u - ring.u, hole.v - ring.v)
     if off > _OFF_MIDDLE * ring.b or hole.radius > _WIDEST * ring.radius:
         return False

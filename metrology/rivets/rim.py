@@ -61,8 +61,6 @@ def head_circle(
 
     Parameters
     ----------
-    reconstruction : Reconstruction
-    frame : Frame
     start : Circle
         Where the ring in the left image puts it.
     head_height, skin_height : float

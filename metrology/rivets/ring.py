@@ -26,44 +26,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RingFit:
-    """A fitted ring.
-
-    Attributes
-    ----------
-    ellipse : Ellipse
-    inverse : (5,) ndarray
-        u, v, A, B, C: the centre and the inverse shape matrix [[A, C], [C, B]] of the ellipse.
-    covariance : (5, 5) ndarray
-        Of `inverse`.
-    sigma_px : float
-        Half-width σ of the ring's profile.
-    amplitude : float
-        Mean of a(θ), grey levels; negative for a dark ring.
-    step : float
-        Mean brightness of the inside against the outside, grey levels.
-    noise : float
-        Standard deviation of the residuals, grey levels.
-    score : float
-        Amplitude over its standard deviation.
-    coverage : float
-        Share of the ring's sectors in which it shows.
-    step_score : float
-        Step over its standard deviation.
-    inside_image : float
-        Share of the ring that lies on the image.
-    """
+    """A fitted ring."""
 
     ellipse: Ellipse
     inverse: Array
+    """(5,): u, v, A, B, C: the centre and the inverse shape matrix [[A, C], [C, B]] of the ellipse."""
     covariance: Array
+    """(5, 5): of `inverse`."""
     sigma_px: float
+    """Half-width σ of the ring's profile."""
     amplitude: float
+    """Mean of a(θ), grey levels; negative for a dark ring."""
     step: float
+    """Mean brightness of the inside against the outside, grey levels."""
     noise: float
+    """Standard deviation of the residuals, grey levels."""
     score: float
+    """Amplitude over its standard deviation."""
     coverage: float
+    """Share of the ring's sectors in which it shows."""
     step_score: float
+    """Step over its standard deviation."""
     inside_image: float
+    """Share of the ring that lies on the image."""
 
 
 def ellipse_of_inverse(u: float, v: float, A: float, B: float, C: float) -> Ellipse:
@@ -87,7 +72,6 @@ def fit_ring(
     ----------
     image, limits, iterations
         See `fit_ring_kernel`.
-    start : Ellipse
     sigma_px : float
         Half-width of gap and blur to start from.
     shape : (2, 2) ndarray

@@ -18,21 +18,14 @@ SHAPE_TOLERANCE = 0.15  # of an elongation: five standard deviations of what is 
 
 @dataclass(frozen=True)
 class CircleShapes:
-    """What a circle on the surface looks like: one ellipse shape of determinant 1 per cell of the image.
-
-    Attributes
-    ----------
-    matrices : (rows, columns, 3) ndarray
-        Entries uu, vv, uv of Σ, see `Ellipse.shape`.
-    cell : float
-        Size of a cell, px.
-    freedom : float
-        By how much the elongation of an ellipse that is looked for may depart from that, see `log_shape`.
-    """
+    """What a circle on the surface looks like: one ellipse shape of determinant 1 per cell of the image."""
 
     matrices: Array
+    """(rows, columns, 3): entries uu, vv, uv of Σ, see `Ellipse.shape`."""
     cell: float
+    """Size of a cell, px."""
     freedom: float = 0.0
+    """By how much the elongation of an ellipse that is looked for may depart from that, see `log_shape`."""
 
     @classmethod
     def round(cls) -> CircleShapes:

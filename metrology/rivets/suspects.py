@@ -32,19 +32,13 @@ _SECTORS = 24
 
 @dataclass(frozen=True)
 class Level:
-    """One resolution at which arcs are traced.
-
-    Attributes
-    ----------
-    reduction : int
-        Pixels of the image per pixel of the level.
-    least, most : float
-        Radii looked for, pixels of the image.
-    """
+    """One resolution at which arcs are traced."""
 
     reduction: int
+    """Pixels of the image per pixel of the level."""
     least: float
     most: float
+    """least, most: radii looked for, pixels of the image."""
 
 
 def levels_for(least: float, most: float) -> list[Level]:

@@ -30,36 +30,24 @@ _SPILL_DIFFERENCE = 1e-4
 
 @dataclass(frozen=True)
 class PixelBlur:
-    """A camera's blur.
-
-    Attributes
-    ----------
-    lens_px : float
-        Standard deviation of the lens's Gaussian, px.
-    spill : float
-        Share q of a pixel's light that goes to each neighbour in its row, and likewise in its column; of what stays,
-        r = q / (1 − 2q), each next but one gets r⁴ times as much, as a Gaussian has it.
-    """
+    """A camera's blur."""
 
     lens_px: float = 0.45
+    """Standard deviation of the lens's Gaussian, px."""
     spill: float = 0.05
+    """Share q of a pixel's light that goes to each neighbour in its row, and likewise in its column; of what stays, r =
+    q / (1 − 2q), each next but one gets r⁴ times as much, as a Gaussian has it."""
 
 
 @dataclass(frozen=True)
 class EdgeResponse:
-    """A blurred unit step, tabulated: S(x) from 0 to 1 and its derivative at ``x = step · (i − n // 2)``.
-
-    Attributes
-    ----------
-    step : float
-        In the unit of x.
-    values, slopes : (n,) ndarray
-        S, and dS/dx.
-    """
+    """A blurred unit step, tabulated: S(x) from 0 to 1 and its derivative at ``x = step · (i − n // 2)``."""
 
     step: float
+    """In the unit of x."""
     values: Array
     slopes: Array
+    """values, slopes: (n,): S, and dS/dx."""
 
     @classmethod
     def along(cls, gradient: tuple[float, float], blur: PixelBlur) -> EdgeResponse:

@@ -45,27 +45,17 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Ground:
-    """What a seam is measured on.
-
-    Attributes
-    ----------
-    reconstruction : Reconstruction
-    clear : (h, w) ndarray of bool
-        Points that may carry a skin line, off rivets and other seams.
-    heads : (h, w) ndarray of bool
-        Rivet heads and what is close around them.
-    other_courses : list of (m, 2) ndarray
-        Of the other seams, left image.
-    upright : bool
-        Whether the seam is nearer to vertical in the left image, see `sides`.
-    settings : SeamSettings
-    """
+    """What a seam is measured on."""
 
     reconstruction: Reconstruction
     clear: Mask
+    """(h, w) of bool: points that may carry a skin line, off rivets and other seams."""
     heads: Mask
+    """(h, w) of bool: rivet heads and what is close around them."""
     other_courses: list[Array]
+    """list of (m, 2): of the other seams, left image."""
     upright: bool
+    """Whether the seam is nearer to vertical in the left image, see `sides`."""
     settings: SeamSettings
 
 
@@ -79,11 +69,8 @@ def measure_seams(
 
     Parameters
     ----------
-    lines : sequence of SeamLine
-    reconstruction : Reconstruction
     rivets : sequence of RivetDetection
         Skin lines keep clear of them, and a seam station over one says so.
-    settings : SeamSettings, optional
 
     Returns
     -------

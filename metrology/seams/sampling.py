@@ -17,18 +17,12 @@ _GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5)), axis
 
 @dataclass(frozen=True)
 class LocalMap:
-    """Where pixels near a place lie: ``(x, z) = C · (1, a, b, a², ab, b²)`` with (a, b) = pixel − centre.
-
-    Attributes
-    ----------
-    centre : (2,) ndarray
-        u, v, px.
-    coefficients : (2, 6) ndarray
-        Rows for x (across the line) and z (along it), in the unit of those.
-    """
+    """Where pixels near a place lie: ``(x, z) = C · (1, a, b, a², ab, b²)`` with (a, b) = pixel − centre."""
 
     centre: Array
+    """(2,): u, v, px."""
     coefficients: Array
+    """(2, 6): rows for x (across the line) and z (along it), in the unit of those."""
 
     @classmethod
     def in_image(cls, centre: ArrayLike, normal: ArrayLike) -> LocalMap:

@@ -21,24 +21,16 @@ _ROUNDS = 2  # of removing the discs' eccentricity, which needs the board's pose
 
 @dataclass(frozen=True)
 class BoardLengths:
-    """A board in one pose.
-
-    Attributes
-    ----------
-    n : int
-        Features that both cameras saw.
-    lengths : tuple of (name, measured, u95, nominal)
-        Longest distances along the rows, the columns and both diagonals, mm.
-    flatness_mm : float
-        Range of the features' distances from their plane.
-    epipolar_rms_px : float
-        How far the two cameras' rays miss each other, in left pixels.
-    """
+    """A board in one pose."""
 
     n: int
+    """Features that both cameras saw."""
     lengths: tuple[tuple[str, float, float, float], ...]
+    """tuple of (name, measured, u95, nominal): longest distances along the rows, the columns and both diagonals, mm."""
     flatness_mm: float
+    """Range of the features' distances from their plane."""
     epipolar_rms_px: float
+    """How far the two cameras' rays miss each other, in left pixels."""
 
 
 def board_lengths(rig: Rig, board: Board, left: BoardView, right: BoardView) -> BoardLengths:

@@ -15,18 +15,10 @@ _LEAST = 3
 
 @dataclass(frozen=True)
 class Deviation:
-    """A measured value beside the certified one, mm or what else both are in.
-
-    Attributes
-    ----------
-    of : str
-        Feature and scan.
-    feature : str
-    measured, measured_u95 : float
-    certified, certified_u95 : float
-    """
+    """A measured value beside the certified one, mm or what else both are in."""
 
     of: str
+    """Feature and scan."""
     feature: str
     measured: float
     measured_u95: float

@@ -20,22 +20,15 @@ _COVERAGE = 2.0
 
 @dataclass(frozen=True)
 class Form:
-    """An error of form.
-
-    Attributes
-    ----------
-    n : int
-        Points, those left out included.
-    form_mm, form_u95_mm : float
-        Shell without three in a thousand points; its U95 is that of the two quantiles.
-    form95_mm : float
-        Shell of 95 % of the points.
-    """
+    """An error of form."""
 
     n: int
+    """Points, those left out included."""
     form_mm: float
     form_u95_mm: float
+    """form_mm, form_u95_mm: shell without three in a thousand points; its U95 is that of the two quantiles."""
     form95_mm: float
+    """Shell of 95 % of the points."""
 
 
 def form(distances: ArrayLike, inflation: float = 1.0) -> Form:

@@ -20,7 +20,6 @@ def along(
     ----------
     stations : sequence of SeamStation
         Of one seam.
-    number : int
     column, u95_column : str
         Of the value and of its expanded uncertainty.
     """

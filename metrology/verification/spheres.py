@@ -27,21 +27,13 @@ _MOST_CELLS = 2**20  # along an axis
 
 @dataclass(frozen=True)
 class SphereFit:
-    """A sphere fitted to points.
-
-    Attributes
-    ----------
-    centre : (3,) ndarray
-        Rig frame, mm.
-    diameter_mm : float
-    covariance : (4, 4) ndarray
-        Of centre and radius, mm².
-    form : Form
-    """
+    """A sphere fitted to points."""
 
     centre: Array
+    """(3,): rig frame, mm."""
     diameter_mm: float
     covariance: Array
+    """(4, 4): of centre and radius, mm²."""
     form: Form
 
     @property
@@ -59,7 +51,6 @@ def find_spheres(points: Array, radius_mm: float, most: int) -> list[Array]:
     ----------
     points : (h, w, 3) ndarray
         Rig frame, mm; NaN where none.
-    most : int
     """
     normals = _normals(points)
     centres = points - radius_mm * normals

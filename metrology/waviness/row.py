@@ -29,15 +29,10 @@ class Waviness(Feature):
 
 @dataclass(frozen=True)
 class WavinessSettings:
-    """How waviness is measured, where a panel specification limits it.
-
-    Attributes
-    ----------
-    straight_edge_mm : float
-        Length of the straight-edge.
-    """
+    """How waviness is measured, where a panel specification limits it."""
 
     straight_edge_mm: float = 150.0
+    """Length of the straight-edge."""
 
     def __post_init__(self) -> None:
         if not 30.0 <= self.straight_edge_mm <= 1000.0:

@@ -38,51 +38,35 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class AssembledRecord:
-    """An assembled panel.
-
-    Attributes
-    ----------
-    panel : mapping
-        Its row of the table panels.
-    of_kind : mapping
-        Its rows of the tables of features, by the names of the kinds.
-    rules, findings, coverage, stations, verdicts, changes : tuple of mapping
-        Its rows of these tables.
-    scenes : mapping of str to mapping
-        The rows of `scenes` of the scans in it that the archive still has, by their ids.
-    newer : tuple of str
-        Stations of which there is another scan by now than the one in the panel.
-    limits : PanelSpec or None
-        That it was judged by; None where they cannot be read.
-    standings : mapping of str to tuple of Standing
-        How the findings of each scan stand.
-    work : tuple of Entry
-        Dispositions of its scans, earlier ones too, whose work is still open.
-    locations : mapping of str to str
-        Where features are on the aircraft, by their names.
-    pictures : mapping of int to Stitched
-        By the number of the part; none of runs of versions that made none.
-    sign_offs : mapping of str to Entry
-    review_head : str
-    """
+    """An assembled panel."""
 
     panel: Row
+    """Its row of the table panels."""
     of_kind: Mapping[str, tuple[Row, ...]]
+    """Its rows of the tables of features, by the names of the kinds."""
     rules: tuple[Row, ...]
     findings: tuple[Row, ...]
     coverage: tuple[Row, ...]
     stations: tuple[Row, ...]
     verdicts: tuple[Row, ...]
     scenes: Mapping[str, Row]
+    """The rows of `scenes` of the scans in it that the archive still has, by their ids."""
     newer: tuple[str, ...]
+    """Stations of which there is another scan by now than the one in the panel."""
     limits: PanelSpec | None
+    """That it was judged by; None where they cannot be read."""
     standings: Mapping[str, tuple[Standing, ...]] = field(default_factory=dict)
+    """How the findings of each scan stand."""
     work: tuple[Entry, ...] = ()
+    """Dispositions of its scans, earlier ones too, whose work is still open."""
     sign_offs: Mapping[str, Entry] = field(default_factory=dict)
     review_head: str = ""
     pictures: Mapping[int, Stitched] = field(default_factory=dict)
+    """By the number of the part; none of runs of versions that made none."""
     locations: Mapping[str, str] = field(default_factory=dict)
+    """Where features are on the aircraft, by their names."""
     changes: tuple[Row, ...] = ()
+    """rules, findings, coverage, stations, verdicts, changes: its rows of these tables."""
 
 
 def is_assembled(store: Store, key: PanelKey) -> bool:

@@ -28,20 +28,13 @@ class LetterheadModel(StrictModel):
 
 @dataclass(frozen=True)
 class Letterhead:
-    """What stands above a report.
-
-    Attributes
-    ----------
-    company : str
-    logo : str
-        As a data URI; empty where there is none.
-    content : str
-        Names what the report says: equal for equal content; empty where nothing names it.
-    """
+    """What stands above a report."""
 
     company: str = ""
     logo: str = ""
+    """As a data URI; empty where there is none."""
     content: str = ""
+    """Names what the report says: equal for equal content; empty where nothing names it."""
 
 
 def letterhead(root: Path, content: str = "") -> Letterhead:

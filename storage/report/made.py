@@ -25,22 +25,14 @@ OfKind = Mapping[str, Sequence[Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Report:
-    """A report.
-
-    Attributes
-    ----------
-    html : str
-    proof : Proof
-    of_kinds : sequence of mapping
-        The rows that it shows, by the names of the kinds; for each scan where it is of several.
-    tables : mapping of str to Table
-        Whose rows these are.
-    """
+    """A report."""
 
     html: str
     proof: Proof
     of_kinds: Sequence[OfKind]
+    """The rows that it shows, by the names of the kinds; for each scan where it is of several."""
     tables: Mapping[str, Table]
+    """Whose rows these are."""
 
     def file(self, suffix: str) -> bytes:
         """What is written to a file of this suffix: .pdf, else HTML."""

@@ -25,18 +25,12 @@ _LATER = ("review_head", "chain")
 
 @dataclass(frozen=True)
 class Proof:
-    """What a report is about.
-
-    Attributes
-    ----------
-    subject : tuple of str
-        "scene" and its id; "panel" or "stations", aircraft, panel.
-    content : str
-        SHA-256 of what it was made of.
-    """
+    """What a report is about."""
 
     subject: tuple[str, ...]
+    """"scene" and its id; "panel" or "stations", aircraft, panel."""
     content: str
+    """SHA-256 of what it was made of."""
 
 
 def content_of(record: object) -> str:

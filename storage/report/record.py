@@ -30,43 +30,29 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class SceneRecord:
-    """One inspected scene.
-
-    Attributes
-    ----------
-    scene : mapping
-        Its row of the table scenes.
-    of_kind : mapping
-        Its rows of the tables of features, by the names of the kinds.
-    manifest : mapping
-        Of its bundle: settings, versions, registration, limits.
-    preview : (h, w) uint8
-    overlay_png : bytes
-    limits : PanelSpec or None
-        As the scene was judged by; None where the manifest's copy cannot be read any more.
-    decisions : tuple of Entry
-        What people decided about its features, and its sign-off.
-    standings : tuple of Standing
-        How its findings stand.
-    review_head : str
-        Number and checksum of the last entry of the review log.
-    chain : tuple of Link
-        What its values rest on.
-    fits : StoredFits
-        What its close-ups draw; none of a version that kept none.
-    """
+    """One inspected scene."""
 
     scene: Row
+    """Its row of the table scenes."""
     of_kind: Mapping[str, tuple[Row, ...]]
+    """Its rows of the tables of features, by the names of the kinds."""
     manifest: Mapping[str, Any]
+    """Of its bundle: settings, versions, registration, limits."""
     preview: NDArray[np.uint8]
+    """(h, w) uint8."""
     overlay_png: bytes
     limits: PanelSpec | None
+    """As the scene was judged by; None where the manifest's copy cannot be read any more."""
     decisions: tuple[Entry, ...] = ()
+    """What people decided about its features, and its sign-off."""
     standings: tuple[Standing, ...] = ()
+    """How its findings stand."""
     review_head: str = ""
+    """Number and checksum of the last entry of the review log."""
     chain: tuple[Link, ...] = ()
+    """What its values rest on."""
     fits: StoredFits = field(default_factory=lambda: StoredFits(()))
+    """What its close-ups draw; none of a version that kept none."""
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -82,18 +68,13 @@ class SceneRecord:
 
 @dataclass(frozen=True)
 class PanelRecord:
-    """The newest scan of each station of a panel of an aircraft.
-
-    Attributes
-    ----------
-    earlier_work : tuple of Entry
-        Dispositions of earlier scans whose work is still open.
-    """
+    """The newest scan of each station of a panel of an aircraft."""
 
     aircraft_serial: str
     panel: str
     scenes: tuple[SceneRecord, ...]
     earlier_work: tuple[Entry, ...] = ()
+    """Dispositions of earlier scans whose work is still open."""
 
     @property
     def features(self) -> tuple[Row, ...]:

@@ -35,7 +35,6 @@ def verification_page(model: VerificationModel, rig: Mapping[str, Any]) -> str:
 
     Parameters
     ----------
-    model : VerificationModel
     rig : mapping
         The rig file's content.
     """

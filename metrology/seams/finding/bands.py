@@ -22,33 +22,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BandFit:
-    """A fitted cross-section.
-
-    Attributes
-    ----------
-    edges : (m,) ndarray
-        Borders, in the unit of x.
-    shifts : (q,) ndarray
-        The groups' displacements from where they started.
-    levels : (m + 1,) ndarray
-        Grey levels.
-    covariance : (q, q) ndarray
-        Of the shifts.
-    rms : float
-        Of the residuals, grey levels.
-    cost : float
-        Sum of the residuals' squares.
-    n : int
-        Pixels used.
-    """
+    """A fitted cross-section."""
 
     edges: Array
+    """(m,): borders, in the unit of x."""
     shifts: Array
+    """(q,): the groups' displacements from where they started."""
     levels: Array
+    """(m + 1,): grey levels."""
     covariance: Array
+    """(q, q): of the shifts."""
     rms: float
+    """Of the residuals, grey levels."""
     cost: float
+    """Sum of the residuals' squares."""
     n: int
+    """Pixels used."""
 
 
 def fit_bands(
@@ -68,7 +57,6 @@ def fit_bands(
         Positions across the line, and grey levels.
     edges : (m,) array
         Where the borders are expected, rising.
-    response : EdgeResponse
     ties : (m, q) array, optional
         T; by default every border moves on its own.
     slopes : (bool, bool)

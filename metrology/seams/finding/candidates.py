@@ -40,24 +40,16 @@ _MIN_CHAIN = 6
 
 @dataclass(frozen=True)
 class Candidate:
-    """What may be a line.
-
-    Attributes
-    ----------
-    points : (n, 2) ndarray
-        u, v along it in the full image, good to about the scale it was found at.
-    width_px : float
-        Of bands that answer most at this scale.
-    response : float
-        Median strength of its points times the scale's square: comparable among scales.
-    dark : bool
-        Whether it is darker than what lies beside it.
-    """
+    """What may be a line."""
 
     points: Array
+    """(n, 2): u, v along it in the full image, good to about the scale it was found at."""
     width_px: float
+    """Of bands that answer most at this scale."""
     response: float
+    """Median strength of its points times the scale's square: comparable among scales."""
     dark: bool
+    """Whether it is darker than what lies beside it."""
 
 
 def relative_brightness(texture: ArrayLike) -> Float32:
@@ -79,7 +71,6 @@ def find_candidates(relative: Float32, settings: LineSettings, hidden: Mask | No
     ----------
     relative : (h, w) float32
         See `relative_brightness`.
-    settings : LineSettings
     hidden : (h, w) ndarray of bool, optional
         Where line points count for nothing: on rivets.
     """

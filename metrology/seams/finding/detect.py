@@ -37,10 +37,8 @@ def detect_seams(
 
     Parameters
     ----------
-    reconstruction : Reconstruction
     rivets : sequence of RivetDetection
         Their rims are no parts of lines and their heads no skin; a seam runs on across them.
-    settings : SeamSettings, optional
     """
     settings = settings or SeamSettings()
     heads = head_mask(rivets, reconstruction.flags.shape, _HEAD_MARGIN_PX)

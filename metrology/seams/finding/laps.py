@@ -36,10 +36,8 @@ def with_laps(
     Parameters
     ----------
     seams : sequence of (SeamLine, Relief)
-    reconstruction : Reconstruction
     usable : (h, w) ndarray of bool
         Pixels with a point, off the rivets.
-    settings : SeamSettings
     """
     kept = [line for line, _ in seams]
     beside = [(Course(line.centre_px[::4]), 0.5 * float(np.median(line.width_px))) for line in kept]

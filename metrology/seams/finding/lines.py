@@ -42,7 +42,6 @@ def detect_lines(
     ----------
     texture : (h, w) array
         Grey levels.
-    settings : LineSettings, optional
     hidden : (h, w) ndarray of bool, optional
         Places to leave out of the search (rivets); lines run on across them.
     worth : callable, optional

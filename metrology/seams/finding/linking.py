@@ -20,7 +20,6 @@ def link(ridges: RidgeMap, high: float, min_points: int) -> list[Array]:
         Points above the low threshold, of either polarity: a chain keeps to one.
     high : float
         Least strength of a chain's first point.
-    min_points : int
 
     Returns
     -------

@@ -63,24 +63,16 @@ _LEAST_SIGMA_PX = 0.01
 
 @dataclass(frozen=True)
 class Nodes:
-    """Fitted cross-sections along a line.
-
-    Attributes
-    ----------
-    centre : (n, 2) ndarray
-        u, v of the smooth middle.
-    width_px : (n,) ndarray
-        NaN where the borders could not be told.
-    contrasts : (n,) ndarray
-        Brightness of the band relative to its surroundings, less one: negative for a dark line; NaN likewise.
-    good : (n,) ndarray of bool
-        Where the borders were found and agree with their neighbours'.
-    """
+    """Fitted cross-sections along a line."""
 
     centre: Array
+    """(n, 2): u, v of the smooth middle."""
     width_px: Array
+    """(n,): NaN where the borders could not be told."""
     contrasts: Array
+    """(n,): brightness of the band relative to its surroundings, less one: negative for a dark line; NaN likewise."""
     good: Mask
+    """(n,) of bool: where the borders were found and agree with their neighbours'."""
 
     @property
     def contrast(self) -> float:

@@ -60,25 +60,17 @@ _CLIP_SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class Relief:
-    """What was found along a line.
-
-    Attributes
-    ----------
-    skin_share : float
-        Share of pieces with skin on both sides.
-    groove_share, raised_share : float
-        Share of those with a groove; with something that stands out of the skin.
-    step_mm : float
-        Median of the step.
-    step_share : float
-        Share of those with a step of that sign beyond noise and the least step asked for.
-    """
+    """What was found along a line."""
 
     skin_share: float = 0.0
+    """Share of pieces with skin on both sides."""
     groove_share: float = 0.0
     raised_share: float = 0.0
+    """groove_share, raised_share: share of those with a groove; with something that stands out of the skin."""
     step_mm: float = 0.0
+    """Median of the step."""
     step_share: float = 0.0
+    """Share of those with a step of that sign beyond noise and the least step asked for."""
 
     @property
     def between_skins(self) -> bool:
@@ -153,28 +145,20 @@ def examine_relief(
 
 @dataclass(frozen=True)
 class _Pieces:
-    """A line's surroundings in pieces: p pieces of the same n places.
-
-    Attributes
-    ----------
-    x, y : (n,) ndarray
-        Places across and along the line, from a piece's middle, px.
-    v, u : (p, n) ndarray of int
-        Their pixels.
-    beside_x, beside_y : (p, n) ndarray
-        How far those lie from the places. All rows of a piece may round alike, and on a tilted panel half a pixel is
-        0.02 mm of depth.
-    inside : (p, n) ndarray of bool
-        Whether they lie in the image.
-    """
+    """A line's surroundings in pieces: p pieces of the same n places."""
 
     x: Array
     y: Array
+    """x, y: (n,): places across and along the line, from a piece's middle, px."""
     v: NDArray[np.intp]
     u: NDArray[np.intp]
+    """v, u: (p, n) of int: their pixels."""
     beside_x: Array
     beside_y: Array
+    """beside_x, beside_y: (p, n): how far those lie from the places. All rows of a piece may round alike, and on a
+    tilted panel half a pixel is 0.02 mm of depth."""
     inside: Mask
+    """(p, n) of bool: whether they lie in the image."""
 
     @classmethod
     def along(cls, points: Array, reach_px: float, shape: tuple[int, ...], most: int) -> _Pieces | None:

@@ -23,21 +23,14 @@ _FEWEST_SECTIONS = 4
 
 @dataclass(frozen=True)
 class RoughLine:
-    """A line to about a pixel.
-
-    Attributes
-    ----------
-    points : (n, 2) ndarray
-        u, v on the band's middle, `_STEP_PX` apart.
-    width_px : float
-        Between the places of half contrast.
-    contrast : float
-        Brightness of the band relative to the skin beside it, less one: negative for a dark line.
-    """
+    """A line to about a pixel."""
 
     points: Array
+    """(n, 2): u, v on the band's middle, `_STEP_PX` apart."""
     width_px: float
+    """Between the places of half contrast."""
     contrast: float
+    """Brightness of the band relative to the skin beside it, less one: negative for a dark line."""
 
     @property
     def length_px(self) -> float:

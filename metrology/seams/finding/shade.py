@@ -40,7 +40,6 @@ def projected_share(texture: Array, modulation: Array, band: Mask, skin: Mask, b
         Places in the band.
     skin : (p, n) ndarray of bool
         Places on the skin beside it.
-    black : float
 
     Returns
     -------

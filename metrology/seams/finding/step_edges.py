@@ -49,10 +49,8 @@ def find_step_edges(reconstruction: Reconstruction, usable: Mask, settings: Line
 
     Parameters
     ----------
-    reconstruction : Reconstruction
     usable : (h, w) ndarray of bool
         Pixels with a point, off the rivets.
-    settings : LineSettings
     """
     steps, known = _step_map(reconstruction.points[..., 2], usable)
     ridges = ridge_points(steps, _LINE, _HYSTERESIS * _SHARPNESS * LEAST_STEP_MM, "bright")

@@ -20,28 +20,19 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Strip:
-    """Places beside a line.
-
-    Attributes
-    ----------
-    line : (n, 2) ndarray
-        u, v on the line, `step_px` apart.
-    normals : (n, 2) ndarray
-        Unit vectors across it, towards growing x.
-    x : (m,) ndarray
-        Distances across, px, one pixel apart and symmetric.
-    step_px : float
-        Along the line.
-    u, v : (n, m) float32
-        Where place [i, j] lies in the image.
-    """
+    """Places beside a line."""
 
     line: Array
+    """(n, 2): u, v on the line, `step_px` apart."""
     normals: Array
+    """(n, 2): unit vectors across it, towards growing x."""
     x: Array
+    """(m,): distances across, px, one pixel apart and symmetric."""
     step_px: float
+    """Along the line."""
     u: Float32
     v: Float32
+    """u, v: (n, m) float32: where place [i, j] lies in the image."""
 
     @classmethod
     def along(cls, points: Array, reach_px: float, step_px: float) -> Strip:

@@ -37,10 +37,8 @@ def find_gaps(
         Half the width of the line as detected, mm.
     joint : Joint, optional
         What detection knows it to be.
-    reconstruction : Reconstruction
     heads : (h, w) ndarray of bool
         Rivet heads and what is close around them.
-    settings : SeamSettings
     """
     if joint == "lap":
         return [NO_GAP] * len(sections), joint

@@ -39,34 +39,24 @@ _WALL_SHARE = 0.1
 
 @dataclass(frozen=True)
 class GapFit:
-    """Fitted borders and shape.
-
-    Attributes
-    ----------
-    borders : (n, 2) ndarray
-        x of C on skins A and B, mm.
-    chamfers_mm : (2,) ndarray
-        Widths of A's and B's.
-    chamfer_slope : float
-        Tangent of their angle against the skin.
-    leans : (n,) ndarray
-        Tangent of the walls' angle from the skin's normal, towards B with depth.
-    sealed : bool
-        Whether sealant joins both edges.
-    sigma_own_mm, sigma_common_mm : (n,) ndarray, float
-        Standard deviation of the width: by each station's own pixels, and by the common shape.
-    sound : (n,) ndarray of bool
-        Whether a station shows the gap that its seam has.
-    """
+    """Fitted borders and shape."""
 
     borders: Array
+    """(n, 2): x of C on skins A and B, mm."""
     chamfers_mm: Array
+    """(2,): widths of A's and B's."""
     chamfer_slope: float
+    """Tangent of their angle against the skin."""
     leans: Array
+    """(n,): tangent of the walls' angle from the skin's normal, towards B with depth."""
     sealed: bool
+    """Whether sealant joins both edges."""
     sigma_own_mm: Array
     sigma_common_mm: float
+    """sigma_own_mm, sigma_common_mm: (n,), float: standard deviation of the width: by each station's own pixels, and by
+    the common shape."""
     sound: Mask
+    """(n,) of bool: whether a station shows the gap that its seam has."""
 
 
 def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
@@ -74,7 +64,6 @@ def fit_gap(profiles: Profiles, floors: Sequence[Floor]) -> GapFit:
 
     Parameters
     ----------
-    profiles : Profiles
     floors : sequence of Floor
         What may close the gap below; the pictures decide.
     """

@@ -44,10 +44,8 @@ def floor_depth(
 
     Parameters
     ----------
-    sections : sequence of Section or None
     half_widths : sequence of float
         Half the width of the line as detected, mm.
-    reconstruction : Reconstruction
     half_length : float
         ε_d, mm.
     """

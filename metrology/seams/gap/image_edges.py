@@ -39,7 +39,6 @@ def image_edges(
         One per station, in order along the seam.
     half_widths : sequence of float
         Half the width of the line as detected, mm.
-    reconstruction : Reconstruction
     projector : Device
         The lamp.
     half_length : float

@@ -30,7 +30,6 @@ def shadow_alone(profiles: Profiles, edge_mm: float = _EDGE_MM) -> float | None:
 
     Parameters
     ----------
-    profiles : Profiles
     edge_mm : float
         How dark the sheet's edge may be, mm of black.
     """

@@ -39,22 +39,15 @@ class Piece:
 
 @dataclass(frozen=True)
 class SideFit:
-    """What one side of a section shows.
-
-    Attributes
-    ----------
-    slope, intercept : float
-        The skin line, L1 or L2.
-    inflection : (x, y)
-        D or G.
-    n : int
-        Points of the skin line.
-    """
+    """What one side of a section shows."""
 
     slope: float
     intercept: float
+    """slope, intercept: the skin line, L1 or L2."""
     inflection: tuple[float, float]
+    """(x, y): D or G."""
     n: int
+    """Points of the skin line."""
 
 
 def fit_pieces(x: Array, y: Array, tolerance: float) -> list[Piece]:

@@ -73,7 +73,6 @@ def to_the_wall(x: Array, h: Array, fit: SideFit, other: float) -> float:
     ----------
     x, h : (n,) ndarray
         The section, x rising from the side's skin into the gap.
-    fit : SideFit
     other : float
         x of the other side's inflection point.
     """

@@ -39,57 +39,39 @@ _OF_THE_SEAM = ("normals", "ambient", "chamfer_slope", "level_scatter")
 
 @dataclass(frozen=True)
 class Profiles:
-    """Binned pixels of n stations in k cameras; bins beyond `sizes` are not in use.
-
-    Attributes
-    ----------
-    stations : (n,) ndarray of int
-        Which of the seam's stations each is.
-    half_widths : (n,) ndarray
-        Where the borders are expected, mm from the centre line.
-    places : (n,) ndarray
-        −1 at the seam's beginning to 1 at its end.
-    x : (n, k, bins) ndarray
-        On the reference curve, mm.
-    grey, variance : (n, k, bins) ndarray
-        Grey level relative to the skin's, and its variance.
-    sizes : (n, k) ndarray of int
-    tilts : (n, 2) ndarray
-        Height of skin A above the reference curve, and its slope.
-    eyes : (n, k, 2) ndarray
-        Cameras' x and h in the section, mm.
-    lamps : (n, 2) ndarray
-        The projector's.
-    px_mm : (n, k) ndarray
-        Pixels per mm across the seam.
-    normals : (k, 2) ndarray
-        Unit vector across the seam in each image, mean of the stations.
-    ambient : (k,) ndarray
-        Share of the skin's brightness that does not follow the fringes.
-    chamfer_slope : float
-        Tangent of the chamfers' angle against the skin.
-    courses : (n, k, LEVELS) ndarray
-        What a station's usual levels differ from the seam's.
-    level_scatter : (LEVELS,) ndarray
-        Standard deviation of a station's own levels about them.
-    """
+    """Binned pixels of n stations in k cameras; bins beyond `sizes` are not in use."""
 
     stations: NDArray[np.int64]
+    """(n,) of int: which of the seam's stations each is."""
     half_widths: Array
+    """(n,): where the borders are expected, mm from the centre line."""
     places: Array
+    """(n,): −1 at the seam's beginning to 1 at its end."""
     x: Array
+    """(n, k, bins): on the reference curve, mm."""
     grey: Array
     variance: Array
+    """grey, variance: (n, k, bins): grey level relative to the skin's, and its variance."""
     sizes: NDArray[np.int64]
+    """(n, k) of int."""
     tilts: Array
+    """(n, 2): height of skin A above the reference curve, and its slope."""
     eyes: Array
+    """(n, k, 2): cameras' x and h in the section, mm."""
     lamps: Array
+    """(n, 2): the projector's."""
     px_mm: Array
+    """(n, k): pixels per mm across the seam."""
     normals: Array
+    """(k, 2): unit vector across the seam in each image, mean of the stations."""
     ambient: Array
+    """(k,): share of the skin's brightness that does not follow the fringes."""
     chamfer_slope: float
+    """Tangent of the chamfers' angle against the skin."""
     courses: Array
+    """(n, k, LEVELS): what a station's usual levels differ from the seam's."""
     level_scatter: Array
+    """(LEVELS,): standard deviation of a station's own levels about them."""
 
     def at(self, which: NDArray[np.int64]) -> Profiles:
         """Some of the stations."""

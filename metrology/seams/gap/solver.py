@@ -38,32 +38,23 @@ ACROSS = np.array([-1.0, 1.0])
 
 @dataclass(frozen=True)
 class State:
-    """Parameters of n stations in k cameras, and the normal equations there.
-
-    Attributes
-    ----------
-    borders : (n, 2) ndarray
-        x of C on both skins, mm.
-    shared : (m,) ndarray
-        As in `prior`.
-    known : Prior
-    normals, gradients : (n, 2 + m, 2 + m), (n, 2 + m) ndarray
-        JᵀWJ and JᵀWr of each station, its own levels eliminated; of the borders alone where the shape is known.
-    levels : (n, k, LEVELS) ndarray
-    costs : (n,) ndarray
-        Squared residuals in units of their variance.
-    misfit : float
-        Variance of the rendering error as the residuals show it, in units of what the fit is told.
-    """
+    """Parameters of n stations in k cameras, and the normal equations there."""
 
     borders: Array
+    """(n, 2): x of C on both skins, mm."""
     shared: Array
+    """(m,): as in `prior`."""
     known: Prior
     normals: Array
     gradients: Array
+    """normals, gradients: (n, 2 + m, 2 + m), (n, 2 + m): JᵀWJ and JᵀWr of each station, its own levels eliminated; of
+    the borders alone where the shape is known."""
     levels: Array
+    """(n, k, LEVELS)."""
     costs: Array
+    """(n,): squared residuals in units of their variance."""
     misfit: float = _USUAL_MISFIT
+    """Variance of the rendering error as the residuals show it, in units of what the fit is told."""
 
     @property
     def widths(self) -> Array:

@@ -21,21 +21,14 @@ _SPARSE = 8
 
 @dataclass(frozen=True)
 class View:
-    """One camera.
-
-    Attributes
-    ----------
-    device : Device
-    texture : (h, w) float32
-        Saturated pixels NaN.
-    ambient : float
-        Share of the skin's brightness that does not follow the fringes, (A − B) / A: light from elsewhere, the sensor's
-        dark level, and what the projector's optics take from the fringes' contrast.
-    """
+    """One camera."""
 
     device: Device
     texture: NDArray[np.float32]
+    """(h, w) float32: saturated pixels NaN."""
     ambient: float
+    """Share of the skin's brightness that does not follow the fringes, (A − B) / A: light from elsewhere, the sensor's
+    dark level, and what the projector's optics take from the fringes' contrast."""
 
 
 def both_views(reconstruction: Reconstruction) -> tuple[View, View]:

@@ -15,18 +15,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class GapEdge:
-    """One side's edge in a section.
-
-    Attributes
-    ----------
-    ideal_mm : float
-        x of the ideal edge, D′ on side A and G′ on side B: the projection of the inflection point onto the skin line.
-    depth_mm : float
-        How deep the inflection point, D or G, lies under it.
-    """
+    """One side's edge in a section."""
 
     ideal_mm: float
+    """x of the ideal edge, D′ on side A and G′ on side B: the projection of the inflection point onto the skin line."""
     depth_mm: float
+    """How deep the inflection point, D or G, lies under it."""
 
 
 @dataclass(frozen=True)

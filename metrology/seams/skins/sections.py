@@ -31,27 +31,18 @@ _TURNING_BANDS_MM = (6.0, 3.0)
 
 @dataclass(frozen=True)
 class Section:
-    """A section plane with both skin lines.
-
-    Attributes
-    ----------
-    frame : Frame
-        x across the seam from side A to side B, y along it, h along the skins' normal towards the rig.
-    a, b : SkinLine
-    covariance : (5, 5) ndarray
-        Of a's c_0, c_1, b's c_0, c_1 and the common c_2.
-    clumping : float
-        By how much sums of neighbouring points' errors vary more than independent points' would.
-    stretches : (8,) ndarray
-        Those sums, see `SkinFit`.
-    """
+    """A section plane with both skin lines."""
 
     frame: Frame
+    """x across the seam from side A to side B, y along it, h along the skins' normal towards the rig."""
     a: SkinLine
     b: SkinLine
     covariance: Array
+    """(5, 5): of a's c_0, c_1, b's c_0, c_1 and the common c_2."""
     clumping: float
+    """By how much sums of neighbouring points' errors vary more than independent points' would."""
     stretches: Array = field(default_factory=lambda: np.zeros(8))
+    """(8,): those sums, see `SkinFit`."""
 
     def point(self, x: float, h: float, y: float = 0.0) -> Array:
         """(3,) rig-frame point of section coordinates."""

@@ -30,31 +30,22 @@ CLUMPING_MEDIAN = 0.789
 
 
 class SkinFit(NamedTuple):
-    """Both skin lines.
-
-    Attributes
-    ----------
-    solution : (7,) ndarray
-        A's c_0, c_1, B's c_0, c_1, common c_2, slopes along the seam on A and B.
-    normal : (7, 7) ndarray
-        Matrix of the normal equations.
-    chi : float
-        Residuals over their expected standard deviation; 1 where σ is right.
-    n_a, n_b : int
-        Points used.
-    clumping : float
-        Variance of the residuals' sums over a stretch of points, in units of what independent points would give.
-    stretches : (8,) ndarray
-        Those sums, in standard deviations of what independent points would give; 0 for a stretch without points.
-    """
+    """Both skin lines."""
 
     solution: Array
+    """(7,): A's c_0, c_1, B's c_0, c_1, common c_2, slopes along the seam on A and B."""
     normal: Array
+    """(7, 7): matrix of the normal equations."""
     chi: float
+    """Residuals over their expected standard deviation; 1 where σ is right."""
     n_a: int
     n_b: int
+    """n_a, n_b: points used."""
     clumping: float
+    """Variance of the residuals' sums over a stretch of points, in units of what independent points would give."""
     stretches: Array
+    """(8,): those sums, in standard deviations of what independent points would give; 0 for a stretch without points.
+    """
 
     @property
     def covariance(self) -> Array:

@@ -29,27 +29,18 @@ _UNKNOWN_WIDTH_PX = 4.0
 
 @dataclass(frozen=True)
 class Track:
-    """The centre line on the skin.
-
-    Attributes
-    ----------
-    s : (n,) ndarray
-        Arc length, mm.
-    pixels : (n, 2) ndarray
-        Left image.
-    points : (n, 3) ndarray
-        Rig frame, mm.
-    directions : (n, 3) ndarray
-        Unit tangents.
-    width_px : (n,) ndarray
-        Of the line in the left image.
-    """
+    """The centre line on the skin."""
 
     s: Array
+    """(n,): arc length, mm."""
     pixels: Array
+    """(n, 2): left image."""
     points: Array
+    """(n, 3): rig frame, mm."""
     directions: Array
+    """(n, 3): unit tangents."""
     width_px: Array
+    """(n,): of the line in the left image."""
 
     @property
     def length_mm(self) -> float:
