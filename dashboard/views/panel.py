@@ -36,6 +36,7 @@ from dashboard.views.feature import close_up
 from dashboard.words import N_, _, capital
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
+from metrology.verdicts import gravity
 from storage.report import panel_report
 from storage.review import Feature
 
@@ -190,7 +191,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
         picture = None if shown == _PLAIN else picture
     view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
-    clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
+    clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
     st.caption(_("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move."))
 
 
@@ -282,6 +283,7 @@ def _on_a_night(context: PageContext, found: InScan) -> None:
 
 def _findings(context: PageContext, view: PanelView) -> None:
     rows = view.findings.rename(columns={"value": "value_mm", "value_u95": "u95_mm"})
+    rows = rows.sort_values(["decision", "severity"], key=_gravest_first, kind="stable")
     if rows.empty:
         st.success(_("Every feature of the panel is within its limits."), icon=":material/check:")
         return
@@ -292,6 +294,10 @@ def _findings(context: PageContext, view: PanelView) -> None:
     }  # fmt: skip
     show_table(rows, columns, context.locale, "panel-findings", 470, names, _look_at, st.query_params.get("feature"))
     st.caption(_("A stretch of a seam is one finding. Select one to see its worst place."))
+
+
+def _gravest_first(column: pd.Series) -> pd.Series:
+    return column.map(gravity) if column.name == "decision" else column != "red"
 
 
 def _changes(context: PageContext, view: PanelView) -> None:

@@ -189,9 +189,10 @@ def _failures(context: PageContext, selection: Selection) -> None:
             },
             context.locale,
             key="warned",
-            height=240,
+            height=400,
             names=[str(scene) for scene in warned["scene_id"]],
             picked=lambda scene: go("scene", scene=scene),
+            above=420,
         )
     st.markdown(_("**Could not be inspected**"))
     inboxes = context.settings.inboxes

@@ -139,7 +139,7 @@ def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feat
 def _picture(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     picture = load_picture(context.archive.file(row.preview_path))
     fig = scene_figure(picture, features, chosen, context.locale, _HEIGHT)
-    clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False})
+    clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False}, above=310)
     st.caption(_("Click a feature for its close-up; scroll to zoom, drag to move."))
 
 
