@@ -120,7 +120,7 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
         return decision_words
     if name == "quantity":
         return lambda value: quantity_words(str(value))
-    if name == "reason":
+    if name in ("reason", "why"):
         return locale.reason
     if name == "feature_id":
         return lambda value: feature_words(str(value), locale)
