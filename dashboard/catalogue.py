@@ -18,6 +18,7 @@ from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
 
 from dashboard.reasons import PATTERNS
+from dashboard.sentences import SENTENCES, WORDS
 from dashboard.words import ENGLISH, LANGUAGES, po_file
 from metrology.acceptance import PanelVerdict
 from metrology.assembly.rows import CHANGES as PANEL_CHANGES
@@ -55,11 +56,11 @@ def declared() -> Iterator[str]:
     """Words that are declared outside of the pages and shown on them."""
     yield from (*DECISIONS, *(look.words for look in SEVERITIES.values()), *DISPOSITIONS)
     yield from (*get_args(PanelVerdict), *PANEL_CHANGES, *panel_rework.STATES)
-    yield from (*CHANGES, WAITING, OPEN_WORK, DECIDED, *_OTHERS, *PATTERNS)
+    yield from (*CHANGES, WAITING, OPEN_WORK, DECIDED, *_OTHERS, *PATTERNS, *SENTENCES, *WORDS)
     yield from (step.replace("_", " ") for step in TIMED)
     yield from (rule.meaning for rule in (*NELSON_RULES, *WESTERN_ELECTRIC_RULES))
     for kind in KINDS:
-        yield from (kind.subject, *(count.column.removeprefix("n_") for count in kind.counts))
+        yield from (kind.subject, kind.many, *(count.column.removeprefix("n_") for count in kind.counts))
         for quantity in kind.quantities:
             yield from (quantity.name, quantity.said, quantity.title)
 

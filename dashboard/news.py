@@ -14,6 +14,7 @@ from scipy import stats
 from dashboard.data import Archive
 from dashboard.findings import Selection
 from dashboard.quarantine import put_aside
+from dashboard.reasons import SEPARATOR
 from dashboard.words import N_, _
 from storage.archive.changes import changes_sql, drift_sql
 from storage.export.events import rigs_due
@@ -85,7 +86,7 @@ def not_inspected(inboxes: Sequence[str], scans: pd.DataFrame, since: datetime |
     doubtful = scans[scans["rig_verdict"] == "unjudged"]
     unjudged = pd.DataFrame(
         {"at": row.captured_at, "scene": row.scene_id, "what": N_("rig not judged"), "scene_id": row.scene_id,
-         "why": "; ".join(map(str, row.warnings)) or _("the scan cannot tell whether its rig fits")}
+         "why": SEPARATOR.join(map(str, row.warnings)) or _("the scan cannot tell whether its rig fits")}
         for row in doubtful.itertuples()
     )  # fmt: skip
     return pd.concat([part for part in (aside, unjudged) if len(part)] or [aside], ignore_index=True)

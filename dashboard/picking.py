@@ -8,9 +8,12 @@ drawn anew.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import streamlit as st
+
+from dashboard.room import room
 
 Picked = Callable[[Any], None]
 
@@ -54,8 +57,14 @@ def fresh_key(key: str, names: Sequence[Any], at: Any) -> str:
     return f"{key}-{st.session_state.get(turn, 0)}"
 
 
-def clickable_chart(figure: Any, key: str, picked: Picked, config: Mapping[str, Any]) -> None:
-    """A chart whose points carry a name as `customdata`, which is passed on where one is clicked."""
+def clickable_chart(figure: Any, key: str, picked: Picked, config: Mapping[str, Any], above: int = 0) -> None:
+    """A chart whose points carry a name as `customdata`, which is passed on where one is clicked.
+
+    Parameters
+    ----------
+    above : int
+        Pixels of the screen that other things need, where the chart may take the rest, up to twice its own height.
+    """
 
     def act() -> None:
         carried = [point["customdata"] for point in _selection(key).get("points") or () if point.get("customdata")]
@@ -63,7 +72,12 @@ def clickable_chart(figure: Any, key: str, picked: Picked, config: Mapping[str, 
             first = carried[0]
             picked(first[0] if isinstance(first, (list, tuple)) and len(first) == 1 else first)
 
-    st.plotly_chart(figure, key=key, on_select=act, selection_mode="points", config=dict(config))
+    height = int(figure.layout.height)
+    with room(key, height, 2 * height, above) if above else nullcontext():
+        st.plotly_chart(
+            figure, key=key, on_select=act, selection_mode="points", config=dict(config),
+            height="stretch" if above else "content",
+        )  # fmt: skip
 
 
 def _selected_rows(key: str, cells_only: bool = False) -> list[int]:

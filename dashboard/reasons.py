@@ -1,7 +1,7 @@
-"""Stored reasons in the person's language.
+"""Stored reasons and warnings in the person's language.
 
-Results keep their reasons as English text, clause after clause. A clause that one of these patterns fits is worded
-anew; any other stays as it was stored.
+Results keep their reasons as English text, clause after clause, and warnings as sentences. What one of these patterns
+fits is worded anew; anything else stays as it was stored.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import re
 from functools import cache, lru_cache
 
 from dashboard.palette import quantity_words
+from dashboard.sentences import CLAUSES, SENTENCES, WORDS
 from dashboard.words import _, language
 from metrology.kinds import KINDS
 
@@ -41,11 +42,29 @@ PATTERNS = (
     "open hole of {diameter} mm where no limit asks for one",
     "{defect} without a limit that judges it: to be decided",
     "line without measurable depth: its points leave ±{depth} mm",
+    *CLAUSES,
 )
 """What reasons say, by the places in it; the first that fits is taken."""
-_WORDED = {"quantity": quantity_words, "reason": lambda text: worded(text), "defect": lambda text: _(text)}
+_TEXTS, _NAMES = ("reason", "said", "what", "advice"), ("defect", "many", "per", "subject", "camera")
+_WORDED = {
+    "quantity": quantity_words,
+    **dict.fromkeys(_TEXTS, lambda text: worded(text)),
+    **dict.fromkeys(_NAMES, lambda text: _(text)),
+}
 """Places that hold words of ours."""
-_QUANTITIES = "|".join(re.escape(quantity.name) for kind in KINDS for quantity in kind.quantities)
+_QUANTITIES = "|".join(
+    re.escape(name)
+    for name in sorted(
+        {WORDS[0]} | {name for kind in KINDS for q in kind.quantities for name in (q.name, q.said)}, reverse=True
+    )
+)
+_PLACES = {
+    "quantity": _QUANTITIES, "reason": ".+", "said": "(?:at most|no stretch|mean) .+?", "rule": r"[\w.-]+",
+    "group": r"[\w.-]+", "n": r"[\d.]+", "station": r"\S+",
+}  # fmt: skip
+"""What may stand in a place, where not anything may."""
+SEPARATOR = " · "
+"""Between warnings that stand in one text."""
 
 
 def worded(text: str) -> str:
@@ -55,12 +74,16 @@ def worded(text: str) -> str:
 
 @lru_cache(maxsize=5000)
 def _of_language(_language: str, text: str) -> str:
-    whole = _fitted(text) if text.startswith("from ") else None
-    return whole or "; ".join(_fitted(clause) or clause for clause in text.split("; "))
+    return SEPARATOR.join(map(_sentence, text.split(SEPARATOR)))
 
 
-def _fitted(clause: str) -> str | None:
-    for pattern, expression in _expressions().items():
+def _sentence(text: str) -> str:
+    whole = _fitted(text, SENTENCES) or (_fitted(text, PATTERNS) if text.startswith("from ") else None)
+    return whole or "; ".join(_fitted(clause, PATTERNS) or clause for clause in text.split("; "))
+
+
+def _fitted(clause: str, patterns: tuple[str, ...]) -> str | None:
+    for pattern, expression in _expressions(patterns).items():
         if found := expression.fullmatch(clause):
             values = {
                 name: _WORDED[name](text) if name in _WORDED else text for name, text in found.groupdict().items()
@@ -70,13 +93,12 @@ def _fitted(clause: str) -> str | None:
 
 
 @cache
-def _expressions() -> dict[str, re.Pattern[str]]:
-    return {pattern: re.compile(_expression(pattern)) for pattern in PATTERNS}
+def _expressions(patterns: tuple[str, ...]) -> dict[str, re.Pattern[str]]:
+    return {pattern: re.compile(_expression(pattern)) for pattern in patterns}
 
 
 def _expression(pattern: str) -> str:
     parts = re.split(r"\{(\w+)\}", pattern)
-    names = {"quantity": _QUANTITIES, "reason": ".+"}
     return "".join(
-        f"(?P<{part}>{names.get(part, '.+?')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)
+        f"(?P<{part}>{_PLACES.get(part, '.+?')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)
     )

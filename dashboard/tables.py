@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,7 @@ from dashboard.findings import feature_words
 from dashboard.locale import NOTHING, Locale
 from dashboard.palette import decision_words, quantity_words
 from dashboard.picking import Picked, clicked_row, fresh_key
+from dashboard.room import room
 from dashboard.words import N_, _
 from metrology.kinds import KINDS
 
@@ -26,6 +28,10 @@ _SIGNED = (
 )
 
 
+_REASON_PX, _WIDE_REASON_PX = 200, 540
+_ANY_HEIGHT = 10_000
+
+
 def show_table(
     rows: pd.DataFrame,
     columns: Mapping[str, str],
@@ -35,6 +41,7 @@ def show_table(
     names: Sequence[Any] = (),
     picked: Picked | None = None,
     at: Any = None,
+    above: int = 0,
 ) -> None:
     """Show columns of a frame under their headings.
 
@@ -48,8 +55,10 @@ def show_table(
         Gets the name of a row that is clicked.
     at : optional
         The name of what is looked at.
+    above : int
+        Pixels of the screen that other things need, where the table takes the rest of a screen that is high enough.
     """
-    styled, config = styled_table(rows, columns, locale)
+    styled, config = styled_table(rows, columns, locale, _WIDE_REASON_PX if above else _REASON_PX)
     options: dict[str, Any] = {}
     if picked:
         key = fresh_key(key, names, at)
@@ -57,18 +66,22 @@ def show_table(
             "on_select": clicked_row(key, names, picked),
             "selection_mode": ["single-row", "single-cell"],
         }
-    st.dataframe(
-        styled,
-        hide_index=True,
-        height=fitting(height, len(rows)),
-        column_config=config,
-        key=key,
-        placeholder=NOTHING,
-        **options,
-    )
+    height = fitting(height, len(rows))
+    with room(key, height, fitting(_ANY_HEIGHT, len(rows)), above) if above else nullcontext():
+        st.dataframe(
+            styled,
+            hide_index=True,
+            height="stretch" if above else height,
+            column_config=config,
+            key=key,
+            placeholder=NOTHING,
+            **options,
+        )
 
 
-def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale) -> tuple[Any, dict[str, Any]]:
+def styled_table(
+    rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale, reason_px: int = _REASON_PX
+) -> tuple[Any, dict[str, Any]]:
     """Columns of a frame under their headings, written as the person is used to, and how to lay them out."""
     present = {name: heading for name, heading in columns.items() if name in rows.columns}
     shown = rows[list(present)].rename(columns=present).reset_index(drop=True)
@@ -76,7 +89,7 @@ def styled_table(rows: pd.DataFrame, columns: Mapping[str, str], locale: Locale)
     styled = shown.style.format({h: f for h, f in formats.items() if f is not None}, na_rep=NOTHING)
     config = {
         heading: st.column_config.Column(
-            width="medium" if name == "reason" else "small", help=_(_HELP[name]) if name in _HELP else None
+            width=reason_px if name == "reason" else "small", help=_(_HELP[name]) if name in _HELP else None
         )
         for name, heading in present.items()
         if name in _NARROW or name in _HELP
@@ -107,7 +120,7 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
         return decision_words
     if name == "quantity":
         return lambda value: quantity_words(str(value))
-    if name == "reason":
+    if name in ("reason", "why"):
         return locale.reason
     if name == "feature_id":
         return lambda value: feature_words(str(value), locale)
@@ -124,9 +137,13 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
     return None
 
 
+_PLACES = ("s_mm", "from_mm", "to_mm", "length_mm")
+"""Of which a tenth of a millimetre says enough."""
+
+
 def _digits(name: str) -> int:
     if name.startswith("seconds") or name.endswith("_deg"):
         return 2
     if name.endswith(("_px", "_fraction")):
         return 3
-    return 1 if name == "s_mm" else 0 if name.startswith("n_") else 3
+    return 1 if name in _PLACES else 0 if name.startswith("n_") else 3

@@ -55,7 +55,7 @@ def panel_figure(
     ticks = _ticks(*y)
     fig.update_yaxes(
         title="y, mm", scaleanchor="x", constrain="domain", range=y[::-1], tickvals=ticks,
-        ticktext=[f"{-tick}" for tick in ticks], showgrid=picture is None,
+        ticktext=[locale.whole(-tick) for tick in ticks], showgrid=picture is None,
     )  # fmt: skip
     return fig
 

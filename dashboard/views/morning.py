@@ -33,7 +33,7 @@ _HELP = {
     _DRIFTING: N_("Places whose value moves from aircraft to aircraft by more than chance allows"),
     _REWORK: N_("Rework, repair or re-scan was decided and is not done yet"),
     _DUE: N_("Calibrations and verifications of rigs in use that are due within a week, or overdue"),
-    _ASIDE: "Scans put aside, and scans whose rig could not be judged",
+    _ASIDE: N_("Scans put aside, and scans whose rig could not be judged"),
 }
 _MOST = 300
 
@@ -75,11 +75,8 @@ def what_is_new(context: PageContext, beside: DeltaGenerator) -> None:
         )
         + f" · {_(_HELP[name])}"
     )
-    left, right = st.columns([12, 9])
-    with left:
-        _show(context, name, lists[name])
-    with right:
-        _panels(context, news)
+    _show(context, name, lists[name])
+    _panels(context, news)
 
 
 def _since(context: PageContext) -> tuple[Since, datetime | None]:
@@ -138,7 +135,7 @@ def _changed(context: PageContext, name: str, rows: pd.DataFrame) -> None:
         columns.pop("decision")
         columns.pop("reason")
     names = [(str(row.scene_id), _address(row)) for row in rows.itertuples()]
-    show_table(rows, columns, context.locale, f"news-{name}", 430, names, _open)
+    show_table(rows, columns, context.locale, f"news-{name}", 400, names, _open, above=550)
     st.caption(_("Select one for its picture."))
 
 
@@ -157,7 +154,7 @@ def _drift(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     }  # fmt: skip
     names = [(BY_NAME[r.feature_kind].subject, r.panel, r.station, r.name) for r in rows.itertuples()]
     shown = rows.assign(difference_mm=rows["slope"])
-    show_table(shown, columns, context.locale, "news-drifting", 430, names, _open_trend)
+    show_table(shown, columns, context.locale, "news-drifting", 400, names, _open_trend, above=550)
     st.caption(_("Select one for its chart over time."))
 
 
@@ -172,21 +169,21 @@ def _work(context: PageContext, name: str, rows: pd.DataFrame) -> None:
         "disposition": _("Decided"), "who": _("By"), "decided_at": _("When"), "comment": _("Comment"),
     }  # fmt: skip
     names = [(str(row.scene_id), _address(row)) for row in rows.itertuples()]
-    show_table(rows, columns, context.locale, "news-work", 430, names, _open)
+    show_table(rows, columns, context.locale, "news-work", 400, names, _open, above=550)
     link("review", _("Decide in the review"), ":material/fact_check:", state=OPEN_WORK)
 
 
 def _due(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     shown = rows.assign(state=[N_("overdue") if late else N_("due soon") for late in rows["late"]])
     columns = {"rig_id": _("Rig"), "what": _("What"), "due_at": _("Due"), "state": _("State")}
-    show_table(shown, columns, context.locale, "news-due", 430)
+    show_table(shown, columns, context.locale, "news-due", 400)
     link("runs", _("How the rigs are"), ":material/precision_manufacturing:", view="Rig health")
 
 
 def _aside(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     columns = {"at": _("When"), "scene": _("Scan"), "what": _("What"), "why": _("Why")}
     names = [scene if isinstance(scene, str) else None for scene in rows["scene_id"]]
-    show_table(rows, columns, context.locale, "news-aside", 430, names, _open_scan)
+    show_table(rows, columns, context.locale, "news-aside", 400, names, _open_scan, above=550)
 
 
 def _open_scan(scene: str | None) -> None:
@@ -211,8 +208,8 @@ def _panels(context: PageContext, news: _News) -> None:
         "scenes": _("Scans"), "last_scan": _("Last scan"),
     }  # fmt: skip
     names = list(zip(panels["aircraft_serial"].astype(str), panels["panel"].astype(str), strict=True))
-    show_table(panels, columns, context.locale, "news-panels", 430, names, _open_panel)
     st.caption(_("The panels that were scanned; select one to see it whole."))
+    show_table(panels, columns, context.locale, "news-panels", 220, names, _open_panel)
 
 
 def _open_panel(name: tuple[str, str]) -> None:

@@ -29,6 +29,7 @@ from dashboard.panels import (
     with_courses,
 )
 from dashboard.picking import clickable_chart
+from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
 from dashboard.tables import show_table
@@ -36,6 +37,8 @@ from dashboard.views.feature import close_up
 from dashboard.words import N_, _, capital
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
+from metrology.verdicts import gravity
+from storage.archive.changes import CURED
 from storage.report import panel_report
 from storage.review import Feature
 
@@ -150,7 +153,7 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
     st.caption(" · ".join(said))
     texts = [str(text) for text in (row.warnings if row.warnings is not None else ())]
     if texts:
-        st.markdown(f":small[:orange[:material/warning:] {' · '.join(map(plain, texts))}]")
+        st.markdown(f":small[:orange[:material/warning:] {plain(locale.reason(SEPARATOR.join(texts)))}]")
 
 
 def _covered(row: Any, locale: Locale) -> str:
@@ -190,7 +193,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
         picture = None if shown == _PLAIN else picture
     view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
-    clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False})
+    clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
     st.caption(_("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move."))
 
 
@@ -273,8 +276,10 @@ def _on_a_night(context: PageContext, found: InScan) -> None:
             earlier = load_scene_row(context.archive, night)
             if earlier is not None:
                 scene, features = earlier, load_features(context.archive, earlier)
-    at = context.locale.time(scene.captured_at)
-    st.caption(_("as station {station} saw it, {time}", station=plain(scene.station), time=at))
+    at, words = context.locale.time(scene.captured_at), feature_words(found.feature.id, context.locale)
+    st.caption(
+        _("{name} on the scan of station {station}, {time}", name=plain(words), station=plain(scene.station), time=at)
+    )
     close_up(context, scene, features, found.feature)
     link("review", _("Decide in the review"), ":material/fact_check:", aircraft=scene.aircraft_serial,
          panel=scene.panel, scene=scene.scene_id, feature=feature_parameter(found.feature))  # fmt: skip
@@ -282,6 +287,7 @@ def _on_a_night(context: PageContext, found: InScan) -> None:
 
 def _findings(context: PageContext, view: PanelView) -> None:
     rows = view.findings.rename(columns={"value": "value_mm", "value_u95": "u95_mm"})
+    rows = rows.sort_values(["decision", "severity"], key=_gravest_first, kind="stable")
     if rows.empty:
         st.success(_("Every feature of the panel is within its limits."), icon=":material/check:")
         return
@@ -292,6 +298,10 @@ def _findings(context: PageContext, view: PanelView) -> None:
     }  # fmt: skip
     show_table(rows, columns, context.locale, "panel-findings", 470, names, _look_at, st.query_params.get("feature"))
     st.caption(_("A stretch of a seam is one finding. Select one to see its worst place."))
+
+
+def _gravest_first(column: pd.Series) -> pd.Series:
+    return column.map(gravity) if column.name == "decision" else column != "red"
 
 
 def _changes(context: PageContext, view: PanelView) -> None:
@@ -315,6 +325,8 @@ def _changes(context: PageContext, view: PanelView) -> None:
         "difference_mm": _("Difference"), "difference_u95_mm": _("± U95"), "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
     keys = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
+    # The same word as in the morning: there is nothing to find any more.
+    rows["change"] = rows["change"].replace("gone", CURED)
     show_table(rows, columns, context.locale, "panel-changes", 330, keys, _look_at, st.query_params.get("feature"))
     st.caption(
         _(
@@ -345,8 +357,9 @@ def _rules(context: PageContext, view: PanelView) -> None:
             _("The specification that judged this panel has no acceptance rules: nothing says when it is accepted.")
         )
     else:
+        shown = view.rules.assign(rule=view.rules["rule"].map(context.locale.reason))
         columns = {"rule": _("Rule"), "applies_to": _("Of"), "verdict": _("Outcome"), "reason": _("What was found")}
-        show_table(view.rules, columns, context.locale, "panel-rules", 260)
+        show_table(shown, columns, context.locale, "panel-rules", 260)
     st.markdown("**" + _("Verdicts so far") + "**")
     columns = {"judged_at": _("Judged"), "panel_spec": _("By"), "verdict": _("Verdict"), "reason": _("Why")}
     show_table(view.verdicts.iloc[::-1], columns, context.locale, "panel-verdicts", 200)
@@ -378,7 +391,7 @@ def _scans(context: PageContext, scenes: Sequence[Any]) -> None:
             "captured_at": scene.captured_at,
             "findings": standings_words(context.archive.standings(str(scene.scene_id))),
             "signed": signed[scene.scene_id].who if scene.scene_id in signed else "–",
-            "reason": "; ".join(map(str, scene.warnings if scene.warnings is not None else ())),
+            "reason": SEPARATOR.join(map(str, scene.warnings if scene.warnings is not None else ())),
         }
         for scene in scenes
     )

@@ -32,6 +32,7 @@ from dashboard.palette import OPEN_DECISIONS, decision_words
 from dashboard.picking import clicked_row
 from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
+from dashboard.room import room
 from dashboard.scenes import find_feature, load_features, load_scene_row
 from dashboard.tables import fitting, styled_table
 from dashboard.views.feature import HOW_DECIDED, close_up
@@ -213,16 +214,18 @@ def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: N
     # The key names the rows: another list begins without ticks, which would else go with the rows' numbers.
     key = f"findings-{st.session_state.get(_TURN, 0)}-{hash((tuple(names), tuple(rows['run_id'])))}"
     _select(key, names, at)
-    event = st.dataframe(
-        styled,
-        hide_index=True,
-        height=fitting(430, len(rows)),
-        column_config=config,
-        key=key,
-        placeholder=NOTHING,
-        on_select=clicked_row(key, names, _look_at, cells_only=True),
-        selection_mode=["multi-row", "single-cell"],
-    )
+    height = fitting(430, len(rows))
+    with room("findings", height, fitting(2000, len(rows)), above=360):
+        event = st.dataframe(
+            styled,
+            hide_index=True,
+            height="stretch",
+            column_config=config,
+            key=key,
+            placeholder=NOTHING,
+            on_select=clicked_row(key, names, _look_at, cells_only=True),
+            selection_mode=["multi-row", "single-cell"],
+        )
     return [names[row] for row in event["selection"]["rows"] if row < len(names)]
 
 

@@ -16,6 +16,7 @@ from dashboard.findings import LAST_WEEK, PERIODS, Selection, start_of
 from dashboard.flow_runs import configured_api, flow_runs
 from dashboard.frame import PageContext, go, plain
 from dashboard.quarantine import put_aside
+from dashboard.reasons import SEPARATOR
 from dashboard.tables import show_table
 from dashboard.words import N_, _
 from metrology.steps import TIMED
@@ -168,7 +169,7 @@ def _failures(context: PageContext, selection: Selection) -> None:
     condition, parameters = selection.where()
     warned = context.archive.rows(
         "SELECT aircraft_serial, panel, station, captured_at, scene_id, rig_id, rig_verdict, "
-        f"array_to_string(warnings, '; ') AS reason, status FROM scenes "
+        f"array_to_string(warnings, '{SEPARATOR}') AS reason, status FROM scenes "
         f"WHERE status <> 'ok' AND {condition} ORDER BY {TAKEN_AT} DESC, scene_id LIMIT 500",
         parameters,
     )
@@ -189,9 +190,10 @@ def _failures(context: PageContext, selection: Selection) -> None:
             },
             context.locale,
             key="warned",
-            height=240,
+            height=400,
             names=[str(scene) for scene in warned["scene_id"]],
             picked=lambda scene: go("scene", scene=scene),
+            above=420,
         )
     st.markdown(_("**Could not be inspected**"))
     inboxes = context.settings.inboxes

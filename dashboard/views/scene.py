@@ -16,6 +16,7 @@ from dashboard.findings import feature_from_parameter, feature_parameter, standi
 from dashboard.frame import PageContext, link, plain
 from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
+from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
 from dashboard.scenes import (
     find_feature,
@@ -116,7 +117,8 @@ def _headline(context: PageContext, row: Any) -> None:
             scene=row.scene_id,
         )
     if warnings := _texts(row.warnings):
-        st.markdown(f":small[:orange[:material/warning:] {' · '.join(plain(warning) for warning in warnings)}]")
+        said = context.locale.reason(SEPARATOR.join(warnings))
+        st.markdown(f":small[:orange[:material/warning:] {plain(said)}]")
 
 
 def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
@@ -139,7 +141,9 @@ def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feat
 def _picture(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     picture = load_picture(context.archive.file(row.preview_path))
     fig = scene_figure(picture, features, chosen, context.locale, _HEIGHT)
-    clickable_chart(fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False})
+    clickable_chart(
+        fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False}, above=310
+    )
     st.caption(_("Click a feature for its close-up; scroll to zoom, drag to move."))
 
 

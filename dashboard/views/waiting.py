@@ -172,6 +172,7 @@ def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -
         height=430,
         names=list(zip(shown["aircraft_serial"].astype(str), shown["panel"].astype(str), strict=True)),
         picked=_review,
+        above=440,
     )
     if panels["waiting"].sum() == 0:
         st.success(

@@ -109,7 +109,7 @@ def test_changes_since_the_night_before(nights: Path, open_page: Open) -> None:
     page = open_page("panel", nights, **ADDRESS, view="Changes")
     [rows] = frames(page, "Change")
     found = dict(zip(rows["Feature"], rows["Change"], strict=True))
-    assert found["N10"] == "gone"
+    assert found["N10"] == "cured"
     assert "worse" in found.values()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import string
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ from dashboard.catalogue import texts, updated
 from dashboard.findings import feature_words
 from dashboard.locale import Locale
 from dashboard.reasons import PATTERNS, worded
+from dashboard.sentences import CLAUSES, SENTENCES
 from dashboard.words import ENGLISH, LANGUAGES, N_, _, language, po_file, speak
 from tests.dashboard.test_pages import Open, clean
 from tests.support.week import ROOT
@@ -77,7 +79,7 @@ def test_a_text_without_translation_is_english() -> None:
         (
             "from 136 to 200 mm (68 mm), worst at 180 mm: step +0.2 ± 0.1 mm outside by less than U95 of -0.2 … +0.2",
             "from 136 to 200 mm (68 mm), worst at 180 mm: step +0.2 ± 0.1 mm outside by less than U95 of −0.2 … +0.2",
-            "von 136 bis 200 mm (68 mm), am schlimmsten bei 180 mm: "
+            "von 136 bis 200 mm (68 mm), größte Abweichung bei 180 mm: "
             "Versatz +0,2 ± 0,1 mm um weniger als U95 außerhalb von −0,2 … +0,2",
         ),
         (
@@ -95,9 +97,61 @@ def test_reasons_are_worded_clause_by_clause(stored: str, english: str, german: 
     assert Locale("de").reason(stored) == german
 
 
-@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize(
+    ("stored", "german"),
+    [
+        (
+            "first scan of station S3: the rivets (12) and seams (1) found in it were enrolled as the panel's pattern; "
+            "check that none is missing · judged by the example limits, which are nobody's requirement; give "
+            "--panel-spec",
+            "erster Scan der Station S3: die darin gefundenen Niete (12) und Fugen (1) wurden als Muster des Paneels "
+            "übernommen; prüfen, dass keine fehlen · beurteilt nach den Beispielgrenzen, die niemandes Anforderung "
+            "sind; --panel-spec angeben",
+        ),
+        (
+            "rig rig-7: texture lies off the epipolar lines by 0.213 px RMS, expected at most 0.100 px: calibrate the "
+            "rig again",
+            "Messkopf rig-7: die Textur liegt 0.213 px RMS neben den Epipolarlinien (wo die eine Kamera sie bei der "
+            "anderen erwartet), erwartet höchstens 0.100 px: den Messkopf neu kalibrieren",
+        ),
+        (
+            "from 0 to 4 mm (6 mm): worst step +0.209 ± 0.004 mm at 2 mm, expected -0.200 … +0.200 (LH-F12 2)",
+            "von 0 bis 4 mm (6 mm): größte Abweichung Versatz +0,209 ± 0,004 mm bei 2 mm, "
+            "erwartet −0,200 … +0,200 (LH-F12 2)",
+        ),
+        (
+            "A1: at most 5% of the rivets of a panel with height beyond its limit: found 8% of F12, up to 10% with "
+            "what lies within the guard band; not seen: R01, R02",
+            "A1: höchstens 5% der Niete je Paneel: Überstand jenseits der Grenze: gefunden 8% bei F12, bis zu 10% mit "
+            "allem, was näher als U95 an der Grenze liegt; nicht gesehen: R01, R02",
+        ),
+        ("3 % of the pixels are saturated", "3 % of the pixels are saturated"),
+    ],
+)
+def test_warnings_and_verdicts_are_worded(stored: str, german: str) -> None:
+    assert worded(stored) == stored
+    speak("de")
+    assert Locale("de").reason(stored) == german
+
+
+def test_sentences_are_those_that_the_code_says() -> None:
+    """What was reworded in the code would stay English on the pages: each fixed part stands in some source."""
+    sources = "".join(
+        re.sub(r'"\s*(?:\+ \()?f?"', "", path.read_text())
+        for room in ("metrology", "tasks", "storage")
+        for path in (ROOT / room).rglob("*.py")
+    )
+    composed = r"\{\w+\}| of the right camera|(?<=camera's picture), |(?<=every exposure); "
+    parts = {part.strip(" ,:;()") for said in (*SENTENCES, *CLAUSES) for part in re.split(composed, said)}
+    whole = [part for part in parts if len(part.split()) > 3]
+    assert len(whole) > 40
+    assert [part for part in whole if part not in sources] == []
+
+
+@pytest.mark.parametrize("pattern", [*PATTERNS, *SENTENCES])
 def test_each_pattern_fits_itself(pattern: str) -> None:
-    filled = pattern.format_map({name: "height" if name == "quantity" else "1.5" for name in places(pattern)})
+    own = {"quantity": "height", "said": "at most 2 rivets per m² with height beyond its limit"}
+    filled = pattern.format_map({name: own.get(name, "1.5") for name in places(pattern)})
     assert worded(filled) == filled
 
 

@@ -90,17 +90,23 @@ def browser() -> Iterator[Any]:
         started.close()
 
 
-def new_page(browser: Any, scheme: str = "light", locale: str = "en-US", apart: bool = False) -> Any:
-    """A page of the size of a small laptop; it has what pages like it have loaded, unless it is `apart`: no cookies."""
-    page = (_new_context if apart else _context)(browser, scheme, locale).new_page()
+SMALL, LARGE, TABLET = (1366, 768), (1920, 1080), (1024, 768)
+"""Screens: a laptop's, a desk's, and one of a tablet, which has touch."""
+
+
+def new_page(
+    browser: Any, scheme: str = "light", locale: str = "en-US", apart: bool = False, size: tuple[int, int] = SMALL
+) -> Any:
+    """A page; it has what pages like it have loaded, unless it is `apart`: no cookies."""
+    page = (_new_context if apart else _context)(browser, scheme, locale, size).new_page()
     page.set_default_timeout(60_000)
     return page
 
 
-def _new_context(browser: Any, scheme: str, locale: str) -> Any:
+def _new_context(browser: Any, scheme: str, locale: str, size: tuple[int, int]) -> Any:
     return browser.new_context(
-        viewport={"width": 1366, "height": 768}, color_scheme=scheme, locale=locale, timezone_id="Europe/Berlin",
-        accept_downloads=True, reduced_motion="reduce",
+        viewport={"width": size[0], "height": size[1]}, has_touch=size == TABLET, color_scheme=scheme, locale=locale,
+        timezone_id="Europe/Berlin", accept_downloads=True, reduced_motion="reduce",
     )  # fmt: skip
 
 

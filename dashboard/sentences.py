@@ -1,0 +1,81 @@
+"""What stored warnings, verdicts of panels and rules of acceptance say (see `dashboard.reasons`)."""
+
+SENTENCES = (
+    "first scan of station {station}: the rivets ({rivets}) and seams ({seams}) found in it were enrolled as the "
+    "panel's pattern; check that none is missing",
+    "first scan of station {station}: not enrolled as the panel's pattern, since {cause}; scan it again",
+    "judged by the example limits, which are nobody's requirement; give --panel-spec",
+    "judged by the example limits, which are nobody's requirement; put a specification in force",
+    "judged by the specification of panel {panel}, though the scene is of {other}",
+    "outside the projector's field, at least in part: {names}",
+    "inspected with rig {rig} though the scene names {other}",
+    "overexposed: {share} of the skin is saturated in every exposure of the right camera; rivets and seams there are "
+    "not found or not measured; take a shorter exposure as well",
+    "overexposed: {share} of the skin is saturated in every exposure; rivets and seams there are not found or not "
+    "measured; take a shorter exposure as well",
+    "{share} of the lit pixels of the {camera} camera have fringes that contradict each other and therefore no points; "
+    "look for movement, reflections of the fringes, or a frame of another scan",
+    "panel's pattern not recognised: {cause}, expected most; ids are this scan's own; is this the right station?",
+    "panel's pattern fits in two ways almost alike, expected one: ids may be shifted; see to the station's nominal "
+    "placement",
+    "rig found {shift} mm and {turn}° from the station's nominal placement, expected at most {limit} mm and {most}°",
+    "rivets of the panel's pattern in view but not found: {names}",
+    "heads of another size than the pattern's: {n} of {all}; is this the right station?",
+    "rig {rig} has one camera: gaps' edges and heads' rims come from points and rings alone, and a glint or a shadow "
+    "may be taken for a head's rim",
+    "rig {rig} has no calibrated projector: the overlay is drawn over the left camera's picture",
+    "rig {rig} has no calibrated projector: the overlay is drawn over the left camera's picture, gaps' edges and "
+    "heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed",
+    "rig {rig}: calibration overdue since {day}",
+    "rig {rig}: never verified",
+    "rig {rig}: not verified before",
+    "rig {rig}: verified with another calibration of the same id only",
+    "rig {rig}: overdue: its last verification held until {day} ({name})",
+    "rig {rig}: failed its last verification ({name}: {cause})",
+    "rig {rig}: cannot tell whether the rig still fits: {cause}",
+    "rig {rig}: texture lies off the epipolar lines by {off} px RMS, expected at most {limit} px: {advice}",
+    "rig {rig}: the decoded projector coordinate is off by {off} px RMS, expected at most {limit} px: {advice}",
+    "captured_at {time} is {span} ahead of this computer's clock; it counts as the station's newest scan only where "
+    "there is no other; check the camera's clock",
+    "captured_at {time} is {span} before rig {rig} was calibrated ({calibrated}); check the camera's clock and the rig "
+    "that the scene names",
+    "found {n} parts that nothing joins ({stations}), expected one: scan between them with an overlap that shows three "
+    "fasteners and more, or give nominal positions; is each scan of this panel?",
+    "{station} and {other}: found their shared heads more than {limit} mm apart in the joint placement, expected them "
+    "together; their overlap was not used",
+    "names and places of {stations} are not those of the assembly before: they were not found again in it",
+)
+"""Whole texts; the first that fits is taken."""
+
+CLAUSES = (
+    "the specification has no acceptance rules",
+    "from {first} to {last} mm ({length} mm): {reason}",
+    "worst {quantity} {value} ± {u95} {unit} at {place} mm, expected {limit}",
+    "beyond limits that no rule allows to exceed: {names}",
+    "within U95 of a limit: {names}",
+    "not seen: {names}",
+    "not measured: {names}",
+    "in {n} parts",
+    "{station} left out",
+    "{n} not measured",
+    "{said}: found {amount} of {group}, up to {doubtful} with what lies within the guard band",
+    "{said}: found {amount}, up to {doubtful} with what lies within the guard band",
+    "{said}: found {amount} of {group}",
+    "{said}: found {amount}",
+    "{rule}: {said}",
+    "at most {share} of the {many} of a {per} with {what}",
+    "at most {n} adjacent {many} with {what}",
+    "at most {n} {many} of a {per} with {what}",
+    "at most {n} {many} per m² with {what}",
+    "at most {length} mm of a {subject} with {what}",
+    "no stretch of a {subject} longer than {length} mm with {what}",
+    "mean {quantity} over {length} mm within its limits",
+    "{quantity} beyond its limit",
+    "{quantity} beyond its serious limit",
+    "{quantity} of any value",
+    "calibrate the rig again",
+)
+"""Clauses of verdicts and rules."""
+
+WORDS = ("any quantity", "course", "row", "zone", "left", "right")
+"""Words in their places that nothing else declares."""
