@@ -24,6 +24,7 @@ _FISHEYE_TERM = 0.01  # p1, p2 of a lens with four terms; the third and fourth t
 _OTHER_SIZE = 0.3  # by which both sides' scale of the image that K belongs to departs from 1
 _SAME_SCALE = 0.04
 _RADII = 400
+_LARGEST_STRETCH = 2.0  # of the corner's distance from the principal point: pincushion lenses reach a tenth of it
 _REACH = 4.0  # times the image's own radius: as far as a lens may pull the image in
 
 
@@ -106,6 +107,12 @@ def _check_distortion(device: Device) -> None:
             f"distortion: found p1, p2 of {p1:g}, {p2:g}, which move the image's corner by {tangential:.0%}, expected "
             f"at most {_LARGEST_TANGENTIAL:.0%}: the terms are in another order (k1, k2, p1, p2, k3), or a fisheye's"
         )
+    stretched = float(_distorted(np.array(corner), terms)) / corner
+    if stretched > _LARGEST_STRETCH:
+        raise RigError(
+            f"distortion: found {_numbers(device.distortion)}, which moves the image's corner to {stretched:.3g} times "
+            f"its distance from the middle, expected at most {_LARGEST_STRETCH:g}: another order or unit of the terms"
+        )
     reached = _turning_radius(terms, corner)
     if reached < corner:
         raise RigError(
@@ -116,18 +123,20 @@ def _check_distortion(device: Device) -> None:
 
 
 def _turning_radius(terms: Array, corner: float) -> float:
-    """Distorted radius up to which the radial distortion grows with the radius; `corner` where it suffices.
+    """Distorted radius up to which the radial distortion grows with the radius; `corner` where it suffices."""
+    distorted = _distorted(np.linspace(0, _REACH * corner, _RADII), terms)
+    falls = ~(np.diff(distorted) > 0)
+    end = int(np.argmax(falls)) if falls.any() else len(distorted) - 1
+    return min(float(distorted[end]), corner)
 
-    x_d = x (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), x and r in focal lengths.
-    """
-    radius = np.linspace(0, _REACH * corner, _RADII)
+
+def _distorted(radius: Array, terms: Array) -> Array:
+    """r (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), in focal lengths; NaN beyond a pole."""
     square = radius**2
     k1, k2, _, _, k3, k4, k5, k6 = terms
     below = 1 + square * (k4 + square * (k5 + square * k6))
-    distorted = radius * (1 + square * (k1 + square * (k2 + square * k3))) / below
-    falls = ~(np.diff(distorted) > 0) | (below[1:] <= 0)
-    end = int(np.argmax(falls)) if falls.any() else len(radius) - 1
-    return min(float(distorted[end]), corner)
+    above = radius * (1 + square * (k1 + square * (k2 + square * k3)))
+    return np.asarray(np.where(below > 0, above / below, np.nan))
 
 
 def _numbers(values: Array) -> str:

@@ -35,7 +35,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 
 def run(options: argparse.Namespace) -> int:
     """Copy the overlays out of the store."""
-    from metrology.errors import StoreError, UsageError
+    from metrology.errors import UsageError
+    from storage.archive.bundle import sound_file
     from storage.archive.store import Store
 
     if options.aircraft and options.panel and not options.scene_id:
@@ -50,8 +51,7 @@ def run(options: argparse.Namespace) -> int:
         return _anew(options)
     overlay = Store(options.store).paths(options.scene_id).overlay
     source = overlay.with_suffix(".svg") if options.out.suffix.lower() == ".svg" else overlay
-    if not source.is_file():
-        raise StoreError(f"{source}: found no such file, expected the scene's overlay; the bundle is damaged")
+    sound_file(source)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, options.out)
     print(options.out)

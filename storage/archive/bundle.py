@@ -203,17 +203,28 @@ def check_bundle(bundle: Path, only_tables: bool = False) -> BundleModel:
             f"{bundle / MANIFEST}: found format {manifest.format!r} for {manifest.scene_id!r}, expected the other"
         )
     for name in wanted if only_tables else manifest.files:
-        path, stated = bundle / name, manifest.files[name]
-        if path.is_symlink() or not path.is_file():
-            found = "a link" if path.is_symlink() else "no such file"
-            raise StoreError(f"{path}: found {found}, expected a file as the manifest lists it")
-        if (size := path.stat().st_size) != stated.bytes:
-            raise StoreError(f"{path}: found {size} bytes, expected {stated.bytes} as the manifest says")
-        if (found := sha256(path)) != stated.sha256:
-            raise StoreError(
-                f"{path}: found checksum {found[:12]}…, expected {stated.sha256[:12]}… as the manifest says"
-            )
+        check_file(bundle / name, manifest)
     return manifest
+
+
+def check_file(path: Path, manifest: BundleModel) -> Path:
+    """The file of a bundle, refused where it is not as the manifest lists it."""
+    stated = manifest.files.get(path.name)
+    if stated is None:
+        raise StoreError(f"{path.parent / MANIFEST}: found no {path.name} listed, expected it")
+    if path.is_symlink() or not path.is_file():
+        found = "a link" if path.is_symlink() else "no such file"
+        raise StoreError(f"{path}: found {found}, expected a file as the manifest lists it")
+    if (size := path.stat().st_size) != stated.bytes:
+        raise StoreError(f"{path}: found {size} bytes, expected {stated.bytes} as the manifest says")
+    if (found := sha256(path)) != stated.sha256:
+        raise StoreError(f"{path}: found checksum {found[:12]}…, expected {stated.sha256[:12]}… as the manifest says")
+    return path
+
+
+def sound_file(path: Path) -> Path:
+    """The file of a bundle, compared with the bundle's manifest: what is shown on the skin is that scan's own."""
+    return check_file(path, read_manifest(path.parent))
 
 
 def result_tables(

@@ -33,7 +33,10 @@ def rebuild(layout: Layout) -> list[str]:
     takes the store's lock.
     """
     made = layout.index / ".rebuild.duckdb"
-    with disk_trouble(layout.root, "the index is as it was"), locked(layout.index / "rebuild-lock"):
+    with contextlib.ExitStack() as held:
+        held.enter_context(disk_trouble(layout.root, "the index is as it was"))
+        layout.index.mkdir(exist_ok=True)  # a backup may have left hidden folders out
+        held.enter_context(locked(layout.index / "rebuild-lock"))
         remove_database(made)
         with locked(layout.lock):
             generations.keep_only(layout, generations.newest(layout))  # makes room

@@ -44,7 +44,10 @@ def connect(layout: Layout, spill: Path | None = None, mend: bool = True) -> duc
         False for whoever holds the store's lock, as publishing anew takes it.
     """
     if not layout.archive.exists():
-        raise StoreError(f"{layout.root}: found no archive.duckdb, expected a store that holds at least one scene")
+        lost = "; 'flushline archive rebuild' makes it again" if any(layout.bundles.glob("*/*/*/*")) else ""
+        raise StoreError(
+            f"{layout.root}: found no archive.duckdb, expected a store that holds at least one scene{lost}"
+        )
     for attempt in range(_ATTEMPTS):
         path = Path(os.path.realpath(layout.archive))
         try:
@@ -56,7 +59,10 @@ def connect(layout: Layout, spill: Path | None = None, mend: bool = True) -> duc
             if mend and attempt + 1 < _ATTEMPTS and _is_spoilt(problem) and os.access(layout.lock, os.W_OK):
                 _publish_anew(layout, path)
                 continue
-            raise StoreError(f"{layout.archive}: found {_first_line(problem)}, expected a readable index") from None
+            mended = "" if "Could not set lock" in str(problem) else "; 'flushline archive rebuild' makes it again"
+            raise StoreError(
+                f"{layout.archive}: found {_first_line(problem)}, expected a readable index{mended}"
+            ) from None
     raise StoreError(
         f"{layout.archive}: found it replaced {_ATTEMPTS} times while opening it, expected a quieter store"
     )

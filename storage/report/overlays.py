@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from storage.archive import Store
+from storage.archive.bundle import sound_file
 from storage.report.markup import badge, moment, page
 from storage.report.record import PanelRecord
 from storage.report.verdicts import gravest
@@ -26,7 +27,7 @@ def write_overlays(store: Store, record: PanelRecord, folder: Path) -> Path:
         station = scene.scene["station"]
         drawing = store.paths(scene.scene["scene_id"]).overlay.with_suffix(".svg")
         (folder / f"{station}.png").write_bytes(scene.overlay_png)
-        (folder / f"{station}.svg").write_bytes(drawing.read_bytes())
+        (folder / f"{station}.svg").write_bytes(sound_file(drawing).read_bytes())
         cards.append(
             {
                 "station": station,

@@ -16,7 +16,7 @@ from metrology.errors import StoreError
 from metrology.kinds import DEFECT, KINDS
 from metrology.tolerance import PanelSpec
 from storage.archive import Store
-from storage.archive.bundle import FITS
+from storage.archive.bundle import FITS, sound_file
 from storage.archive.decisions import same_place
 from storage.archive.known_defects import Accepted, accepted_before
 from storage.archive.rows import named_rows
@@ -92,7 +92,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         for kind in KINDS
     }
     rests_on = sources(store, scene_id)
-    preview = cv2.imdecode(np.frombuffer(_bytes(paths.preview), np.uint8), cv2.IMREAD_GRAYSCALE)
+    preview = cv2.imdecode(np.frombuffer(sound_file(paths.preview).read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
     if preview is None:
         raise StoreError(
             f"{paths.preview}: found a damaged picture, expected a PNG; 'flushline archive check' says more"
@@ -104,7 +104,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         accepted = accepted_before(connection, review, scene_id)
     found[DEFECT.name] = tuple(_with_reason(row, accepted.get(row["defect_id"])) for row in found[DEFECT.name])
     return SceneRecord(
-        rests_on.scene, found, rests_on.manifest, np.asarray(preview, np.uint8), _bytes(paths.overlay),
+        rests_on.scene, found, rests_on.manifest, np.asarray(preview, np.uint8), sound_file(paths.overlay).read_bytes(),
         rests_on.limits, decisions, how_they_stand, str(ReviewLog(store.root).head()),
         (*scene_links(rests_on), sign_off_link(rests_on)), _fits(paths.bundle / FITS),
     )  # fmt: skip
@@ -148,10 +148,3 @@ def _earlier_work(store: Store, aircraft_serial: str, panel: str, newest: list[s
 def _rows(store: Store, sql: str, *values: str) -> tuple[Row, ...]:
     with contextlib.closing(store.connect()) as connection:
         return tuple(named_rows(connection, sql, values))
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as problem:
-        raise StoreError(f'{path}: found "{problem.strerror}", expected the scene\'s picture') from None

@@ -86,6 +86,7 @@ def test_cameras_may_look_alike_or_be_rolled_or_stand_the_other_way_round() -> N
         (lambda d: replace(d, width=d.width // 2, height=d.height // 2), "K is that of images 2 times the size"),
         (lambda d: lens(d, -0.02, 0.05, -0.04, 0.03), "k1 to k4 of a fisheye"),
         (lambda d: lens(d, -90.0, 120.0, 0.0, 0.0, 0.0), "folds the image over at"),
+        (lambda d: lens(d, 1e6, 0.0, 0.0, 0.0, 0.0), "times its distance from the middle"),
         (lambda d: lens(d, -0.1, 0.1, 0.2, 0.0, 0.0), "in another order"),
         (lambda d: lens(d, -0.1, 0.1, 0.0, 0.0, 0.0, 20.0, 0.0, 0.0), "folds the image over at"),
     ],

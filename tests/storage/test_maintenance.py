@@ -74,6 +74,40 @@ def test_rebuild_makes_the_same_index(store: Store, capsys: pytest.CaptureFixtur
     assert [store.query(f"FROM {table.name} ORDER BY ALL") for table in TABLES] == before
 
 
+def test_rebuild_mends_a_store_that_lost_its_hidden_folders(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    before = store.query("SELECT * FROM rivets ORDER BY ALL")
+    for folder in (store.layout.index, store.layout.staging):
+        shutil.rmtree(folder)
+    assert main(["query", "SELECT 1", "--store", str(store.root)]) == 2
+    assert "'flushline archive rebuild'" in capsys.readouterr().err
+    assert main(["archive", "rebuild", "--store", str(store.root)]) == 0
+    assert store.query("SELECT * FROM rivets ORDER BY ALL").equals(before)
+    assert maintenance.check(store.layout).problems == ()
+
+
+def test_a_cut_index_says_how_to_mend_it(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    index = store.layout.archive.resolve()
+    index.chmod(0o644)
+    index.write_bytes(index.read_bytes()[:100_000])
+    assert main(["query", "SELECT 1", "--store", str(store.root)]) == 2
+    assert "'flushline archive rebuild'" in capsys.readouterr().err
+    assert main(["archive", "rebuild", "--store", str(store.root)]) == 0
+
+
+@pytest.mark.parametrize("ending", ["png", "svg"])
+def test_no_other_picture_is_handed_to_the_projector(
+    store: Store, tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene_id = small_key("S1").scene_id
+    overlay = store.paths(scene_id).overlay.with_suffix(f".{ending}")
+    overlay.chmod(0o644)
+    overlay.write_bytes(overlay.read_bytes() + b" ")
+    out = tmp_path / f"overlay.{ending}"
+    assert main(["overlay", scene_id, "--store", str(store.root), "--out", str(out)]) == 2
+    assert f"error: {overlay}: found" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_rebuild_passes_over_a_damaged_run(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     spoil(newest_run(store) / "rivets.parquet")
     assert main(["archive", "rebuild", "--store", str(store.root)]) == 1
