@@ -38,12 +38,7 @@ _CACHED_CLOUDS, _CACHED_SPECIFICATIONS = 2, 500
 
 
 class Archive:
-    """A store as the pages read it.
-
-    Parameters
-    ----------
-    root : Path
-    """
+    """A store as the pages read it."""
 
     def __init__(self, root: Path) -> None:
         self.root = Path(root)

@@ -80,13 +80,7 @@ def plan(job: InboxJob) -> Plan:
 
 
 class _Look:
-    """Looks at the scene folders of an inbox, one after the other.
-
-    Parameters
-    ----------
-    job : InboxJob
-    store : Store
-    """
+    """Looks at the scene folders of an inbox, one after the other."""
 
     def __init__(self, job: InboxJob, store: Store) -> None:
         self._job, self._store = job, store

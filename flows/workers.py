@@ -27,10 +27,6 @@ class Workers(Executor):
 
     Each has a pool of its own: where a process dies, it is known what it was at, and nobody else notices. A new one
     takes its place, and the work is tried once more; where that one dies, too, its future says `ProcessDied`.
-
-    Parameters
-    ----------
-    count : int
     """
 
     def __init__(self, count: int) -> None:

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from simulator.compiled import kernel
 from simulator.defects import POINTED
-
-Floats = NDArray[np.float64]
 
 # Columns of Relief.dents. U and V: rows that carry (dx, dy) into the tangent plane, in half axes (a groove: in half
 # widths both). DEPTH: measured along z. END: where it ends, along u; a groove's half length. REACH: radius in x-y, mm.

@@ -57,12 +57,7 @@ class KeptHead:
 
 
 class HeadFile:
-    """reviews/head.json.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """reviews/head.json."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -10,8 +10,6 @@ import plotly.graph_objects as go
 from flows.study.document import Cell, Column, Section, Table
 from flows.study.values import Quantity, Value
 
-_QUANTITIES: tuple[Quantity, ...] = ("height", "step", "width")
-
 
 def coverage_section(values: Sequence[Value], where: str) -> Section:
     """Shares of |error| ≤ U95 by rig and quantity, and how error / σ is distributed."""

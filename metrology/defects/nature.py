@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metrology.defects.bottom import Bottom
 from metrology.defects.outline import Outline
 from metrology.defects.patch import Patch
 from metrology.defects.row import DefectKind
 from metrology.defects.settings import DefectSettings
-
-Array = NDArray[np.float64]
 
 _LONG = 4.0  # times as long as wide is a scratch, if it is narrow
 _FOLD = 2.0  # times as long as wide is a crease, if its section is sharp

@@ -31,7 +31,6 @@ class Layout:
     ----------
     width, height : int
         Size of the projector image, pixels.
-    skin : SkinMap
     """
 
     def __init__(self, width: int, height: int, skin: SkinMap) -> None:

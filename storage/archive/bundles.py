@@ -25,12 +25,7 @@ _WALKING_THREADS = 4  # a thread that waits for the disk lets another one go on
 
 
 class Bundles:
-    """The bundles of a store.
-
-    Parameters
-    ----------
-    layout : Layout
-    """
+    """The bundles of a store."""
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout

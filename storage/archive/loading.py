@@ -53,7 +53,6 @@ class Loader:
     ----------
     connection : duckdb.DuckDBPyConnection
         The index.
-    layout : Layout
     held : collection of str
         Scenes that the index has.
     """

@@ -46,10 +46,6 @@ class Store:
     """A folder that keeps every result by aircraft and panel.
 
     Opening a store touches nothing; it is made by the first result that is published into it.
-
-    Parameters
-    ----------
-    root : Path
     """
 
     def __init__(self, root: Path) -> None:

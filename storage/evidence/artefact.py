@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -20,7 +20,6 @@ from storage.panel_spec import FeatureName, Vector3
 
 FORMAT = "flushline-artefact/1"
 Kind = Literal["plane", "spheres", "rivet-plate", "step-plate", "gap-plate", "board"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 _LEAST_HEADS = 3
 _SAME_MM = 2.0  # a pattern is told from its image by more than that
 _SAME_SIZE = 0.1  # of the diameter, as registration tells heads apart

@@ -151,12 +151,7 @@ class Verification:
 
 
 class Verifications:
-    """The verifications of a store.
-
-    Parameters
-    ----------
-    layout : Layout
-    """
+    """The verifications of a store."""
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
@@ -17,8 +16,6 @@ from metrology.seams.finding.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.finding.rough import RoughLine
 from metrology.seams.places import head_mask, panel_mask
 from metrology.seams.settings import SeamSettings
-
-Array = NDArray[np.float64]
 
 # A line without relief is worth showing to a person if it is as long and as marked as a seam.
 _SHOWN_LENGTH_PX = 400.0

@@ -73,7 +73,6 @@ class Prior:
     ----------
     profiles : Profiles
         Of what stands around the gap: cameras, lamp, chamfers as drawn.
-    floor : Floor
     """
 
     def __init__(self, profiles: Profiles, floor: Floor) -> None:
