@@ -164,7 +164,8 @@ def _changes(changes: Sequence[Row]) -> Markup:
             with_u95(row[value], row[u95], 3, quantity.signed)
             for value, u95 in (("value", "value_u95"), ("before_value", "before_u95"), ("difference", "difference_u95"))
         ]
-        rows.append([row["change"], row["feature_id"], quantity.said, *values, quantity.unit, row["reason"] or ""])
+        change = "cured" if row["change"] == "gone" else row["change"]  # as the pages say it
+        rows.append([change, row["feature_id"], quantity.said, *values, quantity.unit, row["reason"] or ""])
     heads = ["change", "feature", "quantity", "now", "then", "difference", "unit", "why"]
     return section("long_table", table(heads, rows[:_PRINTED_CHANGES], [3, 4, 5]),
                    table(heads, rows[_PRINTED_CHANGES:], [3, 4, 5]) if rows[_PRINTED_CHANGES:] else "")  # fmt: skip

@@ -158,7 +158,7 @@ def test_a_damaged_earlier_run_is_no_reason_not_to_store_the_next(nights: Store,
 def test_the_report_says_what_changed(nights: Store, tmp_path: Path) -> None:
     page = assembled_page(assembled_record(nights, KEY_OF_PANEL))
     _, _, changed = page.partition("<h2>Changes since 2026-11-20 08:03:00 UTC</h2>")
-    assert changed.index("worse") < changed.index("gone") < changed.index("<h2>Stations</h2>")
+    assert changed.index("worse") < changed.index("cured") < changed.index("<h2>Stations</h2>")
     assert page.count("<image href=") == 1
 
 
