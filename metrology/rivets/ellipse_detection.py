@@ -67,6 +67,7 @@ def detect_ellipses(
     settings: RivetSettings | None = None,
     shapes: CircleShapes | None = None,
     radii: tuple[float, float] | None = None,
+    relief: Sequence[Ellipse] = (),
 ) -> list[Ring]:
     """Rings in an image.
 
@@ -79,6 +80,8 @@ def detect_ellipses(
         What a circle looks like in each part of the image. Without it the confident rings tell it to the others.
     radii : (least, most)
         Radii looked for, px; the settings' limits without it.
+    relief : sequence of Ellipse
+        Where the surface steps as at a head's rim: there a ring is tried that no arcs lead to.
 
     Returns
     -------
@@ -100,6 +103,8 @@ def detect_ellipses(
 
     if shapes is not None:
         found = rings(shapes, KNOWN_SHAPE, traces)
+        hidden = [e for e in relief if not any(_within(e, r.ellipse) for r in found)]
+        found += _verified_rings(image, hidden, shapes, bounds, settings, enough=None)
         return suppress_repeats(found + _alike(image, suppress_repeats(found), shapes, bounds, settings))
     # The clearest rings tell what circles look like; where they are too few, all that are beyond doubt.
     clear = [t.stronger(_CLEAR * settings.ridge_low) for t in traces]

@@ -6,6 +6,7 @@ linear over the (undistorted) image, so smoothing bends nothing; a height is abo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.shapes import CircleShapes, log_shape
-from metrology.robust import MAD
+from metrology.robust import MAD, from_scratch
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
@@ -25,6 +26,13 @@ _REDUCTION = 4  # pixels per cell of the height map
 _PLATEAU = 0.7  # area above half the height over area above a fifth of it: 1 for a disc, 0.43 for a Gaussian bump
 _SHAPE_TOLERANCE = 0.15  # of the elongation of a blob of few cells
 _TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does not show
+_TOP = (0.5, 0.9)  # radii between which a head's top is looked at: a recess lies in the middle
+_UNEVEN, _MOST_CELLS = (
+    0.35,
+    0.7,
+)  # of its height, by which most of the top's cells depart from a plane: a dent's depart more
+_FEWEST_CELLS = 6
+_CLEAR_SHARE = 0.5  # of the pixels inside and outside such a head that lie clear of edges in the picture
 _GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
 _LEAST_HEIGHT_MM = 0.04  # of a head that is only seen in the height map
 _LEAST_SIGMAS = 8.0  # of a cell's noise
@@ -68,8 +76,11 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
     depth = np.where(known, 1 / np.maximum(inverse, 1e-9), np.nan)
     residual = np.full(inverse.shape, np.nan, np.float32)
     noise, smooth = 0.0, inverse
-    for _ in range(3):
-        smooth = _linear_smooth(inverse, trusted, sigma)
+    # What smoothing cuts off a bent skin is smooth itself: smoothed once more it is what is missing (Tukey's twicing).
+    for afresh in (True, True, False, False):
+        known_part = inverse if afresh else np.where(known, inverse - smooth, 0).astype(np.float32)
+        smoothed = _linear_smooth(known_part, trusted, sigma)
+        smooth = smoothed if afresh else smooth + smoothed
         residual = np.where(known, (inverse - smooth) * depth**2, np.nan).astype(np.float32)
         # The median of neighbours' differences: heads and edges are few.
         steps = np.abs(np.diff(residual, axis=1))
@@ -138,14 +149,11 @@ def _linear_smooth(values: Float32, mask: NDArray[np.bool_], sigma: float) -> ND
     return np.asarray(cv2.resize(smooth, (columns, rows), interpolation=cv2.INTER_LINEAR) + middle, float)
 
 
-def plain_heads(
-    reconstruction: Reconstruction, relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]
-) -> list[PlainHead]:
-    """Discs of the size and shape of heads in the height map whose border does not show in the texture.
+def discs(relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]) -> list[PlainHead]:
+    """Discs of the size and shape of heads in the height map, whatever the texture shows there.
 
     Parameters
     ----------
-    reconstruction : Reconstruction
     relief : ReliefMap
     shapes : CircleShapes
     radii : (least, most)
@@ -161,49 +169,86 @@ def plain_heads(
             if area * _REDUCTION**2 < 2 * radii[0] ** 2 or max(columns, rows) * _REDUCTION > 3 * radii[1]:
                 continue
             window = np.s_[v0 : v0 + rows, u0 : u0 + columns]
-            head = _disc(np.where(labels[window] == k, height[window], 0.0), (u0, v0), limit, shapes, radii)
-            if head is None or not _on_skin(reconstruction, head[0]):
-                continue
-            if _shows_in_texture(reconstruction.left.texture, head[0]):
-                continue
-            ellipse, level = head
-            found.append(PlainHead(ellipse, sign * level, level / relief.noise))
-    return found
+            head = _disc(height[window], labels[window] == k, (u0, v0), shapes)
+            if head is not None and head[1] >= limit and radii[0] <= head[0].radius <= radii[1]:
+                ellipse, level = head
+                found.append(PlainHead(ellipse, sign * level, level / relief.noise))
+    return _outermost(found)
+
+
+def _outermost(heads: Sequence[PlainHead]) -> list[PlainHead]:
+    """The heads that lie in no larger one: a recess is no head."""
+    kept: list[PlainHead] = []
+    for head in sorted(heads, key=lambda h: -h.ellipse.radius):
+        e = head.ellipse
+        if all(np.hypot(e.u - k.ellipse.u, e.v - k.ellipse.v) > k.ellipse.b for k in kept):
+            kept.append(head)
+    return kept
 
 
 def _disc(
-    height: Array, corner: tuple[int, int], limit: float, shapes: CircleShapes, radii: tuple[float, float]
+    height: Array, blob: NDArray[np.bool_], corner: tuple[int, int], shapes: CircleShapes
 ) -> tuple[Ellipse, float] | None:
-    """The disc that a blob is, in pixels, and its height; None where it is none."""
-    if height.max() < limit:
-        return None
-    level = float(np.median(height[height > 0.5 * height.max()]))
-    if level < limit:
-        return None
-    weight = np.clip(height / level, 0, 1)
+    """The disc that a blob is, in pixels, and its height; None where it is none.
+
+    What lies in its middle may be a recess: the border tells.
+    """
+    outlines, _ = cv2.findContours(blob.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    whole = cv2.drawContours(np.zeros(blob.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
+    within = cv2.erode(whole, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    v, u = np.mgrid[0 : height.shape[0], 0 : height.shape[1]].astype(float)
+    weight = whole.astype(float)
+    level = 0.0
+    for _ in range(2):  # the border's cells count by their share, which the height tells, which lies inside the border
+        total = weight.sum()
+        cu, cv = (weight * u).sum() / total, (weight * v).sum() / total
+        radius = np.sqrt(total / np.pi) * _REDUCTION
+        centre = [(c + o + 0.5) * _REDUCTION - 0.5 for c, o in ((cu, corner[0]), (cv, corner[1]))]
+        expected = shapes.ellipse(centre[0], centre[1], radius)
+        away = np.hypot(u - cu, v - cv) * _REDUCTION / radius
+        top = (whole > 0) & (away > _TOP[0]) & (away < _TOP[1])
+        level = _flat(u[top] - cu, v[top] - cv, height[top])
+        if level <= 0:
+            return None
+        weight = np.where(within, 1.0, np.where(blob, np.clip(height / level, 0, 1), 0.0))
     if (weight > 0.5).sum() < _PLATEAU * (weight > 0.2).sum():
         return None
-    v, u = np.mgrid[0 : height.shape[0], 0 : height.shape[1]]
-    total = weight.sum()
-    cu, cv = (weight * u).sum() / total, (weight * v).sum() / total
     du, dv = u - cu, v - cv
     moments = np.array(
         [[(weight * du * du).sum(), (weight * du * dv).sum()], [(weight * du * dv).sum(), (weight * dv * dv).sum()]]
     )
     # A uniform ellipse has second moments of a quarter of its shape matrix.
-    blob = ellipse_of_shape(0.0, 0.0, 4 * moments / total)
-    radius = np.sqrt(total / np.pi) * _REDUCTION
-    centre = [(c + o + 0.5) * _REDUCTION - 0.5 for c, o in ((cu, corner[0]), (cv, corner[1]))]
-    expected = shapes.ellipse(centre[0], centre[1], radius)
-    if not radii[0] <= radius <= radii[1] or abs(blob.radius * _REDUCTION / radius - 1) > 0.15:
+    shape = ellipse_of_shape(0.0, 0.0, 4 * moments / weight.sum())
+    if abs(shape.radius * _REDUCTION / radius - 1) > _SHAPE_TOLERANCE:
         return None
-    if np.linalg.norm(log_shape(blob) - log_shape(expected)) > _SHAPE_TOLERANCE + 1.0 / (radius / _REDUCTION) ** 2:
+    if np.linalg.norm(log_shape(shape) - log_shape(expected)) > _SHAPE_TOLERANCE + 1.0 / (radius / _REDUCTION) ** 2:
         return None
     return expected, level
 
 
+def _flat(u: Array, v: Array, height: Array) -> float:
+    """Height of a flat or tilted top, told by the band inside its border; 0 where that is neither."""
+    if len(height) < _FEWEST_CELLS:
+        return 0.0
+    solved = from_scratch(np.stack([np.ones_like(u), u, v], axis=1), height, absolute=4, iterations=8, least=1e-6)
+    if solved is None:
+        return 0.0
+    level = float(solved.values[0])
+    off = np.abs(height - solved.values[0] - solved.values[1] * u - solved.values[2] * v)
+    return level if np.quantile(off, _MOST_CELLS) < _UNEVEN * level else 0.0
+
+
+def plain_heads(reconstruction: Reconstruction, heads: Sequence[PlainHead]) -> list[PlainHead]:
+    """The discs on skin whose border does not show in the texture."""
+    on_skin = [h for h in heads if _on_skin(reconstruction, h.ellipse)]
+    return [h for h in on_skin if not _shows_in_texture(reconstruction.left.texture, h.ellipse)]
+
+
 def _on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
-    """Whether good points surround and fill a disc: borders of panels, holes and shadows are steps too."""
+    """Whether points surround a disc and lie inside its border: borders of panels, holes and shadows are steps too.
+
+    Lines of paint across it may take some; most must lie clear of edges.
+    """
     reach = int(1.8 * ellipse.a) + 1
     height, width = reconstruction.points.shape[:2]
     u0, v0 = int(ellipse.u) - reach, int(ellipse.v) - reach
@@ -211,11 +256,13 @@ def _on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
     if u0 < 0 or v0 < 0 or u1 > width or v1 > height:
         return False
     window = np.s_[v0:v1, u0:u1]
-    good = np.isfinite(reconstruction.points[window][..., 2])
-    good &= (reconstruction.flags[window] & np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)) == 0
+    flags = reconstruction.flags[window]
+    good = np.isfinite(reconstruction.points[window][..., 2]) & ((flags & np.uint16(PixelFlag.SLOPE)) == 0)
+    clear = good & ((flags & np.uint16(PixelFlag.EDGE)) == 0)
     v, u = np.mgrid[window]
     level = ellipse.level(u, v)
-    return bool(min(good[level < 0.7].mean(), good[(level > 1.3) & (level < 1.8)].mean()) > _GOOD_SHARE)
+    sides = (level > 0.5) & (level < 0.8), (level > 1.3) & (level < 1.8)
+    return all(good[side].mean() > _GOOD_SHARE and clear[side].mean() > _CLEAR_SHARE for side in sides)
 
 
 def _shows_in_texture(texture: Float32, ellipse: Ellipse) -> bool:

@@ -26,6 +26,7 @@ _CLEAR_PX = 3.0  # from the ring, where phase is mixed
 _LEAST_INSIDE = 0.5  # of the radius, where a ring is so small that nothing is clear
 _ENOUGH = 800  # points inside, and outside
 _FEWEST = 40
+_RECESS = 5.0  # standard deviations by which the step told by all of the inside departs from that told beside the rim
 _CORRELATED = 4.0  # pixels of a cloud that are worth one: matching correlates neighbours
 _WAVES_MM = 0.004  # of the skin that no quadric follows
 
@@ -76,7 +77,15 @@ def rim_step(reconstruction: Reconstruction, ellipse: Ellipse) -> RimStep | None
     one = np.ones_like(x)
     skin = np.stack([one, x, y, x * x, x * y, y * y], axis=1)
     head = np.stack([one, x, y, level.ravel()[at] ** 2 - 1], axis=1) * inside[:, None]
-    solved = _robust(np.hstack([head, skin]), heights)
+    design = np.hstack([head, skin])
+    solved = _robust(design, heights)
+    near = ~inside | (level.ravel()[at] > _LEAST_INSIDE)
+    at_rim = _robust(design[near], heights[near]) if (near & inside).sum() >= _FEWEST else None
+    if solved is not None and at_rim is not None:
+        # Where a recess is the larger part of a head, the rest is what departs: then the top beside the rim tells.
+        sd = np.sqrt(max(1.0, _CORRELATED / min(thinned)) * (solved[1][0, 0] + at_rim[1][0, 0]))
+        if abs(solved[0][0] - at_rim[0][0]) > _RECESS * np.hypot(sd, _WAVES_MM):
+            solved = at_rim
     if solved is None:
         return None
     solution, covariance = solved
@@ -98,7 +107,7 @@ def _thinned(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
 
 
 def _robust(design: Array, values: Array) -> tuple[Array, Array] | None:
-    """Least squares in which what a recess, a scratch or a wrong match says does not count: solution, covariance.
+    """Solution and covariance of least squares in which a recess, a scratch or a wrong match does not count.
 
     A recess may be a third of the head.
     """

@@ -15,7 +15,7 @@ from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import nearby_plane
 from metrology.rivets.ground import Ground, ground_of
 from metrology.rivets.recess import is_recess
-from metrology.rivets.relief import PlainHead, plain_heads
+from metrology.rivets.relief import PlainHead, discs, plain_heads
 from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
@@ -54,7 +54,8 @@ def detect_rivets(
     if ground is None:
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
         return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
-    rings = detect_ellipses(texture, settings, ground.shapes, ground.radii)
+    heads = discs(ground.relief, ground.shapes, ground.radii) if settings.plain_heads else []
+    rings = detect_ellipses(texture, settings, ground.shapes, ground.radii, [h.ellipse for h in heads])
     rings = [
         r for r in rings if all(not _overlap(r.ellipse, h) or is_recess(h, r.ellipse, reconstruction) for h in holes)
     ]
@@ -62,8 +63,8 @@ def detect_rivets(
     found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
     if settings.plain_heads:
         taken = [*holes, *(c.ring.ellipse for c in confirmed)]
-        heads = plain_heads(reconstruction, ground.relief, ground.shapes, ground.radii)
         free = [h for h in heads if not any(_overlap(h.ellipse, other) for other in taken)]
+        free = plain_heads(reconstruction, free)
         free = [h for h in free if steps_up(h.height_mm, rim_step(reconstruction, h.ellipse))]
         found += [_plain_detection(head, reconstruction) for head in free]
     return _in_reading_order(found)

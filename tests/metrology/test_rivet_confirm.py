@@ -127,6 +127,18 @@ def test_a_dent_does_not_step_at_any_ring_and_a_head_does(rng: np.random.Generat
     assert step.significance > 5
 
 
+def test_a_recess_that_fills_most_of_a_head_does_not_turn_its_step(rng: np.random.Generator) -> None:
+    skin = Skin()
+    head = scan(skin, (Head(0, 0, 6.4, -0.08),), rng)
+    u, v = head.rig.left.project(skin.frame.rig([0.0, 0.0, 0.0]))
+    local = skin.frame.local(head.points.astype(float))
+    local[..., 2] -= 0.4 * np.clip(1.7 - np.hypot(local[..., 0], local[..., 1]), 0, 1)
+    step = rim_step(
+        replace(head, points=skin.frame.rig(local).astype(np.float32)), Ellipse(float(u), float(v), 16.0, 15.7, 0.0)
+    )
+    assert step.mean_mm < -0.05
+
+
 @pytest.mark.parametrize("depth", [0.25, -0.25, 0.6])
 @pytest.mark.parametrize("width", [10.0, 14.0, 18.0])
 def test_dents_and_bumps_are_no_rivets(rng: np.random.Generator, depth: float, width: float) -> None:

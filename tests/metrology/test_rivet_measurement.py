@@ -286,6 +286,35 @@ def test_a_painted_over_head_is_seen_in_the_height_map(rng: np.random.Generator)
     assert rivets[0].diameter_mm == pytest.approx(9.0, rel=0.06)
 
 
+@pytest.mark.parametrize("height", [0.18, -0.09])
+def test_a_recessed_head_without_a_rim_is_seen_on_a_bent_skin(rng: np.random.Generator, height: float) -> None:
+    """Its recess is deeper than it is high, and smoothing cuts 0.1 mm off the skin's bend."""
+    skin = Skin(radius_x=420.0, radius_y=2000.0)
+    heads = (Head(-20, 5, 9.0, height, contrast=0.0), Head(25, -5, 9.0, height, contrast=0.0))
+    reconstruction = scan(skin, heads, rng)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    for head in heads:
+        x, y = np.abs(local[..., 0] - head.x), np.abs(local[..., 1] - head.y)
+        recess = (np.minimum(x, y) < 0.7) & (np.maximum(x, y) < 2.6)
+        local[..., 2] -= np.where(recess, 0.9, 0.0)
+    found = detect_rivets(replace(reconstruction, points=skin.frame.rig(local).astype(np.float32)))
+    assert [d.found_by for d in found] == ["relief", "relief"]
+    for detection, head in zip(found, heads, strict=True):
+        at = reconstruction.rig.left.project(skin.frame.rig([head.x, head.y, skin.height(head.x, head.y) + height]))
+        assert (detection.u_px, detection.v_px) == pytest.approx(at, abs=2.0)
+
+
+def test_a_faint_rim_under_strokes_is_fitted_where_the_relief_shows_a_head(rng: np.random.Generator) -> None:
+    reconstruction = scan(Skin(), (Head(0, 0, 9.0, 0.12, contrast=8.0),), rng)
+    texture = reconstruction.left.texture.copy()
+    strokes = (((160, 205), (480, 265)), ((160, 290), (480, 230)), ((295, 60), (325, 420)), ((345, 60), (275, 420)))
+    for start, end in strokes:
+        cv2.line(texture, start, end, 20.0, 6)
+    marked = replace(reconstruction, left=replace(reconstruction.left, texture=texture))
+    (detection,) = detect_rivets(marked)
+    assert detection.doubt is None
+
+
 def test_holes_and_drawn_ellipses_are_no_rivets(rng: np.random.Generator) -> None:
     """A ring with nothing in it is a hole; an ellipse that no circle on this skin looks like is a drawing."""
     skin = Skin()
