@@ -67,3 +67,27 @@ def test_functions_and_files_can_be_read() -> None:
     files = [path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py")]
     long += [str(path) for path in files if len(path.read_text().splitlines()) > LONGEST_FILE]
     assert long == []
+
+
+FOR_PROGRAMS = {"storage.archive.decisions: sign_off"}
+"""What others may call, and the house does not."""
+
+
+def test_nothing_is_there_for_tests_alone() -> None:
+    defined, used = [], set[str]()
+    for name, tree in house().items():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                defined += [(name, node.name)] if not node.decorator_list or isinstance(node, ast.ClassDef) else []
+            elif isinstance(node, ast.Assign | ast.AnnAssign):
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                defined += [(name, target.id) for target in targets if isinstance(target, ast.Name)]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+                used.add(node.id)
+            elif isinstance(node, ast.Attribute):
+                used.add(node.attr)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                used.add(node.value.rpartition(":")[2])  # "module:name", loaded where it is used
+    unused = {f"{module}: {name}" for module, name in defined if name not in used and not name.startswith("__")}
+    assert unused - FOR_PROGRAMS == set()
