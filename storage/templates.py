@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from functools import cache
 from typing import Any
 
@@ -28,3 +29,8 @@ def rendered(package: str, template: str, **values: Any) -> str:
 def part(package: str, template: str, macro: str, *values: Any) -> Markup:
     """A part of a page: what one macro of a template gives."""
     return Markup(getattr(environment(package).get_template(template).module, macro)(*values))
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    """A picture as part of a page; its kind is "png" or "jpeg"."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"

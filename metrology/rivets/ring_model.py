@@ -17,7 +17,6 @@ KNOTS = 16  # of the amplitude over the angle; a pixel depends on two
 UNKNOWNS = DENSE + KNOTS
 LANES = 64  # pixels of one direction that are worked on together: loops of this fixed length become vector instructions
 RESIDUAL = DENSE  # a pixel's row: derivatives by the dense unknowns, residual, shares of the ring of its two knots
-ROW = DENSE + 3
 TUKEY = 5.0  # residuals beyond this many sigmas count nothing
 _ROUND = 72  # places on the ellipse at which it is asked how much of it lies on the image
 _CLUSTER = 3  # pixels within reach of one another that make a glint

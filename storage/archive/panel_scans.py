@@ -19,7 +19,7 @@ from metrology.panel import PanelLayout, Placement
 from metrology.results import PanelKey, SceneKey
 from metrology.tolerance import as_measured
 from storage.archive.bundle import FITS, MANIFEST, RIG
-from storage.archive.rows import features_of
+from storage.archive.rows import result_of
 from storage.archive.store import Store
 from storage.cloud import read_cloud
 from storage.documents import read_json
@@ -38,6 +38,16 @@ class ScanOfPanel:
     scan: PanelScan
     run_id: str
     texture: NDArray[np.uint8]
+
+
+def features_of(store: Store, scenes: Sequence[str]) -> dict[str, dict[str, list[Any]]]:
+    """Each scan's features by kind, as its current run has them, in the order of their ids."""
+    found: dict[str, dict[str, list[Any]]] = {scene: {kind.name: [] for kind in KINDS} for scene in scenes}
+    asked = ", ".join("?" * len(scenes))
+    for kind in KINDS:
+        for row in store.query(f"FROM {kind.table} WHERE scene_id IN ({asked}) ORDER BY ALL", scenes).to_pylist():
+            found[row["scene_id"]][kind.name].append(result_of(kind.row_type, row))
+    return found
 
 
 def panels_of(store: Store) -> list[PanelKey]:

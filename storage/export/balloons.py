@@ -14,7 +14,7 @@ from storage.archive.store import Store
 from storage.documents import utc_text
 from storage.export.subject import Characteristic, ExportedScene, Subject
 from storage.frames import read_preview
-from storage.report.markup import data_uri
+from storage.templates import data_uri
 
 _WIDTH = 1600
 _HEAD = 44

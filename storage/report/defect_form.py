@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from metrology.fits import DefectForm, DefectSection
 from storage.fits import StoredFits
 from storage.report.drawings import ticks
-from storage.report.markup import data_uri, figure, number, with_u95
+from storage.report.markup import figure, number, with_u95
 from storage.report.verdicts import needs_attention
-from storage.templates import part
+from storage.templates import data_uri, part
 
 Row = Mapping[str, Any]
 Array = NDArray[np.float64]

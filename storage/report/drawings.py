@@ -16,9 +16,8 @@ from metrology.kinds import KINDS, Kind, Quantity
 from metrology.results import Severity
 from metrology.tolerance import Limit
 from metrology.verdicts import IN_ORDER, SEVERITIES, Symbol
-from storage.report.markup import data_uri
 from storage.report.verdicts import COLOURS
-from storage.templates import part
+from storage.templates import data_uri, part
 
 Row = Mapping[str, Any]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from metrology.errors import StoreError
 from storage.documents import read_toml
 from storage.models import StrictModel, validate
-from storage.report.markup import data_uri
+from storage.templates import data_uri
 
 FILE = "report.toml"
 _KINDS = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg"}

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
+from storage.report.letterhead import Letterhead
 from storage.report.verdicts import CLASSES, SIGNS
-from storage.templates import part, rendered
-
-if TYPE_CHECKING:
-    from storage.report.letterhead import Letterhead
+from storage.templates import data_uri, part, rendered
 
 _PACKAGE = "storage.report"
 
@@ -96,11 +93,6 @@ def figure(content: str, caption: str) -> Markup:
 def png_figure(content: bytes, words: str, caption: str) -> Markup:
     """A PNG within the page; `words` stand for it where pictures are not shown."""
     return figure(_part("picture", data_uri(content, "png"), words), caption)
-
-
-def data_uri(content: bytes, kind: str) -> str:
-    """A picture as part of the page."""
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def moment(value: datetime | None) -> str:

@@ -16,7 +16,7 @@ from metrology.results import SceneKey
 from metrology.rig import Rig
 from storage.archive import Store
 from storage.archive.bundle import RIG
-from storage.archive.rows import features_of
+from storage.archive.panel_scans import features_of
 from storage.archive.schema import PANEL_OF_KIND
 from storage.archive.work import open_work
 from storage.review import Feature, ReviewLog

@@ -13,9 +13,10 @@ from metrology.rivets.arcs import RidgeField, curvature_noise, trace_arcs, vote_
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_evidence, ring_steps, settle
 from metrology.rivets.ring_equations import accumulate, assemble
-from metrology.rivets.ring_model import DENSE, GEOMETRY, KNOTS, LANES, RESIDUAL, ROW, SIGMA, UNKNOWNS, fill_rows
+from metrology.rivets.ring_model import DENSE, GEOMETRY, KNOTS, LANES, RESIDUAL, SIGMA, UNKNOWNS, fill_rows
 
 ELLIPSE = Ellipse(61.3, 57.8, 22.0, 17.0, 0.7)
+ROW = DENSE + 3  # of a pixel: derivatives, residual, shares of its two knots
 
 
 def test_conic_equals_least_squares_in_numpy(rng: np.random.Generator) -> None:
