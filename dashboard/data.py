@@ -64,6 +64,10 @@ class Archive:
         """Rows of a query of ours."""
         return _rows(str(self.root), self.generation, sql, tuple(parameters))
 
+    def shared_rows(self, sql: str) -> pd.DataFrame:
+        """Rows of a query of ours that are many and that nobody changes: all who ask get the same ones."""
+        return _shared_rows(str(self.root), self.generation, sql)
+
     def review(self) -> Review:
         """What people decided so far."""
         return _review(str(self.root), self._review_version)
@@ -138,6 +142,11 @@ def _cursor(root: str, generation: str) -> duckdb.DuckDBPyConnection:
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
 def _rows(root: str, generation: str, sql: str, parameters: tuple[Any, ...]) -> pd.DataFrame:
     return _fetch(_cursor(root, generation), sql, parameters)
+
+
+@st.cache_resource(max_entries=4, show_spinner=False)
+def _shared_rows(root: str, generation: str, sql: str) -> pd.DataFrame:
+    return _fetch(_cursor(root, generation), sql, ())
 
 
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)

@@ -68,7 +68,7 @@ def drifts(archive: Archive, since: Since) -> pd.DataFrame:
     """
     # Of all stations, whatever is new: so it is asked once for every choice of what counts as new.
     scanned = new_scans(archive, since)[["panel", "station"]].drop_duplicates()
-    watched = archive.rows(drift_sql("true")).merge(scanned, on=["panel", "station"])
+    watched = archive.shared_rows(drift_sql("true")).merge(scanned, on=["panel", "station"])
     watched = watched[watched["n"] >= _FEWEST]
     r, n = watched["r"].to_numpy(float), watched["n"].to_numpy(float)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,6 +16,7 @@ def preload() -> None:
     caches = logging.getLogger("streamlit.runtime.caching.cache_data_api")
     caches.disabled = True  # it warns of every cache that is declared before the server runs
     import dashboard.app  # noqa: F401
+    import storage.review_database  # noqa: F401  what the review log is kept in
 
     caches.disabled = False
 
