@@ -83,6 +83,8 @@ class Reconstruction:
         PixelFlag bits, those of the left view included.
     frames_digest : str or None
         Names the content of the frames that it was made of.
+    remarks : tuple of str
+        What was odd about the frames, not enough to refuse them.
     """
 
     rig: Rig
@@ -92,6 +94,7 @@ class Reconstruction:
     sigma_z: Float32
     flags: NDArray[np.uint16]
     frames_digest: str | None = None
+    remarks: tuple[str, ...] = ()
 
     def with_right(self) -> DecodedView:
         """The right view; RigError where there is none."""

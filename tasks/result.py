@@ -70,6 +70,7 @@ def assemble(
     warnings = [
         *loaded.warnings,
         *overexposure_warnings(reconstruction, settings.checks),
+        *reconstruction.remarks,
         *contradiction_warnings(reconstruction, settings.checks),
         *registered.warnings,
     ]
