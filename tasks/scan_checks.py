@@ -23,6 +23,10 @@ from storage.scene import Scene
 from storage.scene_models import Camera
 from tasks.settings import SceneChecks
 
+# Noise below half a level does not average rounding out. The rounding of fringes of so many levels is as large as the
+# noise of a good scan: 0.29 levels to 12 as 1.5 to 60.
+_HALF_A_LEVEL, _FAINT = 0.5, 12.0
+_STRIDE = 4
 # Of the deviation from which frames are refused: flicker of 2 % with vibration leaves less than half.
 _DOUBTFUL = 0.5
 
@@ -141,6 +145,22 @@ def without_unevenness(
             "look for light that flickers or changes, dark parts cut off at black, movement, or a blurred frame"
         )
     return left, right, tuple(remarks)
+
+
+def faintness_warnings(reconstruction: Reconstruction) -> list[str]:
+    """A warning where fringes are so faint and noise is so low that rounding to grey levels draws relief."""
+    for name, (_, view) in reconstruction.cameras.items():
+        seen = np.isfinite(view.coordinate[::_STRIDE, ::_STRIDE])
+        if view.noise is None or not seen.any():
+            continue
+        fringes = float(np.median(view.modulation[::_STRIDE, ::_STRIDE][seen]))
+        level = float(np.median(view.texture[::_STRIDE, ::_STRIDE][seen]))
+        if fringes < _FAINT and view.noise.read_variance + view.noise.gain * level <= _HALF_A_LEVEL**2:
+            return [
+                f"faint: the {name} camera's fringes have {fringes:.0f} grey levels, expected {_FAINT:g} at least; "
+                "rounding may show as defects and steps that are none; expose longer, or look at focus and other light"
+            ]
+    return []
 
 
 def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:

