@@ -72,6 +72,8 @@ class Reconstruction:
     """(h, w) uint16: PixelFlag bits, those of the left view included."""
     frames_digest: str | None = None
     """Names the content of the frames that it was made of."""
+    remarks: tuple[str, ...] = ()
+    """What was odd about the frames, not enough to refuse them."""
 
     def with_right(self) -> DecodedView:
         """The right view; RigError where there is none."""

@@ -32,6 +32,8 @@ from metrology.fringe import FringeCode
 _BRIGHTNESS = 0.15
 # … or if its fringes are off by this share of their amplitude (flicker and vibration leave 0.06).
 _FRINGES = 0.3
+# A sound frame leaves a tenth of that; half as much again costs a look at the ripple.
+_UNEVEN = 0.15
 # Phases that miss each other systematically, as a share of half a lattice step (sound: 0.01).
 DRIFT = 0.1
 # Contrast that depends on the phase by this share of itself: a wrong frame lets it, a surface hardly. Asked where so
@@ -73,6 +75,11 @@ class FrameConsistency:
     """Largest deviation of a frame, over the whole picture, a band or a block; 1 is the limit."""
     drift: float
     """What the phases miss each other by systematically; 1 is the limit."""
+
+    @property
+    def uneven(self) -> bool:
+        """Whether the frames may differ enough for their coordinate to ripple; a sound scan's hardly do."""
+        return self.deviation > _UNEVEN
 
     @property
     def odd(self) -> bool:

@@ -123,7 +123,10 @@ def _steep(points: Array) -> Mask:
     steep = np.zeros(points.shape[:2], bool)
     z = points[..., 2]
     for axis in (0, 1):
-        pitch = float(np.nanmedian(np.abs(np.diff(points[::8, ::8, 1 - axis], axis=axis)))) / 8
+        pitches = np.abs(np.diff(points[::8, ::8, 1 - axis], axis=axis))
+        if not np.isfinite(pitches).any():
+            continue
+        pitch = float(np.nanmedian(pitches)) / 8
         for reach in range(1, _GAP + 1):
             count = z.shape[axis] - reach
             drop = np.abs(z.take(range(reach, count + reach), axis) - z.take(range(count), axis))

@@ -79,6 +79,8 @@ def measure_defects(sighted: Sighted, settings: DefectSettings | None = None) ->
 
 def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     patch = cut_patch(region, skin, sighted.reconstruction)
+    if not patch.step_mm > 0:  # hardly a point of the region is left, and too few to lay a grid by
+        return None
     depth = patch.smoothed(0.0)
     at = _deepest(patch, depth)
     outline = outline_at(patch, depth, 0.5 * float(depth[at]), at)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from metrology.cloud import PixelFlag, Reconstruction
+from metrology.defects.cells import _steep
 from metrology.defects.measure import measure_defects
 from metrology.defects.row import Defect, DefectKind
 from metrology.fits import FittedDefect
@@ -299,3 +300,17 @@ def test_a_flank_is_no_defect_of_its_own(rng: np.random.Generator) -> None:
         assert found.kind == "dent"  # what a seam cuts off is no crease
         assert found.depth_u95_mm is not None
         assert found.depth_u95_mm < 0.5 * (found.depth_mm or 0.0)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.35, 0.45])
+def test_a_scan_of_scattered_points_ends_without_a_crash(rng: np.random.Generator, share: float) -> None:
+    """Half as many points as a fine grid asks for: the dent is measured from what there is, or left out."""
+    cloud = bent(scan(FLAT, (), rng), FLAT, bowl(5.0, -4.0, 0.3, 12.0, 10.0))
+    points = np.where(rng.random(cloud.flags.shape)[..., None] < share, cloud.points, np.nan).astype(np.float32)
+    flags = np.where(np.isfinite(points[..., 2]), cloud.flags, np.uint16(PixelFlag.UNMATCHED))
+    for found in measure_defects(sighted(replace(cloud, points=points, flags=flags), FLAT)):
+        assert found.depth_mm is None or abs(found.depth_mm - 0.3) < 0.06
+
+
+def test_where_no_two_points_are_neighbours_nothing_is_steep() -> None:
+    assert not _steep(np.full((64, 64, 3), np.nan)).any()

@@ -16,7 +16,7 @@ import pytest
 from metrology.errors import SceneError
 from storage.archive import Store
 from tasks import steps
-from tasks.scan_checks import contradiction_warnings
+from tasks.scan_checks import contradiction_warnings, faintness_warnings
 from tasks.settings import InspectionSettings
 
 Edit = Callable[[Path, dict[str, Any]], None]
@@ -108,3 +108,60 @@ def test_a_sound_scan_is_neither_refused_nor_warned_of(shared: Path, tmp_path: P
     reconstruction = steps.reconstruct_scene(loaded, InspectionSettings())
     assert contradiction_warnings(reconstruction, InspectionSettings().checks) == []
     assert np.isfinite(reconstruction.points).any()
+
+
+def test_a_blurred_frame_is_told_and_its_ripple_taken_out(shared: Path, tmp_path: Path) -> None:
+    """A frame blurred by 3 px loses a third of its fringes: less than is refused, and relief were it believed."""
+
+    def blurred(folder: Path, document: dict[str, Any]) -> None:
+        name = document["frames"]["left"][0][5]
+        picture = cv2.GaussianBlur(cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED), (0, 0), 3)
+        (folder / name).unlink()
+        cv2.imwrite(str(folder / name), picture)
+
+    clouds = []
+    for name, edit in (("sound", lambda *_: None), ("blurred", blurred)):
+        folder = faulty(shared, tmp_path / name, edit)
+        loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
+        clouds.append(steps.reconstruct_scene(loaded, InspectionSettings()))
+    sound, odd = clouds
+    assert sound.remarks == ()
+    assert len(odd.remarks) == 1
+    assert "frames of the left camera are uneven" in odd.remarks[0]
+    both = (sound.flags == 0) & (odd.flags == 0)
+    off = (odd.points[..., 2] - sound.points[..., 2])[both]
+    assert np.std(off) < np.median(sound.sigma_z[both])
+
+
+def test_frames_that_hardly_fit_are_warned_of(shared: Path, tmp_path: Path) -> None:
+    """Lamps that flicker below the shutter's rows: both cameras alike, in other rows of every frame."""
+
+    def banded(folder: Path, document: dict[str, Any]) -> None:
+        for camera in ("left", "right"):
+            for k, name in enumerate(document["frames"][camera][0]):
+                picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED).astype(float)
+                light = 4 * np.sin(2 * np.pi * np.arange(len(picture)) / 300 + 2.4 * k)
+                (folder / name).unlink()
+                banded = np.clip(np.rint(picture + light[:, None]), 0, 255).astype(np.uint8)
+                cv2.imwrite(str(folder / name), banded)
+
+    folder = faulty(shared, tmp_path / "scene", banded)
+    loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
+    (said,) = steps.reconstruct_scene(loaded, InspectionSettings()).remarks
+    assert "left and right camera hardly fit each other" in said
+
+
+@pytest.mark.parametrize(("light", "faint"), [(0.1, True), (0.3, False)])
+def test_a_scan_in_the_dark_is_warned_of(shared: Path, tmp_path: Path, light: float, faint: bool) -> None:
+    def darker(folder: Path, document: dict[str, Any]) -> None:
+        for name in (name for camera in ("left", "right") for name in document["frames"][camera][0]):
+            picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+            (folder / name).unlink()
+            cv2.imwrite(str(folder / name), np.rint(light * picture).astype(np.uint8))
+
+    loaded = steps.load(
+        faulty(shared, tmp_path / "scene", darker), shared / "scenes" / "rig.json", Store(tmp_path / "store")
+    )
+    found = faintness_warnings(steps.reconstruct_scene(loaded, InspectionSettings()))
+    assert len(found) == faint
+    assert not faint or "faint: the left camera's fringes have 6 grey levels" in found[0].replace("7", "6")
