@@ -6,7 +6,8 @@ Panels of 200 × 150 mm at 0.2 mm a pixel with all that a hall adds: at least tw
 rings, stickers, grease pencil, chips and drops, holes (half of them countersunk), temporary fasteners, recessed heads,
 dents and scratches; every second one shaken by 15 µm and flickering by 3 %. The rings of one panel have one contrast:
 4, 6, 10 or 20 grey levels. A panel takes about half a minute to render and two seconds to inspect; its pictures stay in
-FOLDER, and a study that was stopped goes on where it was.
+FOLDER, and a study that was stopped goes on where it was. Panels of which an inspection would say that they are
+overexposed are counted apart.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import cv2
 import numpy as np
 
 from flows.study.clutter import lies_on
+from metrology.cloud import PixelFlag
 from metrology.fastening import Fasteners, detect_fasteners
 from metrology.holes import measure_holes
 from metrology.reconstruct import reconstruct
@@ -38,6 +40,7 @@ LEVELS = (4.0, 6.0, 10.0, 20.0)
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 _SAME_PX = {"open hole": 15.0, "temporary fastener": 40.0}  # a tall one leans away from its foot
 _DIAMETER_MM = 0.05
+_OVEREXPOSED = 0.05  # of the picture: an inspection warns of such scans
 
 
 @dataclass(frozen=True)
@@ -178,23 +181,30 @@ def main() -> None:
     parser.add_argument("--panels", type=int, default=60)
     arguments = parser.parse_args()
     arguments.keep.mkdir(parents=True, exist_ok=True)
-    total = Counter[str]()
+    total, overexposed = Counter[str](), Counter[str]()
     for k in range(arguments.first, arguments.first + arguments.panels):
         kept = rendered(k, arguments.keep)
         name = f"panel {k} ({LEVELS[k % len(LEVELS)]:.0f} levels):"
         left, right = kept.frames["left"], kept.frames["right"]
         cloud = reconstruct(left, right, make_rig(kept.spec), kept.spec.fringe, kept.spec.camera.exposures)
         fasteners: Fasteners = detect_fasteners(cloud)
-        total += count_rivets(name, kept, fasteners.rivets, cloud.points)
-        total += count_holes(name, kept.truth, measure_holes(fasteners.openings, cloud))
-        report(k, total)
+        counted = count_rivets(name, kept, fasteners.rivets, cloud.points)
+        counted += count_holes(name, kept.truth, measure_holes(fasteners.openings, cloud))
+        saturated = float(((cloud.left.flags & np.uint16(PixelFlag.SATURATED)) != 0).mean())
+        if saturated > _OVEREXPOSED:
+            overexposed += counted
+            print(f"{name} {saturated:.0%} saturated")
+        else:
+            total += counted
+        report(f"up to {k}", total)
+    report("overexposed", overexposed)
 
 
-def report(k: int, total: Counter[str]) -> None:
+def report(name: str, total: Counter[str]) -> None:
     recall = total["found"] / max(total["rivets"], 1)
     precision = 1 - total["false"] / max(total["reported"], 1)
     others: dict[str, Any] = {name: total[name] for name in total if name not in ("rivets", "found", "reported")}
-    print(f"up to {k}: recall {recall:.4f} of {total['rivets']}, precision {precision:.4f}; {others}", flush=True)
+    print(f"{name}: recall {recall:.4f} of {total['rivets']}, precision {precision:.4f}; {others}", flush=True)
 
 
 if __name__ == "__main__":

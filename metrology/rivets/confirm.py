@@ -36,8 +36,11 @@ _OF_GRAIN = 2.0
 _STEPS = 3.0  # standard deviations of a step or tilt that is one
 _STROKE_STEPS = 6.0  # the same where the line is a stroke: its edges pass for steps, up to five deviations
 _WIDER, _WIDER_PX = 1.25, 0.15  # than the line of a scan's other fasteners, times and px beyond, is a painted line
+_BULGE = 0.05  # of the diameter: a slope of 11° at the border of what is round
 _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
-_CONTRAST, _CLEAREST = 2.0, 0.9  # times that of the clearest gaps of a scan; dirt in a single one tells little
+_CLEAREST = 0.9  # quantile of the contrasts of a scan's gaps: dirt in a single one tells little
+# Three times as far beyond the median, as a ratio (3.8 standard deviations), is more than a gap's; within limits.
+_BEYOND, _CONTRAST = 2.0, (1.4, 2.0)
 _AS_DARK = 1.6  # times the others' contrast, or less by that
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
@@ -132,7 +135,8 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     found = []
     for s in shown:
         if s.stands:
-            found.append(Confirmed(s.ring, _chip(s, placed, reconstruction) or _hardly_steps(s, certain)))
+            doubt = _drop(s, reconstruction) or _chip(s, placed, reconstruction) or _hardly_steps(s, certain)
+            found.append(Confirmed(s.ring, doubt))
         elif s.clear:
             found.append(Confirmed(s.ring, _doubt(s.ring, placed, reconstruction)))
         elif not s.stroke:
@@ -179,6 +183,14 @@ def _doubt(ring: Ring, placed: Sequence[tuple[_Shown, _Place | None]], reconstru
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
 
 
+def _drop(one: _Shown, reconstruction: Reconstruction) -> str | None:
+    """What speaks against a ring that is no clear line, round something that bulges: a drop has no edge."""
+    if one.clear or steps_up(one.relief.step_mm, one.step) or (place := _Place.of(one.ring, reconstruction)) is None:
+        return None
+    bulges = one.relief.step_mm > _BULGE * place.diameter and one.relief.significance >= _STROKE_STEPS
+    return "it bulges, and its border is no gap: a drop may lie there" if bulges else None
+
+
 def _chip(one: _Shown, certain: Sequence[tuple[_Shown, _Place | None]], reconstruction: Reconstruction) -> str | None:
     """What speaks against a ring at which the surface steps: a chip or a drop lies on the skin and has an edge, too.
 
@@ -214,8 +226,9 @@ def _painted(ring: Ring, certain: Sequence[Ring]) -> bool:
     """Whether a line is unlike all gaps of the scan: wider, of the other polarity, or of far more contrast."""
     amplitudes = np.array([other.fit.amplitude for other in certain])
     unlike = np.sign(ring.fit.amplitude) != np.sign(amplitudes)
-    most = float(np.quantile(np.abs(amplitudes), _CLEAREST))
-    return bool(_wider(ring, certain) or unlike.all() or abs(ring.fit.amplitude) > _CONTRAST * most)
+    usual, most = np.quantile(np.abs(amplitudes), [0.5, _CLEAREST])
+    limit = most * np.clip((most / usual) ** _BEYOND, *_CONTRAST)
+    return bool(_wider(ring, certain) or unlike.all() or abs(ring.fit.amplitude) > limit)
 
 
 def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:

@@ -26,13 +26,15 @@ _REDUCTION = 4  # pixels per cell of the height map
 _PLATEAU = 0.7  # area above half the height over area above a fifth of it: 1 for a disc, 0.43 for a Gaussian bump
 _SHAPE_TOLERANCE = 0.15  # of the elongation of a blob of few cells
 _TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does not show
-_TOP = (0.5, 0.9)  # radii between which a head's top is looked at: a recess lies in the middle
+_TOP_FROM = 0.45  # of the radius, from which on a head's top is looked at: a recess lies in the middle
+_BORDER_CELLS = 0.7  # of a disc's border hold skin, too
 _UNEVEN, _MOST_CELLS = (
     0.35,
     0.7,
 )  # of its height, by which most of the top's cells depart from a plane: a dent's depart more
 _FEWEST_CELLS = 6
 _CLEAR_SHARE = 0.5  # of the pixels inside and outside such a head that lie clear of edges in the picture
+_ON_PICTURE = 0.7  # of the skin round such a head must lie on the picture
 _GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
 _LEAST_HEIGHT_MM = 0.04  # of a head that is only seen in the height map
 _LEAST_SIGMAS = 8.0  # of a cell's noise
@@ -205,8 +207,8 @@ def _disc(
         radius = np.sqrt(total / np.pi) * _REDUCTION
         centre = [(c + o + 0.5) * _REDUCTION - 0.5 for c, o in ((cu, corner[0]), (cv, corner[1]))]
         expected = shapes.ellipse(centre[0], centre[1], radius)
-        away = np.hypot(u - cu, v - cv) * _REDUCTION / radius
-        top = (whole > 0) & (away > _TOP[0]) & (away < _TOP[1])
+        away = np.hypot(u - cu, v - cv)
+        top = (whole > 0) & (away > _TOP_FROM * radius / _REDUCTION) & (away < radius / _REDUCTION - _BORDER_CELLS)
         level = _flat(u[top] - cu, v[top] - cv, height[top])
         if level <= 0:
             return None
@@ -252,16 +254,15 @@ def _on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
     reach = int(1.8 * ellipse.a) + 1
     height, width = reconstruction.points.shape[:2]
     u0, v0 = int(ellipse.u) - reach, int(ellipse.v) - reach
-    u1, v1 = u0 + 2 * reach + 1, v0 + 2 * reach + 1
-    if u0 < 0 or v0 < 0 or u1 > width or v1 > height:
-        return False
-    window = np.s_[v0:v1, u0:u1]
+    window = np.s_[max(0, v0) : min(height, v0 + 2 * reach + 1), max(0, u0) : min(width, u0 + 2 * reach + 1)]
     flags = reconstruction.flags[window]
     good = np.isfinite(reconstruction.points[window][..., 2]) & ((flags & np.uint16(PixelFlag.SLOPE)) == 0)
     clear = good & ((flags & np.uint16(PixelFlag.EDGE)) == 0)
     v, u = np.mgrid[window]
     level = ellipse.level(u, v)
     sides = (level > 0.5) & (level < 0.8), (level > 1.3) & (level < 1.8)
+    if sides[1].sum() < _ON_PICTURE * np.pi * (1.8**2 - 1.3**2) * ellipse.a * ellipse.b:
+        return False
     return all(good[side].mean() > _GOOD_SHARE and clear[side].mean() > _CLEAR_SHARE for side in sides)
 
 

@@ -59,7 +59,7 @@ def test_a_painted_ring_of_another_size_between_the_rows_is_in_doubt(rng: np.ran
     assert "without a step" in doubtful[0].doubt
 
 
-@pytest.mark.parametrize(("width_mm", "contrast"), [(0.24, 30.0), (0.12, 90.0), (0.12, -30.0)])
+@pytest.mark.parametrize(("width_mm", "contrast"), [(0.24, 30.0), (0.12, 90.0), (0.12, 65.0), (0.12, -30.0)])
 def test_a_painted_ring_of_the_usual_size_is_told_by_its_line(
     rng: np.random.Generator, width_mm: float, contrast: float
 ) -> None:
@@ -85,6 +85,19 @@ def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:
     detections = detect_rivets(scan(Skin(), (*ROWS, Head(-32, 6, diameter=3.4, height=0.5)), rng))
     (doubtful,) = (d for d in detections if d.doubt)
     assert "chip" in doubtful.doubt
+    assert len(detections) == len(ROWS) + 1
+
+
+def test_a_drop_in_a_row_is_in_doubt(rng: np.random.Generator) -> None:
+    """It is round and stands out of the skin, most in its middle, with a blurred dark border."""
+    skin, drop = Skin(), Head(-15, -20, diameter=4.8, contrast=30.0)
+    reconstruction = painted(scan(skin, ROWS, rng), drop, skin, width_mm=0.5)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    away = np.hypot(local[..., 0] - drop.x, local[..., 1] - drop.y)
+    local[..., 2] += 0.4 * np.clip(1 - (away / 2.4) ** 3, 0, None)
+    detections = detect_rivets(replace(reconstruction, points=skin.frame.rig(local).astype(np.float32)))
+    (doubtful,) = (d for d in detections if d.doubt)
+    assert "bulges" in doubtful.doubt
     assert len(detections) == len(ROWS) + 1
 
 
