@@ -15,7 +15,7 @@ from metrology.defects.patch import Patch, cut_patch
 from metrology.defects.row import HiddenBy
 from metrology.defects.settings import DefectSettings
 from metrology.defects.skin_map import Region, SkinMap, skin_map
-from metrology.defects.straight_edge import section
+from metrology.defects.straight_edge import sections
 from metrology.defects.surroundings import distances, is_pull_in, pull_in
 from metrology.fits import FittedDefect
 from metrology.results import COVERAGE_95, Rivet, SeamStation, of_type
@@ -233,7 +233,7 @@ def _with_shape(
         row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)
     turns = outline.angle + np.linspace(0, np.pi, _EDGES, endpoint=False)
     at, edge = (bottom.x, bottom.y), settings.straight_edge_mm
-    lines = [section(patch, depth, skin, sighted.reconstruction, at, float(turn), edge) for turn in turns]
+    lines = sections(patch, depth, skin, sighted.reconstruction, at, turns, edge)
     if patch.sign > 0:
         gap = max(line.gap(0.5 * outline.length) for line in lines)
         gap += max(bottom.depth - float(depth[_deepest(patch, depth)]), 0.0)  # smoothing has filled it

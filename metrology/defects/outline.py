@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.defects.patch import Patch
+from metrology.jit import kernel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,25 +69,56 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
 
 def _crossings(patch: Patch, depth: Array, level: float, cells: Mask) -> tuple[Array, Array, float, float]:
     """Where a level is crossed between neighbouring grid cells; shares of the border that lie elsewhere."""
-    x, y, cut = [], [], np.zeros(3)
-    for axis in (0, 1):
-        near = [slice(None), slice(None)]
-        far = [slice(None), slice(None)]
-        near[axis], far[axis] = slice(None, -1), slice(1, None)
-        for one, other in ((tuple(near), tuple(far)), (tuple(far), tuple(near))):
-            border = cells[one] & ~cells[other]
-            on_plate = border & patch.plate[other] & (depth[other] <= level)
-            share = (depth[one] - level)[on_plate] / np.maximum((depth[one] - depth[other])[on_plate], 1e-12)
-            x.append(patch.x[one][on_plate] + share * (patch.x[other] - patch.x[one])[on_plate])
-            y.append(patch.y[one][on_plate] + share * (patch.y[other] - patch.y[one])[on_plate])
-            off = border & ~patch.plate[other]
-            seen = off & ~patch.view[other]
-            cut += on_plate.sum(), (off & ~seen).sum(), seen.sum()
-        # The border of the image is the border of the window.
-        for first in (cells.take(0, axis), cells.take(-1, axis)):
-            cut[1] += first.sum()
-    shares = cut / max(float(cut.sum()), 1.0)
-    return np.concatenate(x), np.concatenate(y), float(shares[1]), float(shares[2])
+    places = np.empty((2, 4 * int(cells.sum())))
+    on_plate, by_view, by_seam = crossings(
+        depth, level, cells, patch.plate, patch.view, patch.x, patch.y, places[0], places[1]
+    )
+    total = max(on_plate + by_view + by_seam, 1)
+    return places[0, :on_plate], places[1, :on_plate], by_view / total, by_seam / total
+
+
+@kernel
+def crossings(depth, level, cells, plate, view, x, y, at_x, at_y):  # type: ignore[no-untyped-def]
+    """Where a level is crossed between a grid cell of a region and one outside of it.
+
+    Parameters
+    ----------
+    depth, x, y : (rows, columns) float64
+    level : float
+    cells, plate, view : (rows, columns) bool
+        The region's; the plate's; where the view ends.
+    at_x, at_y : (4 n,) float64, output
+        For n cells.
+
+    Returns
+    -------
+    on_plate, by_view, by_seam : int
+        Numbers of borders at which the level is crossed, the view ends (the border of the image is that of the
+        window), and the plate ends at a seam.
+    """
+    on_plate, by_view, by_seam = 0, 0, 0
+    rows, columns = cells.shape
+    for i in range(rows):
+        for j in range(columns):
+            if not cells[i, j]:
+                continue
+            for k in range(4):
+                m, n = i + (k == 0) - (k == 1), j + (k == 2) - (k == 3)
+                if m < 0 or n < 0 or m >= rows or n >= columns:
+                    by_view += 1
+                elif cells[m, n]:
+                    continue
+                elif not plate[m, n]:
+                    if view[m, n]:
+                        by_view += 1
+                    else:
+                        by_seam += 1
+                elif depth[m, n] <= level:
+                    share = (depth[i, j] - level) / max(depth[i, j] - depth[m, n], 1e-12)
+                    at_x[on_plate] = x[i, j] + share * (x[m, n] - x[i, j])
+                    at_y[on_plate] = y[i, j] + share * (y[m, n] - y[i, j])
+                    on_plate += 1
+    return on_plate, by_view, by_seam
 
 
 def _closed(patch: Patch, cells: Mask, x: Array, y: Array) -> tuple[tuple[Array, Array], bool]:
@@ -96,7 +128,8 @@ def _closed(patch: Patch, cells: Mask, x: Array, y: Array) -> tuple[tuple[Array,
     """
     own = np.stack([patch.x[cells], patch.y[cells]], axis=1)
     centre = own.mean(axis=0)
-    spread, axes = np.linalg.eigh(np.cov((own - centre).T) + 1e-6 * np.eye(2))
+    own -= centre
+    spread, axes = np.linalg.eigh(own.T @ own / max(len(own) - 1, 1) + 1e-6 * np.eye(2))
     scale = 2 * np.sqrt(spread)
     white = ((np.stack([x, y], axis=1) - centre) @ axes) / scale
     radius, turn = np.hypot(*white.T), np.arctan2(white[:, 1], white[:, 0])

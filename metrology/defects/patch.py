@@ -144,10 +144,8 @@ def _patch(
     known &= ~_spikes(np.where(known, depth, smooth), sigma * reference.noise, smooth)
     depth = region.sign * np.where(known, depth, smooth)
     frame = _tangent(region, skin, reference)
-    local = frame.local(points)
-    x, y = (_everywhere(local[..., k], known) for k in (0, 1))
-    across = float(np.median(np.hypot(*(np.diff(a, axis=1) for a in (x, y)))))
-    down = float(np.median(np.hypot(*(np.diff(a, axis=0) for a in (x, y)))))
+    x, y = _everywhere(points, known, frame)
+    across, down = (float(np.median(np.hypot(*(np.diff(a[::4, ::4], axis=k) for a in (x, y))))) / 4 for k in (1, 0))
     view = np.asarray(finer(((cells.plate == 0) & ~cells.seam)[window]), bool)
     return Patch(
         number=region.plate,
@@ -184,14 +182,15 @@ def _tangent(region: Region, skin: SkinMap, reference: Reference) -> Frame:
     return reference.tangent(deepest)
 
 
-def _everywhere(values: Array, known: Mask) -> Array:
-    """Coordinates of all grid cells, from a quadratic through the known ones: pixels map smoothly onto the skin."""
-    rows, columns = values.shape
+def _everywhere(points: Array, known: Mask, frame: Frame) -> tuple[Array, Array]:
+    """x, y of all grid cells, from quadratics through the known ones: pixels map smoothly onto the skin."""
+    rows, columns = known.shape
     part = np.flatnonzero(known)
     part = part[:: max(1, len(part) // _ENOUGH)]
     u, v = (np.arange(n) / max(rows, columns) - 0.5 for n in (columns, rows))
     pu, pv = u[part % columns], v[part // columns]
     design = np.stack([np.ones_like(pu), pu, pv, pu * pu, pu * pv, pv * pv], axis=-1)
-    c, *_ = np.linalg.lstsq(design, values.ravel()[part], rcond=None)
-    across, down = c[0] + c[1] * u + c[3] * u * u, c[2] * v + c[5] * v * v
-    return np.asarray(across + down[:, None] + c[4] * v[:, None] * u)
+    solved, *_ = np.linalg.lstsq(design, frame.local(points.reshape(-1, 3)[part])[:, :2])
+    v = v[:, None]
+    x, y = ((c[0] + c[2] * v + c[5] * v * v) + (c[1] + c[4] * v) * u + c[3] * u * u for c in solved.T)
+    return x, y

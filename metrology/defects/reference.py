@@ -9,17 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
+from numpy.polynomial.legendre import leg2poly, legvander
 from numpy.typing import NDArray
 
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, ruled_profiles
-from metrology.defects.surface_kernel import PLAIN, depths, surface_heights
+from metrology.defects.surface_kernel import depths, surface_heights
 from metrology.robust import MAD, TUKEY, median, tukey
 from metrology.surfaces import Frame
 
 Array = NDArray[np.float64]
 
+_PLAIN = 7  # terms of the paraboloid with h²: 1, x, y, x², xy, y², h²
+_SQUARES = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))  # powers of x and y of those without h²
 _ROUNDS = 5
 _CONVERGED = 0.02  # change of the surface, standard deviations of a cell
 _LEAST_DEGREE, _MOST_DEGREE = 4, 8  # a torus needs the fourth
@@ -44,7 +48,7 @@ class Reference:
         Half the plate's size along x and y, mm.
     waves : (m, 2) ndarray of int
         Degrees in x and y of the polynomial's terms.
-    coefficients, covariance : (PLAIN + m,), (…, …) ndarray
+    coefficients, covariance : (7 + m,), (…, …) ndarray
         Of `design`, over the larger extent; for noise as the residuals show it.
     ruled : tuple of Ruled
     noise : float
@@ -80,7 +84,8 @@ class Reference:
     def smooth(self, x: Array, y: Array) -> Array:
         """(n,) heights without the ruled profiles, mm."""
         out = np.empty(len(x))
-        surface_heights(x / self.extents[0], y / self.extents[1], self.coefficients, self.waves, out)
+        bend = self.coefficients[_PLAIN - 1]
+        surface_heights(x / self.extents[0], y / self.extents[1], self._powers(), bend, out)
         return out * self.extent
 
     def ruled_height(self, x: Array, y: Array) -> Array:
@@ -100,8 +105,19 @@ class Reference:
         for row, profile in zip(heights, self.ruled, strict=True):
             row[: len(profile.heights)] = profile.heights
         frame = self.frame
-        surface = self.extents, self.coefficients, self.waves, ruled, heights
+        surface = self.extents, self.coefficients, self._powers(), ruled, heights
         depths(points, member, frame.origin, np.ascontiguousarray(frame.axes), *surface, BIN_MM, out)
+
+    def _powers(self) -> Array:
+        """(d + 1, d + 1) coefficients of u^i v^j of all explicit terms."""
+        c, most = self.coefficients, int(self.waves.sum(axis=1).max(initial=2))
+        powers = np.zeros((most + 1, most + 1))
+        for value, (i, j) in zip(c, _SQUARES, strict=False):
+            powers[i, j] = value
+        legendre = np.zeros_like(powers)
+        legendre[tuple(self.waves.T)] = c[_PLAIN:]
+        by_power = _legendre_powers(most)
+        return np.asarray(powers + by_power.T @ legendre @ by_power)
 
     def told(self, x: Array, y: Array) -> NDArray[np.bool_]:
         """(n,) where its cells tell every profile."""
@@ -147,9 +163,15 @@ class Reference:
         columns = [np.ones_like(x), x, y, x * x, x * y, y * y, h * h]
         if len(self.waves):
             most = int(self.waves.max())
-            by_x, by_y = (np.polynomial.legendre.legvander(axis, most).T for axis in (x, y))
+            by_x, by_y = (legvander(axis, most).T for axis in (x, y))
             columns += [by_x[i] * by_y[j] for i, j in self.waves]
         return np.stack(columns, axis=-1)
+
+
+@cache
+def _legendre_powers(most: int) -> Array:
+    """(most + 1, most + 1) coefficients of the powers in Legendre's polynomials, a row each."""
+    return np.stack([np.pad(leg2poly(row), (0, most + 1))[: most + 1] for row in np.eye(most + 1)])
 
 
 def fit_reference(
@@ -245,7 +267,7 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
     noise, solution = 1.0, np.zeros(design.shape[1])
     for number in range(_ROUNDS):
         waves = np.full(len(shape.waves), (wave_sd / e) ** -2)
-        prior = np.concatenate([np.zeros(PLAIN - 1), [_BEND_SD**-2], waves])
+        prior = np.concatenate([np.zeros(_PLAIN - 1), [_BEND_SD**-2], waves])
         normal = design.T @ (design * weights[:, None]) + np.diag(prior * noise**2)
         inverse = np.linalg.inv(normal)
         updated = inverse @ (design.T @ (weights * target))
@@ -257,7 +279,7 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         if number > 1 and change < _CONVERGED * noise:
             break
         if number > 0 and len(waves) and not shape.wave_sd:
-            second = solution[PLAIN:] ** 2 + noise**2 * np.diag(inverse)[PLAIN:]
+            second = solution[_PLAIN:] ** 2 + noise**2 * np.diag(inverse)[_PLAIN:]
             wave_sd = float(np.clip(e * np.sqrt(second.mean()), *_WAVE_RANGE_MM))
     covariance = np.asarray(inverse * noise**2, float)
     return replace(shape, coefficients=solution, covariance=covariance, noise=noise, wave_sd=wave_sd)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
 
-from metrology.robust import MAD, TUKEY, median, tukey
+from metrology.defects.ruled_kernel import bin_medians, robust_polyline
+from metrology.robust import MAD, median
 
 Array = NDArray[np.float64]
 
@@ -87,9 +87,9 @@ def bent_along(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[
         low = ((s - s.min()) / _COARSE_MM).astype(int)
         count = int(low.max()) + 1
         far = across > median(across)
-        near_heights, far_heights = (_medians(low[half], rest[half], count) for half in (~far, far))
+        near_heights, far_heights = (bin_medians(low[half], rest[half], count) for half in (~far, far))
         alike = np.where(near_heights * far_heights > 0, np.minimum(np.abs(near_heights), np.abs(far_heights)), 0.0)
-        noise = MAD * median(np.abs(rest - _medians(low, rest, count)[low]))
+        noise = MAD * median(np.abs(rest - bin_medians(low, rest, count)[low]))
         variance = np.pi * noise**2 / max(len(rest) / count, 1.0)
         if np.mean(alike**2) > _BORNE_OUT**2 * variance:
             bent.append(direction)
@@ -103,44 +103,13 @@ def _profile(rest: Array, sd: Array, x: Array, y: Array, direction: Array) -> Ru
     place = (s - start) / BIN_MM
     count = int(place.max()) + 2
     low = place.astype(int)
-    share = place - low
-    weights = w = sd**-2.0
     # A start that dents on a line do not lift; medians stand between two nodes.
     part = slice(None, None, max(1, len(rest) // (_PER_BIN * count)))
-    medians = _medians(low[part], rest[part], count)
+    medians = bin_medians(low[part], rest[part], count)
     heights = 0.5 * (medians + np.roll(medians, 1))
     heights[0] = medians[0]
-    for number in range(4):
-        if number:
-            heights = _polyline(low, share, w, rest, count)
-        residual = np.abs(rest - (1 - share) * heights[low] - share * heights[low + 1]) / sd
-        scale = MAD * median(residual) + 1e-12
-        w = weights * tukey(residual / (TUKEY * scale))
-    total = np.bincount(low, (1 - share) * w, count) + np.bincount(low + 1, share * w, count)
-    return Ruled(direction, start, heights, scale**2 / np.maximum(total, _HELD * total.max()))
-
-
-def _medians(low: NDArray[np.int_], rest: Array, count: int) -> Array:
-    """(count,) medians of the heights in bins; between them where there is none."""
-    order = np.lexsort((rest, low))
-    number = np.bincount(low, minlength=count)
-    first = np.cumsum(number) - number
-    middle = rest[order][np.minimum(first + number // 2, len(rest) - 1)]
-    known = np.flatnonzero(number)
-    return np.asarray(np.interp(np.arange(count), known, middle[known]))
-
-
-def _polyline(low: NDArray[np.int_], share: Array, w: Array, rest: Array, count: int) -> Array:
-    """Least squares of a polyline with nodes at every bin: its normal equations have three diagonals."""
-    own = np.bincount(low, w * (1 - share) ** 2, count) + np.bincount(low + 1, w * share**2, count)
-    shared = np.bincount(low, w * share * (1 - share), count)[:-1]
-    right = np.bincount(low, w * (1 - share) * rest, count) + np.bincount(low + 1, w * share * rest, count)
-    held = _HELD * own.max()
-    banded = np.zeros((3, count))
-    banded[1] = own + 2 * held
-    banded[1, [0, -1]] -= held
-    banded[0, 1:] = banded[2, :-1] = shared - held
-    return np.asarray(solve_banded((1, 1), banded, right), float)
+    variance = robust_polyline(low, place - low, rest, sd, _HELD, heights)
+    return Ruled(direction, start, heights, variance)
 
 
 def _turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:

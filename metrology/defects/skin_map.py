@@ -25,7 +25,7 @@ _ROUNDS = 4  # of finding what lies off the skin, and fitting the skin to the re
 _DOUBTFUL_ROUNDS = 2  # at first, in which a dent may have bent the reference beside it
 _UNCHANGED = 5e-3  # of a plate's cells: what is left out has stayed the same
 _SMOOTH_CELLS = 1.5
-_ENOUGH = 12000  # cells that tell a plate's reference and its profiles
+_ENOUGH = 12000  # cells that tell a plate's reference, its profiles and its scatter
 _WAVES_CELLS = 8.0  # over which the skin's own waviness is told from noise
 _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
 _LEAST_CELLS = 8
@@ -198,29 +198,32 @@ def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:
 def _smoothed(depth: Array, cells: CellMap, covered: Mask) -> tuple[Array, Array, dict[int, float]]:
     """Depth smoothed over neighbours, its standard deviation by noise and by the skin's own waves, and these alone."""
     known = np.isfinite(depth) & cells.free
+    on_skin = cells.plate > 0
     values = np.where(known, depth, 0.0).astype(np.float32)
-    smooth = _normalised(values, known, _SMOOTH_CELLS)
+    smooth = _normalised(values, known, _SMOOTH_CELLS, on_skin)
     bare = known & ~covered
-    broad = _normalised(np.where(bare, values, 0.0).astype(np.float32), bare, _WAVES_CELLS)
-    sd, waves = np.full(depth.shape, np.nan), {}
+    broad = _normalised(values, bare, _WAVES_CELLS, on_skin)
+    noise, waves, typical = (np.full(len(cells.plates) + 1, np.nan) for _ in range(3))
     for plate in cells.plates:
-        on_plate = (cells.plate == plate) & bare
-        if not on_plate.any():
+        on_plate = np.flatnonzero((cells.plate == plate) & bare)
+        if not len(on_plate):
             continue
-        noise = MAD * median(np.abs((smooth - broad)[on_plate]) / cells.sigma[on_plate])
-        waves[plate] = MAD * median(np.abs(broad[on_plate]))
-        here = cells.plate == plate
-        typical = median(cells.sigma[on_plate])
-        sd[here] = np.hypot(noise * np.where(known[here], cells.sigma[here], typical), waves[plate])
-    bridged = np.where(cells.plate > 0, smooth, np.nan)
-    return bridged, sd, waves
+        on_plate = on_plate[:: max(1, len(on_plate) // _ENOUGH)]
+        sigma, wave = cells.sigma.ravel()[on_plate], broad.ravel()[on_plate]
+        noise[plate] = MAD * median(np.abs(smooth.ravel()[on_plate] - wave) / sigma)
+        waves[plate] = MAD * median(np.abs(wave))
+        typical[plate] = median(sigma)
+    sigma = np.where(known, cells.sigma, typical[cells.plate])
+    sd = np.sqrt((noise[cells.plate] * sigma) ** 2 + waves[cells.plate] ** 2)
+    told = {plate: float(waves[plate]) for plate in cells.plates if np.isfinite(waves[plate])}
+    return np.where(on_skin, smooth, np.nan), sd, told
 
 
-def _normalised(values: NDArray[np.float32], known: Mask, sigma: float) -> Array:
+def _normalised(values: NDArray[np.float32], known: Mask, sigma: float, where: Mask) -> NDArray[np.float32]:
     """(rows, columns) Gaussian mean of the known values; wider where hardly any is near: a head is bridged."""
-    both = np.dstack([np.where(known, values, np.float32(0.0)), known.astype(np.float32)])
+    both = np.dstack([values * known, known.astype(np.float32)])
     size = values.shape[::-1]
-    result: Array | None = None
+    result = np.full(values.shape, np.nan, np.float32)
     for _ in range(4):
         coarse = max(1, int(sigma // 2))
         small = (
@@ -233,22 +236,23 @@ def _normalised(values: NDArray[np.float32], known: Mask, sigma: float) -> Array
         mean = np.where(total > _NEAR, blurred[..., 0] / np.maximum(total, _NEAR), np.float32(np.nan))
         if coarse > 1:
             mean = cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
-        result = mean if result is None else np.where(np.isfinite(result), result, mean)
-        if np.isfinite(result).all():
+        result = np.where(np.isfinite(result), result, mean)
+        if np.isfinite(result[where]).all():
             break
         sigma *= 3
-    return np.nan_to_num(np.asarray(result, float))
+    return np.nan_to_num(result)
 
 
 def _regions(smoothed: Array, sd: Array, cells: CellMap, settings: DefectSettings) -> tuple[Region, ...]:
     """Connected cells beyond the lower threshold that reach the upper one somewhere (hysteresis)."""
     found = []
     for sign in (1, -1):
-        depth = np.nan_to_num(sign * smoothed)
-        significance = np.nan_to_num(depth / sd)
-        off = (significance > _GO_ON) & (cells.plate > 0)
+        depth = sign * smoothed  # NaN off the plates is beyond nothing
+        sure = cells.free & (depth > _START * sd) & (depth > settings.least_depth_mm)
+        if not sure.any():
+            continue
+        off = depth > _GO_ON * sd
         _, labels, stats, _ = cv2.connectedComponentsWithStats(off.astype(np.uint8), connectivity=4)
-        sure = off & cells.free & (significance > _START) & (depth > settings.least_depth_mm)
         for k in np.unique(labels[sure]):
             u, v, width, height, area = (int(s) for s in stats[k])
             if area < _LEAST_CELLS:

@@ -18,39 +18,46 @@ Array = NDArray[np.float64]
 _STEP_MM = 0.5
 
 
-def section(
+def sections(
     patch: Patch,
     depth: Array,
     skin: SkinMap,
     reconstruction: Reconstruction,
     at: tuple[float, float],
-    turn: float,
+    turns: Array,
     length_mm: float,
-) -> DefectSection:
-    """The line through a point.
+) -> list[DefectSection]:
+    """Lines through a point.
 
     Parameters
     ----------
     depth : (rows, columns) ndarray
-        Of the patch, smoothed, mm; beyond it the line is taken from the skin's cells.
+        Of the patch, smoothed, mm; beyond it the lines are taken from the skin's cells.
     at : (x, y)
         mm in the patch's frame.
-    turn : float
-        Direction of the line, radians.
+    turns : (m,) ndarray
+        Directions of the lines, radians.
     length_mm : float
         `at` is in its middle.
     """
     half = int(0.5 * length_mm / _STEP_MM)
     t = np.asarray(_STEP_MM * np.arange(-half, half + 1), float)
-    line = np.stack([at[0] + t * np.cos(turn), at[1] + t * np.sin(turn), np.zeros_like(t)], axis=1)
+    lines = np.stack([at[0] + np.outer(np.cos(turns), t), at[1] + np.outer(np.sin(turns), t)], axis=-1).reshape(-1, 2)
     reference = patch.reference
-    x, y = np.ascontiguousarray(reference.frame.local(patch.frame.rig(line))[:, :2].T)
+    x, y = np.ascontiguousarray(reference.frame.local(patch.frame.rig(np.pad(lines, ((0, 0), (0, 1)))))[:, :2].T)
     on_skin = reference.frame.rig(np.stack([x, y, reference.height(x, y)], axis=1))
     bare = patch.frame.local(on_skin)[:, 2]
     pixels = reconstruction.rig.left.project(on_skin)
     below = skin.depth_at(patch.number, (pixels - 0.5 * (SIZE - 1)) / SIZE)
     fine = _between(patch, depth, patch.grid_of(pixels))
     below = np.where(np.isfinite(below) & np.isfinite(fine), patch.sign * fine, below)
+    shape = len(turns), len(t)
+    return [_seen(t, *line) for line in zip(bare.reshape(shape), below.reshape(shape), strict=True)]
+
+
+def _seen(t: Array, bare: Array, below: Array) -> DefectSection:
+    """The section of a line, as far as it is known without a break to either side of its middle."""
+    half = len(t) // 2
     gone = np.flatnonzero(~np.isfinite(below))
     first = int(gone[gone < half].max(initial=-1)) + 1
     end = int(gone[gone >= half].min(initial=len(t)))

@@ -47,7 +47,8 @@ def distances(outline: Outline, frame: Frame, rivets: Sequence[Rivet], stations:
 def _from_border(border: Array, frame: Frame, rows: Sequence[Feature], radii: Sequence[float]) -> Array:
     """(n,) distances of features of given radii from a curve in the tangent plane, mm."""
     middles = frame.local(positions(rows))[:, :2]
-    return np.asarray(np.linalg.norm(middles[:, None] - border, axis=2).min(axis=1, initial=np.inf) - radii)
+    away = np.hypot(middles[:, :1] - border[:, 0], middles[:, 1:] - border[:, 1])
+    return np.asarray(away.min(axis=1, initial=np.inf) - radii)
 
 
 def _encloses(border: Array, point: Array) -> bool:
