@@ -54,6 +54,9 @@ class DecodedView:
         PixelFlag bits.
     noise : NoiseModel or None
         The camera's noise as it was taken for `sigma`.
+    stripe_px : float or None
+        Of Gray code alone: width of a stripe that is told apart, projector pixels; the coordinate runs straight between
+        the stripes' borders.
     """
 
     coordinate: Float32
@@ -62,6 +65,7 @@ class DecodedView:
     texture: Float32
     flags: NDArray[np.uint16]
     noise: NoiseModel | None = None
+    stripe_px: float | None = None
 
 
 @dataclass(frozen=True)
