@@ -53,6 +53,9 @@ class DecodedView:
     """(h, w) uint16: PixelFlag bits."""
     noise: NoiseModel | None = None
     """The camera's noise as it was taken for `sigma`."""
+    stripe_px: float | None = None
+    """Of Gray code alone: width of a stripe that is told apart, projector pixels; the coordinate runs straight between the
+    stripes' borders."""
 
 
 @dataclass(frozen=True)

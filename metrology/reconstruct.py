@@ -15,6 +15,7 @@ from metrology.fringe import FringeCode
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Device, Rig
 from metrology.stereo import match
+from metrology.stripe_scatter import scatter_ratio
 
 __all__ = ["ReconstructionSettings", "check_axis", "coordinate_size", "decode", "reconstruct", "triangulate"]
 
@@ -98,6 +99,8 @@ def triangulate(
     for name, view, device in (("left", left, rig.left), ("right", right, rig.with_right())):
         _check_size(name, view, device)
     points, sigma_z, flags = match(left, right, rig, settings)
+    if left.stripe_px is not None:
+        sigma_z *= scatter_ratio(left, points, sigma_z, flags)
     return Reconstruction(rig=rig, left=left, right=right, points=points, sigma_z=sigma_z, flags=flags)
 
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from metrology.cloud import Reconstruction
 from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
 from metrology.reconstruct import coordinate_size, decode, triangulate
+from metrology.rig import Device, Rig
 from metrology.robust import MAD
 from tests.support.rendered_fringes import (
     PLANE_DISTANCE,
@@ -124,6 +126,58 @@ def test_sigma_of_gray_code_alone_is_what_is_observed(gray: GrayCode, noise: flo
     assert 0.75 < MAD * np.median(np.abs(normal)) < 1.25
     assert view.noise is not None
     assert view.noise.sigma(100) == pytest.approx(noise, rel=0.15)
+
+
+def larger(device: Device, times: int) -> Device:
+    K = device.K.copy()
+    K[:2] *= times
+    return replace(device, width=device.width * times, height=device.height * times, K=K)
+
+
+def stripes_on_the_plane(
+    rig: Rig, gray: GrayCode, rng: np.random.Generator, native: int | None = None
+) -> Reconstruction:
+    """The plane in both cameras under Gray code alone, blurred; `native`: columns that the projector really has."""
+    assert rig.projector is not None
+    code, fine, size = FringeCode("x", 0, (), gray), 32, rig.projector.width
+    lines = replace(code, size_px=size * fine).patterns(size * fine, 1)[:, 0]
+    if native:
+        nearest = ((np.arange(native) + 0.5) * size / native * fine).astype(int)
+        lines = np.repeat(lines[:, nearest], size * fine // native, 1)
+    views = []
+    for device in (rig.left, rig.with_right()):
+        seen = seen_coordinate(rig, plane_depth(device, PLANE_NORMAL, PLANE_DISTANCE), "x")
+        pitch = float(np.nanmedian(np.diff(seen, axis=1)))
+        blurred = cv2.GaussianBlur(lines.astype(np.float32), (0, 0), sigmaX=0.7 * pitch * fine, sigmaY=1e-6)
+        places = np.rint((np.nan_to_num(seen) + 0.5) * fine - 0.5).astype(int)
+        levels = np.where(np.isfinite(seen), 30 + 160 * blurred[:, np.clip(places, 0, lines.shape[1] - 1)], 4)
+        views.append(decode(recorded(levels, rng, 0.5), code, coordinate_size(rig, code)))
+    return triangulate(views[0], views[1], rig)
+
+
+@pytest.mark.parametrize("gray", [GrayCode(960, True), GrayCode(120)], ids=str)
+def test_depths_of_gray_code_alone_scatter_as_sigma_says(gray: GrayCode, rng: np.random.Generator) -> None:
+    """Little noise, so that the pixels' grid rules; and stripes narrower than pixels, of which the finest bit goes."""
+    small = small_rig()
+    rig = replace(small, left=larger(small.left, 2), right=larger(small.with_right(), 2),
+                  projector=larger(small.with_projector(), 3))  # fmt: skip
+    found = stripes_on_the_plane(rig, gray, rng)
+    good = found.flags == 0
+    assert good.mean() > 0.9
+    error = found.points[..., 2] - plane_depth(rig.left, PLANE_NORMAL, PLANE_DISTANCE)[..., 2]
+    assert 0.9 < MAD * np.median(np.abs(error[good] / found.sigma_z[good])) < 1.1
+
+
+def test_borders_that_the_projector_displaces_are_no_error_of_the_depth(rng: np.random.Generator) -> None:
+    """A pattern of 960 columns on a projector of 640: stripes of 3, 3 and 2 of its pixels."""
+    small = small_rig()
+    rig = replace(small, left=larger(small.left, 2), right=larger(small.with_right(), 2),
+                  projector=larger(small.with_projector(), 3))  # fmt: skip
+    found = stripes_on_the_plane(rig, GrayCode(240, True), rng, native=640)
+    good = found.flags == 0
+    error = found.points[..., 2] - plane_depth(rig.left, PLANE_NORMAL, PLANE_DISTANCE)[..., 2]
+    normal = error[good] / found.sigma_z[good]
+    assert 0.7 < np.std(normal) < 1.4
 
 
 @pytest.mark.parametrize(
