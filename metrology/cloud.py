@@ -54,8 +54,8 @@ class DecodedView:
     noise: NoiseModel | None = None
     """The camera's noise as it was taken for `sigma`."""
     stripe_px: float | None = None
-    """Of Gray code alone: width of a stripe that is told apart, projector pixels; the coordinate runs straight between the
-    stripes' borders."""
+    """Of Gray code alone: width of a stripe that is told apart, projector pixels; the coordinate runs straight between
+    the stripes' borders."""
 
 
 @dataclass(frozen=True)
