@@ -30,8 +30,6 @@ from numba.core.compiler_lock import global_compiler_lock
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 # Bands small enough to even out, large enough that a band's start costs nothing.
 _ROWS_PER_BAND = 48
-
-
 _FORM = "copies of its own"  # of the code on disk: of another form it is compiled again
 
 
@@ -52,7 +50,8 @@ def _with_copies_of_its_own(optimize: Callable[[Any], None]) -> Callable[[Any], 
     return optimize_own
 
 
-CPUCodeLibrary._optimize_final_module = _with_copies_of_its_own(CPUCodeLibrary._optimize_final_module)
+_numbas = CPUCodeLibrary._optimize_final_module
+CPUCodeLibrary._optimize_final_module = _with_copies_of_its_own(_numbas)  # type: ignore[method-assign]
 
 
 def kernel(function: Callable[..., Any]) -> Any:
