@@ -23,12 +23,35 @@ from typing import Any
 
 import numba
 import numpy
+from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 
 # NaN marks missing values throughout, so "nnan" and "ninf" stay off.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 # Bands small enough to even out, large enough that a band's start costs nothing.
 _ROWS_PER_BAND = 48
+_FORM = "copies of its own"  # of the code on disk: of another form it is compiled again
+
+
+def _with_copies_of_its_own(optimize: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Let a kernel use its own copies of the kernels that it calls, and nobody else's.
+
+    A copy is optimized where it stands, so its sums are in another order than the kernel's own. By numba's way
+    all copies bear one name, and a process takes the first one that it meets: results would depend on what was compiled
+    or loaded before.
+    """
+
+    def optimize_own(library: Any) -> None:
+        for function in library._final_module.functions:
+            if function.linkage.name == "linkonce_odr" and not function.is_declaration:
+                function.linkage = "internal"
+        optimize(library)
+
+    return optimize_own
+
+
+_numbas = CPUCodeLibrary._optimize_final_module
+CPUCodeLibrary._optimize_final_module = _with_copies_of_its_own(_numbas)  # type: ignore[method-assign]
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -67,7 +90,7 @@ def _stamped(dispatcher: Any) -> Any:
     file, function = _cache_file(dispatcher), getattr(dispatcher, "py_func", None)
     if file is None or function is None:
         return dispatcher
-    file._source_stamp = (file._source_stamp, _lent(function))
+    file._source_stamp = (file._source_stamp, _lent(function), _FORM)
     return dispatcher
 
 

@@ -13,9 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
-from metrology.jit import cached
+from metrology.jit import cached, kernel
 
 
 @pytest.fixture
@@ -109,3 +110,26 @@ def test_a_kernel_goes_out_of_date_with_what_it_takes_from_other_files(
     assert result("2.0", "10.0") == 12.0
     assert result("3.00", "10.0") == 13.0
     assert result("3.00", "20.0") == 23.0
+
+
+def test_a_kernel_does_not_depend_on_what_was_loaded_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Copies of a called kernel that others can see are replaced by whichever of that name a process met first."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def summed(x: np.ndarray) -> float:
+        total = 0.0
+        for value in x:
+            total += value
+        return total
+
+    inner = kernel(summed)
+
+    def twice(x: np.ndarray) -> float:
+        return 2 * inner(x)
+
+    outer = kernel(twice)
+    assert outer(np.arange(4.0)) == 12.0
+    [compiled] = outer.overloads.values()
+    code = compiled.library.get_llvm_str()
+    assert "define linkonce_odr" not in code
+    assert compiled.fndesc.mangled_name in code
