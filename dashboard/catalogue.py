@@ -1,4 +1,4 @@
-"""The texts of the pages, for translators.
+"""The texts of the pages and reports, for translators.
 
     python -m dashboard.catalogue de
 
@@ -22,9 +22,10 @@ from dashboard.sentences import SENTENCES, WORDS
 from dashboard.words import ENGLISH, LANGUAGES, po_file
 from metrology.acceptance import PanelVerdict
 from metrology.assembly.rows import CHANGES as PANEL_CHANGES
-from metrology.kinds import KINDS
+from metrology.kinds import KINDS, LIMITS
 from metrology.statistics import NELSON_RULES, WESTERN_ELECTRIC_RULES
 from metrology.steps import TIMED
+from metrology.tolerance import RULE
 from metrology.verdicts import DECISIONS, SEVERITIES
 from storage.archive import panel_rework
 from storage.archive.changes import CHANGES
@@ -32,6 +33,8 @@ from storage.archive.work import DECIDED, OPEN_WORK, WAITING
 from storage.review import DISPOSITIONS
 
 _CODE = Path(__file__).parent
+_REPORTS = _CODE.parent / "storage" / "report"
+_TEMPLATES = "jinja2.ext:babel_extract"
 _OTHERS = (
     "bump",
     "crease",
@@ -48,19 +51,33 @@ _OTHERS = (
     "viewer",
     "reviewer",
     "not seen",
+    "scan",
+    "recognised",
+    "not recognised",
+    "enrolled",
+    "not enrolled",
+    "missing",
+    "unlisted",
 )
-"""Kinds of defects, and words of the review log, of the table `scenes`, of coverage and of roles."""
+"""Kinds of defects, and words of the review log, of the table `scenes`, of coverage of roles, of registration."""
 
 
 def declared() -> Iterator[str]:
     """Words that are declared outside of the pages and shown on them."""
     yield from (*DECISIONS, *(look.words for look in SEVERITIES.values()), *DISPOSITIONS)
     yield from (*get_args(PanelVerdict), *PANEL_CHANGES, *panel_rework.STATES)
-    yield from (*CHANGES, WAITING, OPEN_WORK, DECIDED, *_OTHERS, *PATTERNS, *SENTENCES, *WORDS)
+    yield from (*CHANGES, WAITING, OPEN_WORK, DECIDED, *_OTHERS, *PATTERNS, *SENTENCES, *WORDS, RULE)
     yield from (step.replace("_", " ") for step in TIMED)
     yield from (rule.meaning for rule in (*NELSON_RULES, *WESTERN_ELECTRIC_RULES))
+    yield from (limit.title for limit in LIMITS.values())
     for kind in KINDS:
-        yield from (kind.subject, kind.many, *(count.column.removeprefix("n_") for count in kind.counts))
+        yield from (
+            kind.subject,
+            f"{kind.subject}s",
+            kind.many,
+            *(cell.head for cell in kind.shown),
+            *(count.column.removeprefix("n_") for count in kind.counts),
+        )
         for quantity in kind.quantities:
             yield from (quantity.name, quantity.said, quantity.title)
 
@@ -68,11 +85,13 @@ def declared() -> Iterator[str]:
 def texts() -> dict[str, list[tuple[str, int]]]:
     """Every text that a page can say, with where the code says it."""
     found: dict[str, list[tuple[str, int]]] = {}
-    extracted: Iterable[tuple[str, int, object, object, object]] = extract_from_dir(
-        _CODE, [("**.py", "python")], keywords={"_": None, "N_": None}
-    )
-    for name, line, text, *_rest in extracted:
-        found.setdefault(str(text), []).append((f"dashboard/{name}", line))
+    for folder in (_CODE, _REPORTS):
+        extracted: Iterable[tuple[str, int, object, object, object]] = extract_from_dir(
+            folder, [("**.py", "python"), ("templates/**.html", _TEMPLATES)], keywords={"_": None, "N_": None},
+            options_map={"templates/**.html": {"trimmed": "true"}},
+        )  # fmt: skip
+        for name, line, text, *_rest in extracted:
+            found.setdefault(str(text), []).append((f"{folder.relative_to(_CODE.parent)}/{name}", line))
     for word in declared():
         found.setdefault(word, [])
     return found

@@ -1,4 +1,4 @@
-"""Buttons for reports; they are made when somebody asks for them."""
+"""Reports in the person's language, and buttons for them; they are made when somebody asks for them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,34 @@ from functools import partial
 
 import streamlit as st
 
-from dashboard.words import _
+from dashboard.locale import Locale
+from dashboard.words import ENGLISH, _, language, speak, translations
 from storage.report import Report
+from storage.wording import Wording
 
 
-def offer_report(name: str, made: Callable[[], Report]) -> None:
+def wording_of(locale: Locale, spoken: str) -> Wording:
+    """The words of reports in a language."""
+    known = {} if spoken == ENGLISH else translations(spoken)
+
+    def reason(text: str) -> str:
+        speak(spoken)  # made when it is asked for, which is no run of the page
+        return locale.reason(text)
+
+    return Wording(spoken, lambda text: known.get(text, text), reason, locale.separators[0])
+
+
+def offer_report(name: str, locale: Locale, made: Callable[[Wording], Report]) -> None:
     """Buttons for a report as PDF and as HTML.
 
     Parameters
     ----------
     name : str
         Of the file, without its suffix.
+    made : callable
+        Gives the report in these words.
     """
+    words = wording_of(locale, language())
     with st.container(horizontal=True, vertical_alignment="center"):
         for label, suffix, kind in (
             (_("Report (PDF)"), ".pdf", "application/pdf"),
@@ -26,7 +42,7 @@ def offer_report(name: str, made: Callable[[], Report]) -> None:
         ):
             st.download_button(
                 label,
-                partial(_file, made, suffix),
+                partial(_file, partial(made, words), suffix),
                 f"{name}{suffix}",
                 kind,
                 icon=":material/picture_as_pdf:" if suffix == ".pdf" else ":material/html:",

@@ -9,6 +9,8 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from storage import wording
+
 _SHARED = "storage.report"
 
 
@@ -17,6 +19,8 @@ def environment(package: str) -> Environment:
     """Templates of a package, which may use those that all reports share."""
     found = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((package, _SHARED))])
     made = Environment(loader=found, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made.globals["_"] = wording._
+    made.globals["language"] = lambda: wording.wording().language
     made.filters["fixed"] = lambda value, digits: f"{value:.{digits}f}"
     return made
 

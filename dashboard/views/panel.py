@@ -211,7 +211,7 @@ def _look_at(feature: str) -> None:
 
 def _report(context: PageContext, aircraft: str, panel: str) -> None:
     store, key = context.archive.store, PanelKey(aircraft, panel)
-    offer_report(f"{aircraft}~{panel}", lambda: panel_report(store, key))
+    offer_report(f"{aircraft}~{panel}", context.locale, lambda words: panel_report(store, key, wording=words))
 
 
 def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:

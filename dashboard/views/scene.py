@@ -280,7 +280,8 @@ def _files(context: PageContext, row: Any) -> None:
             (_("Manifest"), f"{row.bundle_path}/manifest.json", "application/json"),
         ):
             _download(context, label, path, kind, row.scene_id)
-    offer_report(str(row.scene_id), lambda: scene_report(context.archive.store, str(row.scene_id)))
+    store, scene_id = context.archive.store, str(row.scene_id)
+    offer_report(scene_id, context.locale, lambda words: scene_report(store, scene_id, words))
 
 
 def _download(context: PageContext, label: str, path: object, kind: str, scene_id: str) -> None:

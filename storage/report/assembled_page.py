@@ -10,13 +10,13 @@ from markupsafe import Markup
 from metrology.assembly.rows import CHANGES
 from metrology.kinds import BY_NAME, KINDS
 from metrology.verdicts import gravity
-from storage.archive.work import said
 from storage.report.assembled import AssembledRecord, Row
 from storage.report.drawings import panel_map
 from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, code, facts, figure, moment, number, page, section, table, with_u95
-from storage.report.sections import entries_table, limits_table, why
-from storage.report.verdicts import CLASSES, KEY, SIGNS, counted
+from storage.report.sections import entries_table, limits_table, many, standings_said, why
+from storage.report.verdicts import CLASSES, SIGNS, counted, key
+from storage.wording import _, reason
 
 _PRINTED_CHANGES = 30
 _PRINTED = 60  # findings on paper, the gravest; the page on the screen has all
@@ -39,10 +39,11 @@ def assembled_page(record: AssembledRecord, letterhead: Letterhead | None = None
     name = f"{panel['aircraft_serial']} {panel['panel']}"
     return page(
         "assembled.html",
-        f"Panel {name}",
+        _("Panel {name}", name=name),
         letterhead=letterhead,
         name=name,
         panel=panel,
+        verdict_reason=reason(panel["verdict_reason"]),
         captured=moment(panel["captured_at"]),
         verdict=_badge(panel["verdict"]),
         warnings=_warnings(record),
@@ -65,47 +66,54 @@ def assembled_page(record: AssembledRecord, letterhead: Letterhead | None = None
 
 def _badge(verdict: str) -> Markup:
     like = _LIKE.get(verdict, "no limit")
-    return section("panel_verdict", verdict, SIGNS[like], CLASSES[like])
+    return section("panel_verdict", _(verdict), SIGNS[like], CLASSES[like])
 
 
 def _warnings(record: AssembledRecord) -> list[str]:
-    newer = [f"not in it: a newer scan of {', '.join(record.newer)}; assemble the panel again"] if record.newer else []
-    return [*newer, *(record.panel["warnings"] or ())]
+    newer = (
+        [_("not in it: a newer scan of {stations}; assemble the panel again", stations=", ".join(record.newer))]
+        if record.newer
+        else []
+    )
+    return [*newer, *(reason(text) for text in record.panel["warnings"] or ())]
 
 
 def _features(record: AssembledRecord) -> Markup:
     """How many there are of every kind, by verdict."""
     lines = [
         [
-            f"{kind.subject}s",
+            many(kind),
             str(len({row[kind.id_columns[0]] for row in rows})),
             section("badges", [badge(decision, count) for decision, count in counted(rows)]),
         ]
         for kind in KINDS
         if (rows := record.of_kind[kind.name])
     ]
-    return table(["", "number", "by verdict"], lines, [1])
+    return table(["", _("number"), _("by verdict")], lines, [1])
 
 
 def _coverage(record: AssembledRecord) -> Markup:
     panel = record.panel
     states = Counter(row["state"] for row in record.coverage)
     missing = [row["feature_id"] for row in record.coverage if row["state"] != "measured"]
-    shown = ", ".join(missing[:12]) + (f" and {len(missing) - 12} more" if len(missing) > 12 else "")
+    shown = _first(missing, 12)
     pattern = [
-        ("expected by the pattern", f"{panel['n_expected']}: {states['measured']} measured, "
-         f"{states['not measured']} seen but not measured, {states['not seen']} not seen"),
-        ("not measured or not seen", shown or "none"),
-        ("scan next", panel["next_station"] or "nothing: all was seen"),
-    ] if panel["n_expected"] else [("pattern", "none: nothing says what else there should be")]  # fmt: skip
-    frame = f"{panel['n_scenes']} scans in {panel['n_parts']} part{'' if panel['n_parts'] == 1 else 's'}"
-    places = f", places within {number(panel['place_u95_mm'], 3)} mm (U95)" if panel["place_u95_mm"] else ""
-    twice = f"{panel['n_repeated']} values, {panel['n_beyond']} apart by more than U95"
+        (_("expected by the pattern"),
+         _("{n}: {measured} measured, {unmeasured} seen but not measured, {unseen} not seen", n=panel["n_expected"],
+           measured=states["measured"], unmeasured=states["not measured"], unseen=states["not seen"])),
+        (_("not measured or not seen"), shown or _("none")),
+        (_("scan next"), panel["next_station"] or _("nothing: all was seen")),
+    ] if panel["n_expected"] else [(_("pattern"), _("none: nothing says what else there should be"))]  # fmt: skip
+    frame = _("{n} scans, parts with a frame of their own: {parts}", n=panel["n_scenes"], parts=panel["n_parts"])
+    u95 = number(panel["place_u95_mm"], 3)
+    places = ", " + _("places within {u95} mm (U95)", u95=u95) if panel["place_u95_mm"] else ""
+    out = ", " + _("{n} left out", n=panel["n_left_out"]) if panel["n_left_out"] else ""
+    twice = _("{n} values, {apart} apart by more than U95", n=panel["n_repeated"], apart=panel["n_beyond"])
     return facts(
         [
-            ("scans", frame + places + (f", {panel['n_left_out']} left out" if panel["n_left_out"] else "")),
-            ("skin measured", f"{number(panel['area_cm2'], 0)} cm²"),
-            ("measured by several scans", twice),
+            (_("scans"), frame + places + out),
+            (_("skin measured"), f"{number(panel['area_cm2'], 0)} cm²"),
+            (_("measured by several scans"), twice),
             *pattern,
         ]
     )
@@ -118,21 +126,35 @@ def _maps(record: AssembledRecord) -> list[Markup]:
         of_part = {name: [row for row in rows if row["part"] == part] for name, rows in record.of_kind.items()}
         gaps = [row for row in record.coverage if row["state"] == "not seen"] if part == 1 else []
         if drawing := panel_map(of_part, gaps, record.pictures.get(part)):
-            frame = f"part {part}, " if record.panel["n_parts"] > 1 else ""
-            maps.append(figure(drawing, f"The panel from outside, {frame}in its own frame. {KEY}; ? not seen."))
+            which = _("Part {part}", part=part) + ". " if record.panel["n_parts"] > 1 else ""
+            maps.append(
+                figure(drawing, which + _("The panel from outside, in its own frame. {key}; ? not seen.", key=key()))
+            )
     return maps
 
 
 def _rules(rules: Sequence[Row]) -> Markup:
     rows = [
-        [row["rule_id"], row["rule"], row["applies_to"], _badge(row["verdict"]), row["reason"], _named(row["features"])]
+        [
+            row["rule_id"],
+            reason(row["rule"]),
+            row["applies_to"],
+            _badge(row["verdict"]),
+            reason(row["reason"]),
+            _first(row["features"], 10),
+        ]
         for row in rules
     ]
-    return table(["rule", "what it asks", "of", "verdict", "found", "behind it"], rows) if rows else Markup()
+    return (
+        table([_("rule"), _("what it asks"), _("of"), _("verdict"), _("found"), _("behind it")], rows)
+        if rows
+        else Markup()
+    )
 
 
-def _named(features: Sequence[str]) -> str:
-    return ", ".join(features[:10]) + (f" and {len(features) - 10} more" if len(features) > 10 else "")
+def _first(names: Sequence[str], most: int) -> str:
+    more = " " + _("and {n} more", n=len(names) - most) if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _gravest_first(finding: Row) -> tuple[int, bool, str, float]:
@@ -146,9 +168,9 @@ def _findings(findings: Sequence[Row], locations: Mapping[str, str]) -> Markup:
         value = with_u95(row["value"], row["value_u95"], 3, quantity.signed)
         location = locations.get(row["feature_id"].split("@")[0])
         name = row["feature_id"] + (f", {location}" if location else "")
-        rows.append([name, quantity.said, value, quantity.unit, number(row["length_mm"], 0),
+        rows.append([name, _(quantity.said), value, quantity.unit, number(row["length_mm"], 0),
                      badge(row["decision"]), why(row)])  # fmt: skip
-    heads = ["feature", "quantity", "value", "unit", "length mm", "verdict", "why"]
+    heads = [_("feature"), _("quantity"), _("value"), _("unit"), _("length mm"), _("verdict"), _("why")]
     return section("long_table", table(heads, rows[:_PRINTED], [2, 4]),
                    table(heads, rows[_PRINTED:], [2, 4]) if rows[_PRINTED:] else "")  # fmt: skip
 
@@ -165,8 +187,10 @@ def _changes(changes: Sequence[Row]) -> Markup:
             for value, u95 in (("value", "value_u95"), ("before_value", "before_u95"), ("difference", "difference_u95"))
         ]
         change = "cured" if row["change"] == "gone" else row["change"]  # as the pages say it
-        rows.append([change, row["feature_id"], quantity.said, *values, quantity.unit, row["reason"] or ""])
-    heads = ["change", "feature", "quantity", "now", "then", "difference", "unit", "why"]
+        rows.append([_(change), row["feature_id"], _(quantity.said), *values, quantity.unit, reason(row["reason"])])
+    heads = [
+        _("change"), _("feature"), _("quantity"), _("now"), _("then"), _("difference"), _("unit"), _("why"),
+    ]  # fmt: skip
     return section("long_table", table(heads, rows[:_PRINTED_CHANGES], [3, 4, 5]),
                    table(heads, rows[_PRINTED_CHANGES:], [3, 4, 5]) if rows[_PRINTED_CHANGES:] else "")  # fmt: skip
 
@@ -181,20 +205,25 @@ def _stations(record: AssembledRecord) -> Markup:
                 row["station"],
                 moment(scene["captured_at"]) if scene else "–",
                 scene["rig_id"] if scene else "–",
-                "left out" if row["part"] is None else str(row["part"]),
+                _("left out") if row["part"] is None else str(row["part"]),
                 number(row["place_u95_mm"], 3),
-                said(record.standings.get(row["station_scene_id"], ())),
+                standings_said(record.standings.get(row["station_scene_id"], ())),
                 f"{signed.who}, {moment(signed.at)}" if signed else "–",
-                row["reason"] or "; ".join((scene["warnings"] or ()) if scene else ()),
+                reason(row["reason"])
+                or " · ".join(reason(text) for text in ((scene["warnings"] or ()) if scene else ())),
             ]
         )
-    heads = ["station", "scanned", "rig", "part", "place U95 mm", "findings", "signed off", "why"]
+    heads = [
+        _("station"), _("scanned"), _("rig"), _("part"), _("place U95 mm"), _("findings"), _("signed off"), _("why"),
+    ]  # fmt: skip
     return table(heads, rows, [4])
 
 
 def _verdicts(verdicts: Sequence[Row]) -> Markup:
-    rows = [[moment(row["judged_at"]), row["panel_spec"], _badge(row["verdict"]), row["reason"]] for row in verdicts]
-    return table(["judged", "by", "verdict", "why"], rows) if len(rows) > 1 else Markup()
+    rows = [
+        [moment(row["judged_at"]), row["panel_spec"], _badge(row["verdict"]), reason(row["reason"])] for row in verdicts
+    ]
+    return table([_("judged"), _("by"), _("verdict"), _("why")], rows) if len(rows) > 1 else Markup()
 
 
 def _traceability(record: AssembledRecord) -> Markup:
@@ -202,11 +231,11 @@ def _traceability(record: AssembledRecord) -> Markup:
     runs = ", ".join(f"{row['station']}: {row['station_run_id']}" for row in record.stations)
     return facts(
         [
-            ("run of the assembly", code(panel["run_id"])),
-            ("put together", moment(panel["processed_at"])),
-            ("software", f"Flushline {panel['software_version']}"),
-            ("specification", panel["panel_spec"]),
-            ("runs of the scans", code(runs)),
-            ("review log ends with", code(record.review_head)),
+            (_("run of the assembly"), code(panel["run_id"])),
+            (_("put together"), moment(panel["processed_at"])),
+            (_("software"), f"Flushline {panel['software_version']}"),
+            (_("specification"), panel["panel_spec"]),
+            (_("runs of the scans"), code(runs)),
+            (_("review log ends with"), code(record.review_head)),
         ]
     )

@@ -16,8 +16,10 @@ from metrology.kinds import KINDS, Kind, Quantity
 from metrology.results import Severity
 from metrology.tolerance import Limit
 from metrology.verdicts import IN_ORDER, SEVERITIES, Symbol
+from storage.report.markup import number
 from storage.report.verdicts import COLOURS
 from storage.templates import data_uri, part
+from storage.wording import _, decimals
 
 Row = Mapping[str, Any]
 
@@ -83,11 +85,11 @@ def _placed(x: float, y: float, scale: float, severity: Severity | None, title: 
 def _title(kind: Kind, row: Row) -> str:
     if kind.is_course:
         name, position = (row[column] for column in kind.id_columns)
-        return f"{name} at {position:.0f} mm: {row['decision']}"
+        return f"{_('{name} at {place} mm', name=name, place=f'{position:.0f}')}: {_(row['decision'])}"
     first = kind.quantities[0]
     value = row[first.column]
-    said = "not measured" if value is None else f"{value:{'+' if first.signed else ''}.4f} {first.unit}"
-    return f"{kind.id_of(row)}: {said}, {row['decision']}"
+    said = _("not measured") if value is None else f"{number(value, 4, first.signed)} {first.unit}"
+    return f"{kind.id_of(row)}: {said}, {_(row['decision'])}"
 
 
 class _Axes:
@@ -106,7 +108,7 @@ class _Axes:
 
     def frame(self, label: str) -> list[Markup]:
         ends = _LEFT, _WIDTH - 12
-        lines = [_drawn("tick", *ends, self.y(tick), f"{tick:.10g}") for tick in ticks(self.y0, self.y1)]
+        lines = [_drawn("tick", *ends, self.y(tick), decimals(f"{tick:.10g}")) for tick in ticks(self.y0, self.y1)]
         return [*lines, _drawn("axis_title", (_HEIGHT - _BOTTOM) / 2 + 40, label)]
 
 
@@ -131,7 +133,7 @@ def _limit_lines(axes: _Axes, places: Sequence[tuple[float, float]], limits: Seq
                 continue
             members = list(run)
             x1, x2, y = axes.x(places[members[0]][0]), axes.x(places[members[-1]][1]), axes.y(value)
-            lines.append(_drawn("limit", x1, x2, y, colour, dash, f"{value:g}"))
+            lines.append(_drawn("limit", x1, x2, y, colour, dash, decimals(f"{value:g}")))
     return lines
 
 
@@ -152,7 +154,7 @@ def values_chart(kind: Kind, rows: Sequence[Row], limits: Sequence[Limit | None]
         return Markup()
     axes = _Axes((0, len(rows) + 1), _span([*values, 0.0], limits))
     places = [(k - 0.5, k + 0.5) for k in range(1, len(rows) + 1)]
-    marks = [*axes.frame(f"{first.name}, {first.unit}"), *_limit_lines(axes, places, limits)]
+    marks = [*axes.frame(f"{_(first.said)}, {first.unit}"), *_limit_lines(axes, places, limits)]
     every = max(1, len(rows) // 40)
     for k, row in enumerate(rows, 1):
         x = axes.x(k)
@@ -189,7 +191,7 @@ def course_chart(kind: Kind, quantity: Quantity, course: Sequence[Row], limits: 
         return Markup()
     along = [float(row[position]) for row in course]
     axes = _Axes((along[0], along[-1]), _span([row[value] for row in shown], limits))
-    marks = [*axes.frame(f"{quantity.name}, {quantity.unit}"), *_limit_lines(axes, _stretches(along), limits)]
+    marks = [*axes.frame(f"{_(quantity.said)}, {quantity.unit}"), *_limit_lines(axes, _stretches(along), limits)]
     for measured, run in groupby(course, key=lambda row: row[value] is not None):
         if not measured:
             continue
@@ -199,7 +201,7 @@ def course_chart(kind: Kind, quantity: Quantity, course: Sequence[Row], limits: 
         marks.append(_drawn("band", _points([*upper, *reversed(lower)])))
         marks.append(_drawn("profile", _points((axes.x(row[position]), axes.y(row[value])) for row in piece)))
     marks += [_drawn("text", axes.x(tick), _HEIGHT - 14, "middle", f"{tick:g}") for tick in ticks(axes.x0, axes.x1)]
-    marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", f"mm along the {kind.subject}"))
+    marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", _("mm along the {subject}", subject=_(kind.subject))))
     return _chart(marks)
 
 

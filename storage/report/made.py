@@ -19,6 +19,7 @@ from storage.report.pdf import pdf
 from storage.report.proof import Proof, content_of, proof_of, sealed
 from storage.report.record import panel_record, scene_record
 from storage.report.scene_page import scene_page
+from storage.wording import Wording, written_in
 
 OfKind = Mapping[str, Sequence[Mapping[str, Any]]]
 
@@ -39,24 +40,28 @@ class Report:
         return sealed(pdf(self.html) if suffix.lower() == ".pdf" else self.html.encode(), self.proof)
 
 
-def scene_report(store: Store, scene_id: str) -> Report:
-    """The report of a scan."""
+def scene_report(store: Store, scene_id: str, wording: Wording | None = None) -> Report:
+    """The report of a scan, in English or with other words."""
     record = scene_record(store, scene_id)
     proof = Proof(("scene", scene_id), content_of(record))
-    return Report(scene_page(record, letterhead(store.root, proof.content)), proof, [record.of_kind], OF_KIND)
+    with written_in(wording):
+        page = scene_page(record, letterhead(store.root, proof.content))
+    return Report(page, proof, [record.of_kind], OF_KIND)
 
 
-def panel_report(store: Store, key: PanelKey, stations: bool = False) -> Report:
+def panel_report(store: Store, key: PanelKey, stations: bool = False, wording: Wording | None = None) -> Report:
     """The report of a panel: as it was put together, else or with `stations` that of its newest scans."""
     about = (key.aircraft_serial, key.panel)
     if is_assembled(store, key) and not stations:
         assembled = assembled_record(store, key)
         proof = Proof(("panel", *about), content_of(assembled))
-        page = assembled_page(assembled, letterhead(store.root, proof.content))
+        with written_in(wording):
+            page = assembled_page(assembled, letterhead(store.root, proof.content))
         return Report(page, proof, [assembled.of_kind], PANEL_OF_KIND)
     record = panel_record(store, *about)
     proof = Proof(("stations", *about), content_of(record))
-    page = panel_page(record, letterhead(store.root, proof.content))
+    with written_in(wording):
+        page = panel_page(record, letterhead(store.root, proof.content))
     return Report(page, proof, [scene.of_kind for scene in record.scenes], OF_KIND)
 
 

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from storage.report.letterhead import Letterhead
 from storage.report.verdicts import CLASSES, SIGNS
 from storage.templates import data_uri, part, rendered
+from storage.wording import _, decimals
 
 _PACKAGE = "storage.report"
 
@@ -34,7 +35,7 @@ def _part(name: str, *values: Any) -> Markup:
 
 def badge(decision: str, count: int | None = None, big: bool = False) -> Markup:
     """A decision with its sign, and how often it occurs."""
-    return _part("badge", decision, SIGNS[decision], CLASSES[decision], count, big)
+    return _part("badge", _(decision), SIGNS[decision], CLASSES[decision], count, big)
 
 
 def link(anchor: str, text: str) -> Markup:
@@ -54,14 +55,14 @@ def missing(text: str) -> Markup:
 
 def number(value: float | None, digits: int, sign: bool = False) -> str:
     """A number, or a dash."""
-    return "–" if value is None else f"{value:{'+' if sign else ''}.{digits}f}"
+    return "–" if value is None else decimals(f"{value:{'+' if sign else ''}.{digits}f}")
 
 
 def with_u95(value: float | None, u95: float | None, digits: int, sign: bool = False) -> str:
     """A value with its expanded uncertainty."""
     if value is None:
         return "–"
-    return number(value, digits, sign) + ("" if u95 is None else f" ± {u95:.{digits}f}")
+    return number(value, digits, sign) + ("" if u95 is None else f" ± {number(u95, digits)}")
 
 
 def table(

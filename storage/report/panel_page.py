@@ -8,7 +8,6 @@ from markupsafe import Markup
 
 from metrology.kinds import KINDS
 from metrology.tolerance import PanelSpec
-from storage.archive.work import said
 from storage.report.drawings import marked_picture, panel_map
 from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, figure, link, moment, page, png_figure, table
@@ -20,10 +19,13 @@ from storage.report.sections import (
     features_table,
     findings_of,
     limits_table,
+    many,
+    standings_said,
     traceability,
     verdict,
 )
-from storage.report.verdicts import KEY, gravest
+from storage.report.verdicts import gravest, key
+from storage.wording import _, reason
 
 
 def panel_page(record: PanelRecord, letterhead: Letterhead | None = None) -> str:
@@ -31,7 +33,7 @@ def panel_page(record: PanelRecord, letterhead: Letterhead | None = None) -> str
     name = f"{record.aircraft_serial} {record.panel}"
     return page(
         "panel.html",
-        f"Inspection {name}",
+        _("Inspection of {name}", name=name),
         letterhead=letterhead,
         name=name,
         verdict=verdict(record.features),
@@ -57,20 +59,20 @@ def _overview(record: PanelRecord) -> Markup:
             badge(gravest(s.features)),
             *(str(len({row[kind.id_columns[0]] for row in s.of_kind[kind.name]})) for kind in kinds),
             str(sum(len(findings_of(kind, s.of_kind[kind.name])) for kind in KINDS)),
-            said(s.standings),
-            "; ".join(s.scene["warnings"] or ()),
+            standings_said(s.standings),
+            " · ".join(reason(text) for text in s.scene["warnings"] or ()),
         ]
         for s in record.scenes
     ]
-    heads = ["station", "captured", "verdict", *(f"{kind.subject}s" for kind in kinds), "need attention"]
-    return table([*heads, "findings", "warnings"], rows, list(range(3, len(heads))))
+    heads = [_("station"), _("captured"), _("verdict"), *(many(kind) for kind in kinds), _("need attention")]
+    return table([*heads, _("findings"), _("warnings")], rows, list(range(3, len(heads))))
 
 
 def _map(record: PanelRecord) -> str:
     """One map of the panel where all stations share its frame, else none: each station has a frame of its own."""
     placed = [scene for scene in record.scenes if scene.has_common_frame]
     drawing = panel_map({kind.name: [row for scene in placed for row in scene.of_kind[kind.name]] for kind in KINDS})
-    return figure(drawing, f"In panel coordinates. {KEY}.") if drawing else ""
+    return figure(drawing, _("In panel coordinates. {key}.", key=key())) if drawing else ""
 
 
 def _attention(record: PanelRecord) -> list[Markup]:
@@ -87,8 +89,8 @@ def _station(scene: SceneRecord) -> dict[str, Any]:
         "anchor": _anchor(scene),
         "name": scene.scene["station"],
         "verdict": verdict(scene.features),
-        "picture": figure(marked_picture(scene.preview, scene.of_kind), "Left camera."),
-        "overlay": png_figure(scene.overlay_png, "overlay", "The overlay."),
+        "picture": figure(marked_picture(scene.preview, scene.of_kind), _("Left camera.")),
+        "overlay": png_figure(scene.overlay_png, _("overlay"), _("The overlay.")),
         "features": [
             part
             for kind in KINDS

@@ -10,10 +10,9 @@ from storage.report.drawings import marked_picture
 from storage.report.letterhead import Letterhead
 from storage.report.markup import figure, moment, page, png_figure
 from storage.report.record import SceneRecord
-from storage.report.sections import decisions_table, features, limits_table, traceability, verdict
-from storage.report.verdicts import KEY
-
-_MARKS = f"Rims and symbols: {KEY}."
+from storage.report.sections import decisions_table, features, limits_table, many, traceability, verdict
+from storage.report.verdicts import key
+from storage.wording import _, capital, reason
 
 
 def scene_page(record: SceneRecord, letterhead: Letterhead | None = None) -> str:
@@ -22,16 +21,18 @@ def scene_page(record: SceneRecord, letterhead: Letterhead | None = None) -> str
     name = f"{scene['aircraft_serial']} {scene['panel']} {scene['station']}"
     return page(
         "scene.html",
-        f"Inspection {name}",
+        _("Inspection of {name}", name=name),
         letterhead=letterhead,
         name=name,
         captured=moment(scene["captured_at"]),
         verdict=verdict(record.features),
-        warnings=scene["warnings"] or (),
-        picture=figure(marked_picture(record.preview, record.of_kind), f"Left camera. {_MARKS}"),
-        overlay=png_figure(record.overlay_png, "overlay", "The overlay, as the projector shows it."),
+        warnings=[reason(text) for text in scene["warnings"] or ()],
+        picture=figure(
+            marked_picture(record.preview, record.of_kind), _("Left camera. Rims and symbols: {key}.", key=key())
+        ),
+        overlay=png_figure(record.overlay_png, _("overlay"), _("The overlay, as the projector shows it.")),
         features=[
-            (f"{kind.subject.capitalize()}s", [*features(kind, rows, record.limits), *_close_ups(kind, record)])
+            (capital(many(kind)), [*features(kind, rows, record.limits), *_close_ups(kind, record)])
             for kind in KINDS
             if (rows := record.of_kind[kind.name])
         ],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -13,12 +14,13 @@ from metrology.kinds import LIMITS, Cell, Kind, Quantity
 from metrology.limits import GradedLimit
 from metrology.requirements import downstream_of, limit_of
 from metrology.tolerance import RULE, Limit, PanelSpec
-from storage.archive.work import OPEN_WORK, said
+from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED, Standing
 from storage.report.drawings import course_chart, values_chart
 from storage.report.markup import badge, code, facts, figure, missing, moment, number, section, table, with_u95
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
 from storage.review import Entry
+from storage.wording import _, capital, reason
 
 Row = Mapping[str, Any]
 
@@ -30,12 +32,12 @@ def verdict(features: Sequence[Row]) -> Markup:
 
 def why(feature: Row) -> str:
     """The reason for anything short of a pass; the decision rule is said once, beside the limits."""
-    return (feature["reason"] or "").replace(f"; {RULE}", "")
+    return reason((feature["reason"] or "").replace(f"; {RULE}", ""))
 
 
 def features_table(kind: Kind, rows: Sequence[Row], where: bool = False) -> Markup:
     """Features of one kind; with the station they were seen from where `where`."""
-    heads = [kind.subject, *(cell.head for cell in kind.shown), "zone", "verdict", "why"]
+    heads = [_(kind.subject), *(_(cell.head) for cell in kind.shown), _("zone"), _("verdict"), _("why")]
     lines = [
         [
             row[kind.id_columns[0]],
@@ -48,7 +50,7 @@ def features_table(kind: Kind, rows: Sequence[Row], where: bool = False) -> Mark
     ]
     numeric = [1 + k for k in range(len(kind.shown))]
     if where:
-        heads, numeric = ["station", *heads], [k + 1 for k in numeric]
+        heads, numeric = [_("station"), *heads], [k + 1 for k in numeric]
         lines = [[row["station"], *line] for row, line in zip(rows, lines, strict=True)]
     return table(heads, lines, numeric)
 
@@ -75,7 +77,7 @@ def _as_one(kind: Kind, members: Sequence[Row]) -> Row:
 def _cell(cell: Cell, row: Row) -> str:
     first, *more = (row[column] for column in cell.columns)
     if isinstance(first, str):
-        return first
+        return _(first)
     if cell.span:
         low, high = (number(value, cell.digits, cell.signed) for value in (first, *more))
         return "–" if first is None else f"{low} … {high}"
@@ -88,7 +90,7 @@ def features(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None, charted:
         return _courses(kind, rows, limits)
     first = kind.quantities[0]
     chart = values_chart(kind, rows, feature_limits(rows, first, limits)) if charted else ""
-    said = f"{first.said.capitalize()}s with their U95; dashed: the limits that each was judged by."
+    said = _("{quantity} with U95; dashed: the limits that each was judged by.", quantity=capital(_(first.said)))
     return [*([figure(chart, said)] if chart else []), features_table(kind, rows)]
 
 
@@ -100,11 +102,14 @@ def _courses(kind: Kind, rows: Sequence[Row], limits: PanelSpec | None) -> list[
         charts = []
         for quantity in kind.quantities:
             if chart := course_chart(kind, quantity, course, feature_limits(course, quantity, limits)):
-                said = f"{quantity.name} along {kind.subject} {name}; grey: U95; dashed: the limits judged by"
-                charts.append(figure(chart, said + (" (zone and wind)" if quantity.into_wind else "")))
+                said = _(
+                    "{quantity} along {subject} {name}; grey: U95; dashed: the limits judged by",
+                    quantity=capital(_(quantity.said)), subject=_(kind.subject), name=name,
+                )  # fmt: skip
+                charts.append(figure(chart, said + (_(" (zone and wind)") if quantity.into_wind else "")))
         attention = findings_of(kind, course)
         tables = features_table(kind, attention), len(attention), features_table(kind, course)
-        title = f"{kind.subject.capitalize()} {name}"
+        title = f"{capital(_(kind.subject))} {name}"
         parts.append(section("course", title, verdict(course), _summary(kind, course), charts, *tables))
     return parts
 
@@ -123,8 +128,8 @@ def _summary(kind: Kind, course: Sequence[Row]) -> Markup:
         if values:
             numbers = (min(values), sum(values) / len(values), max(values))
             said = [number(value, 3, quantity.signed) for value in numbers]
-            rows.append([f"{quantity.said} {quantity.unit}", *said, f"{len(values)} of {len(course)}"])
-    return table(["", "least", "mean", "most", "measured at"], rows, [1, 2, 3, 4]) if rows else Markup()
+            rows.append([f"{_(quantity.said)} {quantity.unit}", *said, f"{len(values)} / {len(course)}"])
+    return table(["", _("least"), _("mean"), _("most"), _("measured at")], rows, [1, 2, 3, 4]) if rows else Markup()
 
 
 def limits_table(spec: PanelSpec | None) -> Markup:
@@ -132,7 +137,7 @@ def limits_table(spec: PanelSpec | None) -> Markup:
     rows = [
         [
             name,
-            LIMITS[key].title,
+            _(LIMITS[key].title),
             *_bounds(limit),
             limit.source,
             limit.revision,
@@ -140,8 +145,11 @@ def limits_table(spec: PanelSpec | None) -> Markup:
         for name, zone in (spec.zones.items() if spec else ())
         for key, limit in zone.items()
     ]
-    heads = ["zone", "quantity", "lower", "upper", "serious below", "serious above", "source", "revision"]
-    return section("limits", RULE, spec, table(heads, rows, [2, 3, 4, 5]) if rows else "")
+    heads = [
+        _("zone"), _("quantity"), _("lower"), _("upper"), _("serious below"), _("serious above"), _("source"),
+        _("revision"),
+    ]  # fmt: skip
+    return section("limits", _(RULE), spec, table(heads, rows, [2, 3, 4, 5]) if rows else "")
 
 
 def _bounds(limit: Limit) -> list[str]:
@@ -152,13 +160,25 @@ def _bounds(limit: Limit) -> list[str]:
     return said
 
 
+def many(kind: Kind) -> str:
+    """What several of a kind are called."""
+    name = f"{kind.subject}s"
+    return _(name)
+
+
+def standings_said(standings: Iterable[Standing]) -> str:
+    """How many findings stand how, in words."""
+    counts = Counter(standing.state for standing in standings)
+    return ", ".join(f"{counts[s]} {_(s)}" for s in (*UNRESOLVED, DECIDED) if counts[s]) or _("no findings")
+
+
 def decisions_table(record: SceneRecord) -> Markup:
     """How the findings stand, and what people decided; "" where there is neither."""
     if not record.decisions and not record.standings:
         return Markup()
     open_names = [standing.feature.id for standing in record.standings if standing.state == OPEN_WORK]
     entries = entries_table(record.decisions) if record.decisions else ""
-    return section("decisions", said(record.standings), open_names, entries)
+    return section("decisions", standings_said(record.standings), open_names, entries)
 
 
 def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
@@ -167,13 +187,13 @@ def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
         [
             moment(entry.at),
             entry.who,
-            f"{entry.feature_kind or 'scene'} {entry.feature_id or ''} {entry.scene_id if where else ''}",
-            entry.what,
+            f"{_(entry.feature_kind or 'scan')} {entry.feature_id or ''} {entry.scene_id if where else ''}",
+            _(entry.what),
             entry.comment,
         ]
         for entry in entries
     ]
-    return table(["when", "who", "what", "decision", "comment"], rows)
+    return table([_("when"), _("who"), _("what"), _("decision"), _("comment")], rows)
 
 
 def traceability(record: SceneRecord) -> Markup:
@@ -181,10 +201,10 @@ def traceability(record: SceneRecord) -> Markup:
     scene, manifest = record.scene, record.manifest
     shown = facts(
         [
-            *((link.name, missing(link.said) if link.missing else link.said) for link in record.chain),
-            ("registration", _registration(record)),
-            ("points", _points(scene)),
-            ("review log ends with", code(record.review_head)),
+            *((_(link.name), missing(link.said) if link.missing else link.said) for link in record.chain),
+            (_("registration"), _registration(record)),
+            (_("points"), _points(scene)),
+            (_("review log ends with"), code(record.review_head)),
         ]
     )  # fmt: skip
     return section("traceability", shown, json.dumps(manifest.get("settings", {}), indent=1, ensure_ascii=False))
@@ -192,8 +212,10 @@ def traceability(record: SceneRecord) -> Markup:
 
 def _points(scene: Row) -> str:
     sigma = scene["sigma_z_median_mm"]
-    depth = "–" if sigma is None else f"{1000 * sigma:.1f} µm"
-    return f"{scene['n_points']:,} ({scene['valid_fraction']:.1%} of the picture), median σ of depth {depth}"
+    depth = "–" if sigma is None else f"{number(1000 * sigma, 1)} µm"
+    share = f"{number(100 * scene['valid_fraction'], 1)} %"
+    count = f"{scene['n_points']:,}".replace(",", "\u202f")
+    return _("{n} ({share} of the picture), median σ of depth {depth}", n=count, share=share, depth=depth)
 
 
 def _registration(record: SceneRecord) -> str:
@@ -201,14 +223,15 @@ def _registration(record: SceneRecord) -> str:
     status = found.get("status")
     if status is None:
         return "–"
-    parts = [status]
+    parts = [_(status)]
     if status == "recognised":
-        parts.append(f"{len(found['matched'])} rivets matched")
+        parts.append(_("{n} rivets matched", n=len(found["matched"])))
         if found["rms_mm"] is not None:
-            parts.append(f"{found['rms_mm']:.3f} mm RMS from their nominal places")
+            parts.append(_("{rms} mm RMS from their nominal places", rms=number(found["rms_mm"], 3)))
         if found["shift_mm"] is not None:
-            parts.append(f"rig {found['shift_mm']:.1f} mm and {found['turn_deg']:.1f}° from the nominal placement")
+            shift, turn = number(found["shift_mm"], 1), number(found["turn_deg"], 1)
+            parts.append(_("rig {shift} mm and {turn}° from the nominal placement", shift=shift, turn=turn))
     for name in ("missing", "unlisted"):
         if found.get(name):
-            parts.append(f"{name}: {', '.join(found[name])}")
+            parts.append(f"{_(name)}: {', '.join(found[name])}")
     return "; ".join(parts)

@@ -8,13 +8,17 @@ from typing import Any
 
 from metrology.results import Severity
 from metrology.verdicts import DECISIONS, OPEN, SEVERITIES, gravity
+from storage.wording import _
 
 SIGNS: dict[str, str] = {name: look.sign for name, look in DECISIONS.items()}
 _CLASSES = {"bad": "fail", "doubtful": "doubt", "fair": "nearly", "good": "pass", "none": "none"}
 CLASSES: dict[str, str] = {name: _CLASSES[look.tone] for name, look in DECISIONS.items()}
 COLOURS: dict[Severity | None, str] = {name: look.paper for name, look in SEVERITIES.items()}
-KEY = "; ".join(f"{look.sign} {look.words}" for look in reversed(SEVERITIES.values()))
-"""What the symbols of drawings mean."""
+
+
+def key() -> str:
+    """What the symbols of drawings mean."""
+    return "; ".join(f"{look.sign} {_(look.words)}" for look in reversed(SEVERITIES.values()))
 
 
 def gravest(features: Iterable[Mapping[str, Any]]) -> str:

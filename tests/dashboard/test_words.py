@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import html
 import re
 import string
 from collections.abc import Iterator
@@ -15,8 +16,13 @@ from dashboard.catalogue import texts, updated
 from dashboard.findings import feature_words
 from dashboard.locale import Locale
 from dashboard.reasons import PATTERNS, worded
+from dashboard.reports import wording_of
 from dashboard.sentences import CLAUSES, SENTENCES
-from dashboard.words import ENGLISH, LANGUAGES, N_, _, language, po_file, speak
+from dashboard.words import ENGLISH, LANGUAGES, N_, _, language, po_file, speak, translations
+from flows.cli import main
+from metrology.results import PanelKey
+from storage.archive import Store
+from storage.report import panel_report, scene_report, verify
 from tests.dashboard.test_pages import Open, clean
 from tests.support.week import ROOT
 from tests.support.week import texts as said
@@ -175,3 +181,39 @@ def test_pages_speak_the_language_that_the_address_names(filled: Path, open_page
         assert german in said(page), name
         assert "mm outside" not in said(page)
     assert not open_page("overview", filled, language="fr").exception
+
+
+def shown_texts(page: str) -> set[str]:
+    """What stands between the tags of a page."""
+    said = re.sub(r"<(style|pre)\b.*?</\1>", "", page, flags=re.DOTALL)
+    return {html.unescape(text).strip() for text in re.split(r"<[^>]*>", said)}
+
+
+def test_reports_are_written_in_the_language(filled: Path) -> None:
+    store, key = Store(filled), PanelKey("MSN-0425", "LH-F12")
+    words, known = wording_of(Locale("de"), "de"), translations("de")
+    scene = "MSN-0425~LH-F12~S2~20261119T212500Z"
+    for english, german in (
+        (scene_report(store, scene), scene_report(store, scene, words)),
+        (panel_report(store, key), panel_report(store, key, wording=words)),
+        (panel_report(store, key, stations=True), panel_report(store, key, True, words)),
+    ):
+        assert english.proof == german.proof  # what a report says is the same in all languages
+        assert {"Traceability", "height", "✗ fail"} & shown_texts(english.html)
+        left = {text for text in shown_texts(german.html) if known.get(text, text) != text}
+        assert left == set()
+        assert '<html lang="de">' in german.html
+        assert "Überstand +0,238 ± 0,003 mm außerhalb von −0,100 … +0,100" in german.html
+        assert "Überstand +0" not in english.html
+
+
+def test_a_report_in_german_from_the_command_line(
+    filled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "report.html"
+    asked = ["report", "MSN-0425~LH-F12~S2~20261119T212500Z", "--store", str(filled), "--out", str(path)]
+    assert main([*asked, "--language", "de"]) == 0
+    assert "Rückführbarkeit" in path.read_text()
+    assert "the store says the same" in verify(path, Store(filled))
+    assert main([*asked, "--language", "tlh"]) == 2
+    assert "found language 'tlh', expected one of en, de" in capsys.readouterr().err
