@@ -93,7 +93,7 @@ def test_no_column_of_a_printed_table_runs_off_the_page() -> None:
     """The widest table there is: defects with every value and a reason."""
     from weasyprint import HTML
 
-    values = {column: 0.602 if cell.digits > 1 else 136.2 for cell in DEFECT.shown for column in cell.columns}
+    values = {column: 0.602 if cell.digits > 1 else 99.4 for cell in DEFECT.shown for column in cell.columns}
     row = values | {
         "defect_id": "D01", "kind": "scratch", "decision": "conditional fail", "zone": "default", "severity": 0,
         "reason": "depth +0.105 ± 0.007 mm outside by less than U95 of -0.100 … +0.100 (example, not for production 1)",
