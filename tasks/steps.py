@@ -41,7 +41,7 @@ from tasks.cloud_scan import cloud_of
 from tasks.loaded import LoadedScene
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
-from tasks.scan_checks import CheckedFrames, check_frames, refuse_wrong_frames, without_unevenness
+from tasks.scan_checks import CheckedFrames, check_frames, focus_warnings, refuse_wrong_frames, without_unevenness
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
 
 
@@ -104,9 +104,10 @@ def _from_frames(loaded: LoadedScene, scene: Scene, settings: InspectionSettings
     if len(views) == 1:
         found = triangulate_one(views[0], replace(rig, right=None), scene.code, size, settings.reconstruction)
         return replace(found, frames_digest=digest)
+    blurred = focus_warnings(views, checked, size, settings.reconstruction.blur_radius_px)
     left, right, remarks = without_unevenness(views[0], views[1], checked, scene.code, size)
     found = reconstruct.triangulate(left, right, rig, settings.reconstruction)
-    reconstruction = replace(found, frames_digest=digest, remarks=remarks)
+    reconstruction = replace(found, frames_digest=digest, remarks=(*blurred, *remarks))
     if problem := unmatched(scene, reconstruction, settings.rig_health):
         raise problem
     return reconstruction

@@ -8,10 +8,13 @@ from pathlib import Path
 import pytest
 
 from metrology.errors import StoreError, UsageError
+from metrology.kinds import DEFECT
 from metrology.results import PanelKey
 from storage.archive import Store
 from storage.report import Report, panel_report, scene_report, verify
+from storage.report.markup import page
 from storage.report.proof import proof_of
+from storage.report.sections import features_table
 from storage.review import Feature, ReviewLog, ShownFinding
 from tests.support.results import small_key, small_result
 
@@ -83,3 +86,21 @@ def test_company_and_logo_stand_above_and_no_path_of_the_server(store: Store) ->
 def test_a_file_that_is_no_report_is_said_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="expected a report"):
         verify(tmp_path / "nowhere.pdf")
+
+
+@pytest.mark.skipif(lacks_pango(), reason="no Pango for PDF")
+def test_no_column_of_a_printed_table_runs_off_the_page() -> None:
+    """The widest table there is: defects with every value and a reason."""
+    from weasyprint import HTML
+
+    values = {column: 0.602 if cell.digits > 1 else 99.4 for cell in DEFECT.shown for column in cell.columns}
+    row = values | {
+        "defect_id": "D01", "kind": "scratch", "decision": "conditional fail", "zone": "default", "severity": 0,
+        "reason": "depth +0.105 ± 0.007 mm outside by less than U95 of -0.100 … +0.100 (example, not for production 1)",
+    }  # fmt: skip
+    html = page("overlays.html", "Defects", cards=[])
+    html = html.replace("</body>", f"{features_table(DEFECT, [row])}</body>")
+    (printed,) = HTML(string=html).render().pages
+    right = [box.position_x + box.width for box in printed._page_box.descendants() if type(box).__name__ == "TextBox"]
+    assert "conditional fail" in html
+    assert max(right) <= printed.width - 14 / 25.4 * 96 + 1

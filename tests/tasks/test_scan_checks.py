@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -165,3 +166,23 @@ def test_a_scan_in_the_dark_is_warned_of(shared: Path, tmp_path: Path, light: fl
     found = faintness_warnings(steps.reconstruct_scene(loaded, InspectionSettings()))
     assert len(found) == faint
     assert not faint or "faint: the left camera's fringes have 6 grey levels" in found[0].replace("7", "6")
+
+
+@pytest.mark.parametrize("sigma", [0.0, 3.0, 4.0])
+def test_a_camera_out_of_focus_is_warned_of(shared: Path, tmp_path: Path, sigma: float) -> None:
+    def defocused(folder: Path, document: dict[str, Any]) -> None:
+        for name in document["frames"]["right"][0] if sigma else ():
+            picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED)
+            (folder / name).unlink()
+            cv2.imwrite(str(folder / name), cv2.GaussianBlur(picture, (0, 0), sigma))
+
+    folder = faulty(shared, tmp_path / "scene", defocused)
+    loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
+    said = steps.reconstruct_scene(loaded, InspectionSettings()).remarks
+    if not sigma:
+        assert said == ()
+        return
+    blur = re.search(r"the right camera's fringes are blurred by ([\d.]+) px", said[0])
+    assert blur is not None
+    # The sound pictures' own blur, 1.2 px, adds to it.
+    assert float(blur[1]) == pytest.approx(np.hypot(sigma, 1.2), abs=0.15)
