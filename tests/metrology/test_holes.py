@@ -141,7 +141,7 @@ def test_what_lies_behind_a_panel_does_not_bend_its_border(rng: np.random.Genera
     points = reconstruction.points.copy()
     points[:90] *= 1.1  # 70 mm behind
     relief = ground_of(replace(reconstruction, points=points), RivetSettings()).relief
-    assert np.nanpercentile(np.abs(relief.height[24:]), 99) < 0.1
+    assert np.nanpercentile(np.abs(relief.height[24:]), 95) < 0.05
 
 
 @pytest.mark.parametrize("deep", [0.0, 0.6, 1.5])
