@@ -38,6 +38,8 @@ _ON_PICTURE = 0.7  # of the skin round such a head must lie on the picture
 _GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
 _LEAST_HEIGHT_MM = 0.04  # of a head that is only seen in the height map
 _LEAST_SIGMAS = 8.0  # of a cell's noise
+_FAR_MM = 2.0  # from the skin's quadric, or from one cell to the next: no plate, but what lies behind it
+_ENOUGH = 3000  # cells to fit that quadric to
 _SKIN_SIGMAS = 3.0  # within which of its own scatter about the smoothed skin a cell is skin
 
 
@@ -73,7 +75,7 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
     """Heights against the skin smoothed over `radius_px` times 1.5 (the largest head's radius)."""
     inverse, share = _cells(reconstruction)
     known = share > 0.5
-    trusted = known.copy()
+    trusted = known & ~_far_off(inverse, known)
     sigma = 1.5 * radius_px / _REDUCTION
     depth = np.where(known, 1 / np.maximum(inverse, 1e-9), np.nan)
     residual = np.full(inverse.shape, np.nan, np.float32)
@@ -89,6 +91,31 @@ def relief_map(reconstruction: Reconstruction, radius_px: float) -> ReliefMap:
         noise = float(MAD * np.nanmedian(steps) / np.sqrt(2)) if np.isfinite(steps).any() else np.inf
         trusted = known & _near_skin(residual, max(4 * noise, 0.01))
     return ReliefMap(residual, smooth.astype(np.float32), noise)
+
+
+def _far_off(inverse: Float32, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which cells lie far from the skin's quadric: what is behind the panel would bend its border.
+
+    The quadric is that of the largest part without a jump: another part that is smooth would bend it, too.
+    """
+    z = np.where(known, 1 / np.maximum(inverse, 1e-9), np.inf)
+    whole = known.copy()
+    with np.errstate(invalid="ignore"):
+        whole[:, 1:] &= ~(np.abs(np.diff(z, axis=1)) > _FAR_MM)
+        whole[1:] &= ~(np.abs(np.diff(z, axis=0)) > _FAR_MM)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(whole.astype(np.uint8), connectivity=4)
+    if len(stats) < 2:
+        return np.zeros_like(known)
+    skin = np.flatnonzero(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+    v, u = np.mgrid[0 : inverse.shape[0], 0 : inverse.shape[1]].astype(float)
+    u, v = u / inverse.shape[1] - 0.5, v / inverse.shape[0] - 0.5
+    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+    some = skin[:: max(1, len(skin) // _ENOUGH)]
+    solved = from_scratch(design.reshape(-1, 6)[some], inverse.ravel()[some].astype(float), absolute=5, iterations=10)
+    if solved is None:
+        return np.zeros_like(known)
+    away = np.abs(inverse - design @ solved.values) / np.maximum(inverse, 1e-9) ** 2
+    return np.asarray(away > max(_FAR_MM, _SKIN_SIGMAS * MAD * float(np.median(away.ravel()[some]))))
 
 
 def _near_skin(residual: Float32, least: float) -> NDArray[np.bool_]:

@@ -135,6 +135,15 @@ def test_holes_of_bent_skin_are_found_where_noise_is_low(rng: np.random.Generato
     assert len(detect_fasteners(reconstruction).openings) == len(places)
 
 
+def test_what_lies_behind_a_panel_does_not_bend_its_border(rng: np.random.Generator) -> None:
+    bent = Skin(radius_x=500.0, radius_y=600.0, sigma_z=0.003)
+    reconstruction = scan(bent, (), rng)
+    points = reconstruction.points.copy()
+    points[:90] *= 1.1  # 70 mm behind
+    relief = ground_of(replace(reconstruction, points=points), RivetSettings()).relief
+    assert np.nanpercentile(np.abs(relief.height[24:]), 95) < 0.05
+
+
 @pytest.mark.parametrize("deep", [0.0, 0.6, 1.5])
 def test_a_circle_of_edges_tells_how_deep_it_lies(rng: np.random.Generator, deep: float) -> None:
     turn = np.tile(np.arange(72) * np.pi / 36, 2)
