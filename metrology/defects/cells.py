@@ -20,11 +20,12 @@ Mask = NDArray[np.bool_]
 
 SIZE = 4
 """Pixels along a cell's side."""
+STEEPEST = 2.5
+"""Slope that no skin and no dent of it has, as the rig sees the skin inclined."""
 BAD = np.uint16(PixelFlag.EDGE | PixelFlag.SLOPE)
 """Flags of pixels that are left out."""
 _GUARD_PX = 6  # round heads, holes and seams: mixed phase, and the matching's support
 _SHARE = 0.5  # of a cell's pixels that must be sound
-_STEEPEST = 2.5  # slope between neighbouring cells, as the rig sees the skin inclined
 _GAP = 3  # cells that the drop may leave without points
 _NEIGHBOURS, _ALONE = 5, 0.3  # cells round one, and their share that must be sound: others were matched by chance
 _BORDER = 2  # cells
@@ -130,7 +131,7 @@ def _steep(points: Array) -> Mask:
         for reach in range(1, _GAP + 1):
             count = z.shape[axis] - reach
             drop = np.abs(z.take(range(reach, count + reach), axis) - z.take(range(count), axis))
-            off = drop > _STEEPEST * reach * pitch
+            off = drop > STEEPEST * reach * pitch
             if not off.any():
                 continue
             for between in range(reach + 1):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.defects.bottom import Bottom, bottom_of
+from metrology.defects.cells import STEEPEST
 from metrology.defects.form import form_of
 from metrology.defects.nature import nature_of
 from metrology.defects.outline import Outline, outline_at
@@ -40,6 +41,7 @@ _RESTS = 2.0  # standard deviations of the smoothed surface is the highest of it
 _HIDDEN: dict[HiddenBy, str] = {
     "view": "it runs out of view: its depth and extents are at least these",
     "fastener": "its deepest point lies under a fastener: its depth is at least this",
+    "points": "there are no points where it is deepest: its depth and extents are at least these",
     "seam": "its deepest point lies at a seam: its depth on this plate is at least this",
 }
 
@@ -117,6 +119,8 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
     cut = found.outline.cut_by_view
+    if found.bottom.depth > STEEPEST * 0.5 * found.outline.width:  # what lies behind the panel
+        return False
     # Beyond the view's end nothing tells how high the skin lies.
     sd = float(np.hypot(found.seen_sd, found.region.doubt)) if cut > _CUT else found.seen_sd
     sure = COVERAGE_95 * sd * (_SURE_AT_END if cut > _OPEN and found.bottom.hidden else _SURE)
@@ -176,7 +180,10 @@ def _hidden_by(found: _Found) -> HiddenBy | None:
     patch, bottom = found.patch, found.bottom
     missing = np.flatnonzero(~patch.skin)
     away = np.hypot(patch.x.ravel()[missing] - bottom.x, patch.y.ravel()[missing] - bottom.y)
-    return "fastener" if patch.plate.ravel()[missing[int(away.argmin())]] else "seam"
+    nearest = missing[int(away.argmin())]
+    if not patch.plate.ravel()[nearest]:
+        return "seam"
+    return "fastener" if patch.covered.ravel()[nearest] else "points"
 
 
 def _with_extents(

@@ -18,6 +18,8 @@ _HARMONICS = 4  # of a closed outline in the frame in which its moments are a ci
 _POINTS = 180
 _STAR = 0.15  # scatter of an outline about its harmonics, of its radius: beyond it the outline is no simple one
 _FEWEST = 12
+_LINE = 8.0  # times as long as wide
+_INNER = 0.45  # of its length to either side of its middle, where its ends do not tell its width
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
     around, simple = _closed(patch, cells, x, y)
     cx, cy = around if simple else (x, y)
     length, width, angle = _extents(cx, cy)
+    if length > _LINE * width:
+        length, width, angle = _of_line(x, y, angle)
     area = _polygon_area(*around) if simple else float(cells.sum()) * patch.cell_mm2
     return Outline(*around, cells, length, width, angle, area, cut_by_view, cut_by_seam)
 
@@ -156,6 +160,21 @@ def _extents(x: Array, y: Array) -> tuple[float, float, float]:
     extent = np.ptp(along, axis=1)
     k = int(extent.argmax())
     return float(extent[k]), float(extent[(k + _POINTS // 2) % _POINTS]), float(turn[k])
+
+
+def _of_line(x: Array, y: Array, angle: float) -> tuple[float, float, float]:
+    """Extents along and across a narrow outline by its crossings (harmonics overshoot at its ends), and its direction.
+
+    A degree of its direction would be more than its width.
+    """
+    design = np.stack([np.cos(angle) * x + np.sin(angle) * y, np.ones_like(x)], axis=1)
+    off = np.cos(angle) * y - np.sin(angle) * x
+    slope = np.linalg.lstsq(design, off)[0][0]
+    angle += float(np.arctan(slope))
+    along, across = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+    sides = across[np.abs(along - 0.5 * (along.min() + along.max())) < _INNER * np.ptp(along)]
+    width = 2 * float(np.median(np.abs(sides - sides.mean())))
+    return float(np.ptp(along)), width, angle
 
 
 def _polygon_area(x: Array, y: Array) -> float:

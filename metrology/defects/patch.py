@@ -23,6 +23,9 @@ _SPIKE, _SPIKE_SHARE = 8.0, 0.15  # standard deviations of a point, and share of
 _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_PX = (2.4, 8.0)
+_BRIDGED = 0.02  # weight of a cell without sound skin beside those with it: the ground of a scratch has gaps
+_NARROW = 2.5  # times as large is the radius of an area as its greatest inner one: it is a line
+_FINEST_CELLS = 400_000  # of a grid of single pixels
 _FWHM = 2.355  # of a Gaussian, standard deviations
 _ENOUGH = 1000  # points that tell how pixels map onto the skin
 SUPPORT_PX = 1.4
@@ -53,6 +56,8 @@ class Patch:
     """(rows, columns): sound skin."""
     plate: Mask
     """(rows, columns): where the plate is, fasteners on it included."""
+    covered: Mask
+    """(rows, columns): where a fastener or a hole is."""
     view: Mask
     """(rows, columns): where it ends at what was not seen, and not at a seam."""
     step_px: int
@@ -77,9 +82,10 @@ class Patch:
 
     def smoothed(self, radius_mm: float) -> Array:
         """Depth as its outline is taken from."""
-        both = np.dstack([np.where(self.plate, self.depth, 0.0), self.plate.astype(float)])
+        weight = np.where(self.skin, 1.0, _BRIDGED) * self.plate
+        both = np.dstack([np.where(self.plate, self.depth, 0.0) * weight, weight])
         total = cv2.GaussianBlur(both, (0, 0), self._smoothing(radius_mm), borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-3))
+        return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-4))
 
     def smoothed_sd(self, radius_mm: float) -> float:
         """Standard deviation of that by noise, mm."""
@@ -102,9 +108,18 @@ def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> 
     own[region.rows, region.columns] = region.cells
     own = own[rows, columns]
     peak = float(np.where(own, depth, -np.inf).max())
-    radius = float(np.sqrt((own & (depth > 0.5 * peak)).sum() / np.pi))
-    step = max(1, SIZE >> max(0, int(np.ceil(np.log2(_RADIUS / max(radius, 0.5))))))
+    core = (own & (depth > 0.5 * peak)).astype(np.uint8)
+    radius = float(np.sqrt(core.sum() / np.pi))
+    inner = float(cv2.distanceTransform(np.pad(core, 1), cv2.DIST_L2, 3).max())
+    step = _step(inner if radius > _NARROW * inner else radius)
+    if step == 1 and core.size * SIZE**2 > _FINEST_CELLS:
+        step = 2
     return _patch(region, own, skin, reconstruction, (rows, columns), step)
+
+
+def _step(radius: float) -> int:
+    """Pixels of a grid step, for a radius in cells."""
+    return max(1, SIZE >> max(0, int(np.ceil(np.log2(_RADIUS / max(radius, 0.5))))))
 
 
 def _window(region: Region, shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -136,7 +151,8 @@ def _patch(
         return np.repeat(np.repeat(cell_values, fine, axis=0), fine, axis=1)
 
     plate = np.asarray(finer(cells.plate[window] == region.plate), bool)
-    known = np.isfinite(sigma) & plate & np.asarray(finer((cells.free | ~np.isfinite(cells.sigma))[window]), bool)
+    covered = np.asarray(finer((~cells.free & np.isfinite(cells.sigma))[window]), bool)
+    known = np.isfinite(sigma) & plate & ~covered
     depth = np.full(shape, np.nan)
     reference.depths(points, known, depth)
     smooth = np.asarray(finer(np.nan_to_num(skin.smoothed[window])), float)
@@ -159,6 +175,7 @@ def _patch(
         own=np.asarray(finer(own), bool),
         skin=known,
         plate=plate,
+        covered=covered,
         view=view,
         step_px=step,
         step_mm=float(np.sqrt(across * down)),

@@ -9,7 +9,7 @@ from metrology.results import Feature
 
 DefectKind = Literal["dent", "bump", "crease", "scratch", "raised edge"]
 
-HiddenBy = Literal["view", "fastener", "seam"]
+HiddenBy = Literal["view", "fastener", "seam", "points"]
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Defect(Feature):
     hidden_by: Annotated[
         HiddenBy | None,
         "what hides a part of it, so that depth, length and width are at least these: view (it runs out of it), "
-        "fastener, seam; NULL where all of it was seen",
+        "fastener, seam, points (none where it is deepest); NULL where all of it was seen",
     ] = None
     length_mm: Annotated[float | None, "greatest extent of its outline at half depth, mm"] = None
     length_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of length_mm, mm"] = None

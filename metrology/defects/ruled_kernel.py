@@ -12,7 +12,7 @@ _ROUNDS = 4  # of which the first tells the weights of the start alone
 
 @kernel
 def bin_medians(low, values, count):  # type: ignore[no-untyped-def]
-    """(count,) medians of values (n,) in bins low (n,), the upper of two; an empty bin's lies between its neighbours'."""
+    """(count,) medians (upper of two) of values (n,) in bins low (n,); an empty bin lies between its neighbours."""
     first = np.zeros(count + 1, np.int64)
     for k in range(low.shape[0]):
         first[low[k] + 1] += 1

@@ -14,6 +14,7 @@ from metrology.seams.finding.laps import with_laps
 from metrology.seams.finding.lines import detect_lines
 from metrology.seams.finding.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.finding.rough import RoughLine
+from metrology.seams.finding.scratches import scratches_of
 from metrology.seams.places import head_mask, panel_mask
 from metrology.seams.settings import SeamSettings
 
@@ -31,6 +32,8 @@ def detect_seams(
     reconstruction: Reconstruction, rivets: Sequence[RivetDetection], settings: SeamSettings | None = None
 ) -> list[SeamLine]:
     """Seams, numbered S01 … from left to right and top to bottom, and conspicuous lines without relief after them.
+
+    A scratch is neither: it is a defect of the skin.
 
     Parameters
     ----------
@@ -57,7 +60,9 @@ def detect_seams(
             seams.append((SeamLine("", line.centre_px, line.width_px, _confidence(line, relief), True), relief))
         elif relief.between_skins and _is_shown(line):
             others.append(SeamLine("", line.centre_px, line.width_px, _SHOWN_CONFIDENCE, False))
+    scratches = scratches_of(seams, usable)
     found = with_laps(seams, reconstruction, usable, settings)
+    found = [line for line in found if all(line is not scratch for scratch in scratches)]
     found.sort(key=lambda line: tuple(line.centre_px.mean(axis=0)))
     return [replace(line, seam_id=f"S{number:02d}") for number, line in enumerate([*found, *others], start=1)]
 

@@ -46,6 +46,8 @@ _LIT_SHARE = 0.97
 _RELIEF_SHARE = 0.6
 _SKIN_SHARE = 0.5
 _FEWEST_PIECES = 3
+# Share of the places in a band with a point, for its ground to be seen.
+_SEEN = 0.5
 # A piece's step and depth count from so many standard deviations on. Of many pieces most must agree, so that depth may
 # be content with less than step, which slow changes of the skin imitate.
 _STEP_SIGMAS = 4.0
@@ -71,11 +73,18 @@ class Relief:
     """Median of the step."""
     step_share: float = 0.0
     """Share of those with a step of that sign beyond noise and the least step asked for."""
+    shallow_share: float = 0.0
+    """Share of those whose ground has points and lies less than half the line's width below both skins."""
 
     @property
     def between_skins(self) -> bool:
         """Whether both sides are skin: not the panel's own border, nor that of the projected field."""
         return self.skin_share >= _SKIN_SHARE
+
+    @property
+    def is_shallow_groove(self) -> bool:
+        """Whether it may be cut into one skin: no step, and a ground to which slopes of 45° lead down."""
+        return self.step_share < _RELIEF_SHARE and self.shallow_share >= _RELIEF_SHARE
 
     @property
     def share(self) -> float:
@@ -124,7 +133,7 @@ def examine_relief(
         return Relief(skin_share)
     texture = reconstruction.left.texture[pieces.v, pieces.u].astype(float)
     half = max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
-    depth, depth_sigma = _depth(pieces, half, sides.at_places(pieces, inverse), texture, skin, sides)
+    depth, depth_sigma, seen = _depth(pieces, half, sides.at_places(pieces, inverse), texture, skin, sides)
     if width_px < _NARROW_PX:
         modulation = reconstruction.left.modulation[pieces.v, pieces.u].astype(float)
         black = black_level(reconstruction.left)
@@ -132,6 +141,8 @@ def examine_relief(
         depth = np.where(lit < _LIT_SHARE, _SHADOW_DEPTH_MM, depth)
     depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * depth_sigma)[joined]
     step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
+    width_mm = width_px / reconstruction.rig.left.K[0, 0] / row_medians(inverse, skin)[joined]
+    shallow = (seen[joined] >= _SEEN) & (depth[joined] < 0.5 * width_mm)
     step, depth = sides.step_mm[joined], depth[joined]
     median = float(np.median(step))
     return Relief(
@@ -140,6 +151,7 @@ def examine_relief(
         raised_share=float((depth < -depth_limit).mean()),
         step_mm=median,
         step_share=float((step * np.sign(median) > step_limit).mean()),
+        shallow_share=float(shallow.mean()),
     )
 
 
@@ -251,8 +263,10 @@ def _fit_sides(pieces: _Pieces, inverse: Array, skin: Mask) -> _Sides:
 
 def _depth(
     pieces: _Pieces, half_px: float, inverse: Array, texture: Array, skin: Mask, sides: _Sides
-) -> tuple[Array, Array]:
-    """Median depth below both skins (p,) of the places in the band, negative above both, 0 in between; and its σ."""
+) -> tuple[Array, Array, Array]:
+    """Median depth below both skins (p,) of the places in the band, negative above both, 0 in between; its σ; and the
+    share of places with a point.
+    """
     brightness = row_medians(texture, skin)
     between = np.abs(pieces.x) <= half_px
     x, y, texture = pieces.x[between], pieces.y[between], texture[:, between]
@@ -261,7 +275,8 @@ def _depth(
     far, near = 1.0 / (offsets.min(axis=1)[:, None] + rest), 1.0 / (offsets.max(axis=1)[:, None] + rest)
     depth = np.maximum(z - far, 0.0) + np.minimum(z - near, 0.0)
     shadow = ~np.isfinite(z) & (texture < _SHADOW * brightness[:, None])
+    seen = np.isfinite(z).mean(axis=1)
     depth = np.where(shadow, _SHADOW_DEPTH_MM, depth)
     known = np.isfinite(depth)
     sigma = sides.spread_mm * _MEDIAN * _CORRELATION / np.sqrt(np.maximum(known.sum(axis=1), 1))
-    return np.nan_to_num(row_medians(depth, known)), sigma
+    return np.nan_to_num(row_medians(depth, known)), sigma, seen

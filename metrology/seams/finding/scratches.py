@@ -1,0 +1,65 @@
+"""Scratches that look like seams: grooves in one skin, without a second sheet.
+
+A seam parts two sheets, so that it runs on to where the skin ends, to another seam, or out of the picture. A shallow
+groove that begins and ends in the middle of the skin parts nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metrology.results import SeamLine
+from metrology.seams.finding.relief import Relief
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A seam's line ends no farther than that from what it runs on to: its last pixels may fade, and a panel's rim of 16 px
+# is not searched.
+_FREE_PX = 60
+# Pixels in a row that are no skin are where it ends; single ones lack a point by chance.
+_GONE_PX = 8
+# Its direction at an end comes of so many px.
+_WAY_PX = 40
+_CLEAR_PX = 6.0  # of another line's border
+
+
+def scratches_of(found: Sequence[tuple[SeamLine, Relief]], skin: Mask) -> list[SeamLine]:
+    """The lines that are shallow grooves with both ends in the skin.
+
+    Parameters
+    ----------
+    found : sequence of (SeamLine, Relief)
+    skin : (h, w) ndarray of bool
+        Pixels with a point, heads left out: where a groove meets a head, nothing is said.
+    """
+    lines = [line for line, _ in found]
+    return [line for line, relief in found if relief.is_shallow_groove and _is_free(line, lines, skin)]
+
+
+def _is_free(line: SeamLine, lines: Sequence[SeamLine], skin: Mask) -> bool:
+    """Whether both ends of a line lie in the skin, far from where it ends and from other lines."""
+    course = line.centre_px
+    back = min(len(course) - 1, _WAY_PX)
+    others = [other for other in lines if other is not line]
+    return all(
+        _runs_on_in_skin(end, end - before, others, skin)
+        for end, before in ((course[0], course[back]), (course[-1], course[-1 - back]))
+    )
+
+
+def _runs_on_in_skin(end: Array, way: Array, others: Sequence[SeamLine], skin: Mask) -> bool:
+    steps = end + np.arange(1, _FREE_PX + 1)[:, None] * way / max(float(np.linalg.norm(way)), 1e-9)
+    u, v = np.rint(steps).astype(int).T
+    if not ((u >= 0) & (v >= 0) & (u < skin.shape[1]) & (v < skin.shape[0])).all():
+        return False
+    if np.convolve(~skin[v, u], np.ones(_GONE_PX), "valid").max() >= _GONE_PX:
+        return False
+    for other in others:
+        apart = np.linalg.norm(steps[:, None] - other.centre_px[None, ::4], axis=2).min()
+        if apart < 0.5 * float(np.nanmedian(other.width_px)) + _CLEAR_PX:
+            return False
+    return True

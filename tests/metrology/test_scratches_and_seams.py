@@ -1,0 +1,72 @@
+"""A shallow groove that begins and ends in the skin is a scratch; what parts two sheets is a seam."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from metrology.cloud import Reconstruction
+from metrology.defects.measure import measure_defects
+from metrology.seams import detect_seams
+from metrology.sighted import Sighted
+from tests.support.rivet_scan import Skin, scan
+
+FLAT = Skin(sigma_z=0.012, correlated_px=0.8)
+
+
+def grooved(
+    cloud: Reconstruction, half_mm: float, width: float, depth: float, open_gap: bool = False
+) -> Reconstruction:
+    """With a dark groove along x, from −half to half; an open gap has hardly any points."""
+    local = FLAT.frame.local(np.asarray(cloud.points, float))
+    x, y = local[..., 0], local[..., 1] + 4.0
+    off = np.hypot(np.maximum(np.abs(x) - half_mm, 0.0), y) / (0.5 * width)
+    profile = np.cos(0.25 * np.pi * np.minimum(off, 2.0)) ** 2
+    local[..., 2] -= depth * profile
+    points = FLAT.frame.rig(local).astype(np.float32)
+    dark = cv2.GaussianBlur((off < 1.0).astype(np.float32), (0, 0), 0.8)
+    if open_gap:
+        points[off < 1.2] = np.nan
+    left = replace(
+        cloud.left,
+        texture=cloud.left.texture * (1 - (0.8 if open_gap else 0.3) * dark),
+        modulation=cloud.left.modulation * (1 - (0.9 if open_gap else 0.3) * dark),
+    )
+    return replace(cloud, points=points, left=left)
+
+
+@pytest.fixture
+def bare(rng: np.random.Generator) -> Reconstruction:
+    return scan(FLAT, (), rng)
+
+
+def test_a_scratch_that_ends_in_the_skin_is_a_defect(bare: Reconstruction) -> None:
+    cloud = grooved(bare, 40.0, 2.0, 0.2)
+    assert [line for line in detect_seams(cloud, []) if line.relief] == []
+    (found,) = measure_defects(Sighted(cloud, [], detect_seams(cloud, []), {}))
+    assert found.kind == "scratch"
+    assert found.depth_mm == pytest.approx(0.2, abs=0.02)
+    assert found.length_mm == pytest.approx(80.0, rel=0.04)
+    assert found.width_mm == pytest.approx(2.0, rel=0.25)
+
+
+def test_the_same_groove_from_one_end_of_the_view_to_the_other_stays_a_seam(bare: Reconstruction) -> None:
+    (line,) = detect_seams(grooved(bare, 100.0, 2.0, 0.2), [])
+    assert line.relief
+
+
+def test_an_open_gap_that_ends_in_the_skin_stays_a_seam(bare: Reconstruction) -> None:
+    (line,) = detect_seams(grooved(bare, 40.0, 2.0, 1.0, open_gap=True), [])
+    assert line.relief
+
+
+def test_what_lies_far_behind_is_no_dent_of_its_width(bare: Reconstruction) -> None:
+    """A few cells 39 mm behind the skin, round which there are no points."""
+    points, flags = bare.points.copy(), bare.flags.copy()
+    window = np.s_[200:252, 300:352]
+    points[window] = np.nan
+    points[216:236, 312:340] = bare.points[216:236, 312:340] * (1 + 39.0 / 700.0)
+    assert measure_defects(Sighted(replace(bare, points=points, flags=flags), [], [], {})) == []
