@@ -38,7 +38,10 @@ def calibrate_pictures(
             detections.append(detect(pose, camera, BoardFrames(read_picture(path)), board, None))
     notes = [_JPEG] if any(path.suffix.lower() in (".jpg", ".jpeg") for pair in pairs for path in pair.values()) else []
     try:
-        return _kept(calibrate(detections, board), out, rig_id), notes
+        found = calibrate(detections, board)
+        called = {use.pose: pairs[use.pose]["left"].name for use in found.poses if use.reasons}
+        notes += [f"pose {pose} is {name}" for pose, name in called.items()]
+        return _kept(found, out, rig_id), notes
     except CalibrationError as problem:
         raise CalibrationError(f"{folder}: {problem}") from None
 

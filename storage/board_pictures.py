@@ -53,6 +53,11 @@ def parse_board(text: str | None) -> Board:
 
 def picture_pairs(folder: Path, pattern: str, left: str | None = None) -> list[dict[CameraName, Path]]:
     """Pairs of pictures of one pose each, told by {frame} in names such as ``{camera}_{frame}.jpg``."""
+    if "{camera}" not in pattern:
+        raise CalibrationError(
+            f"--pictures: found {pattern!r}, expected {{camera}} in it: pairs of two cameras; one camera is calibrated "
+            "together with its projector (--projector)"
+        )
     found = matching(folder, pattern)
     named = cameras_of(found, left)
     poses: dict[str, dict[CameraName, Path]] = {}

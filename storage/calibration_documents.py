@@ -1,8 +1,8 @@
 """Calibration files of any program as nested tables of names and values, whatever their format.
 
-OpenCV's FileStorage (XML, YAML, JSON), plain JSON, YAML, TOML and INI, NPZ, MAT, HDF5; text of `name: numbers` or
-`name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it, or of headings over rows of numbers; and a matrix in
-a file of its own (text, CSV, NPY), whose name is the file's.
+OpenCV's FileStorage (XML, YAML, JSON), plain JSON, YAML, TOML and INI, NPZ, MAT, HDF5, pickles of arrays; text of
+`name: numbers` or `name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it, or of headings over rows of
+numbers; and a matrix in a file of its own (text, CSV, NPY), whose name is the file's.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import configparser
 import json
 import re
 import tomllib
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,13 @@ from numpy.typing import NDArray
 
 from metrology.errors import RigError
 from storage.documents import check_regular_file
+from storage.pickled import read_npy, read_pickle
 
 Array = NDArray[np.float64]
 
 _LARGEST_BYTES = 64 * 2**20
 _HDF5 = b"\x89HDF"
+_PICKLES = (".pkl", ".pickle", ".p")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)\s*[=:]\s*\[([^\]]*)\]")
 _LINE = re.compile(r"^\s*([A-Za-z_][\w.]*)\s*[=:]\s*([-+\d.eE,;\s]+)$")
 _SECTION = re.compile(r"^\[[^\[\]=,;]*[A-Za-z][^\[\]=,;]*\]\s*$", re.MULTILINE)
@@ -74,11 +77,12 @@ def numbers(value: Any) -> Array | None:
 
 def _document(path: Path) -> Any:
     suffix, head = path.suffix.lower(), path.read_bytes()[:65536]
-    if suffix == ".npy":
-        return {path.stem: np.load(path, allow_pickle=False)}
+    if suffix in (".npy", *_PICKLES):
+        held = (read_npy if suffix == ".npy" else read_pickle)(path.read_bytes())
+        return held if isinstance(held, dict) else {path.stem: held}
     if suffix == ".npz":
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy"): read_npy(archive.read(name)) for name in archive.namelist()}
     if head.startswith(_HDF5) or (suffix == ".mat" and _HDF5 in head[:1024]):
         return _hdf5(path)
     if suffix == ".mat":

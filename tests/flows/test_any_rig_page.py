@@ -1,6 +1,6 @@
 """The page "bring your own rig": its commands run as they are written, from inputs made for them.
 
-Calibrations from pictures and `fit-projector` are run by tests/flows/test_own_rig.py and test_calibrate_cameras.py.
+Of calibrations from a code on a board, real captures' are; the other one is run alike by tests/flows/test_own_rig.py.
 """
 
 from __future__ import annotations
@@ -23,23 +23,30 @@ from flows.code_options import fringe_model
 from metrology.fringe import FringeCode
 from storage.opencv_rig import save_opencv_rig
 from storage.rig import load_rig, save_rig
+from tests.support.board_pictures import chessboard_pictures
 from tests.support.calibration_bench import bench_rig, bench_state, see
 from tests.support.rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, seen_coordinate, small_rig
+from tests.support.roof_scan import roof_scan
 
 PAGE = Path(__file__).parents[2] / "docs" / "any-rig.md"
+REAL = re.compile("box-3freq-8step|procam-graycode")  # captures
 ALONE = ("flushline patterns", "flushline rig import", "flushline calibrate points.csv")
 
 
 def commands() -> list[str]:
-    blocks = re.findall(r"^```\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    return [line for block in blocks for line in block.splitlines() if line.startswith(ALONE)]
+    return [line for start in ALONE for line in lines(start)]
 
 
 def frames_commands() -> list[str]:
     """Those that make, check and inspect scans, in the page's order."""
     starts = ("flushline scene", "flushline capture check", "flushline inspect")
-    blocks = re.findall(r"^```\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    return [line for block in blocks for line in block.splitlines() if line.startswith(starts)]
+    return [line for line in lines("flushline ") if line.startswith(starts) and not REAL.search(line)]
+
+
+def lines(start: str) -> list[str]:
+    """The page's commands that begin so, in whatever block."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return [line for block in blocks for line in block.splitlines() if line.startswith(start)]
 
 
 def write_frames(command: str) -> None:
@@ -158,3 +165,51 @@ def test_the_page_s_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert main(shlex.split(command)[1:]) == 0, command
         if command.startswith("flushline rig import"):
             assert load_rig(Path("rig.json")).id == "my-rig"
+
+
+def test_cameras_and_projector_are_found_as_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pairs of pictures; then scans of two stations, of a rig with a projector of the size that the page names."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pictures").mkdir()
+    chessboard_pictures(tmp_path / "pictures", 150.0, "png")
+    (pictures,) = lines("flushline calibrate pictures")
+    assert main(shlex.split(pictures)[1:]) == 0
+    for pose in re.findall(r"warning: pose (\d)", said := capsys.readouterr().out):
+        assert f"note: pose {pose} is left_{pose}.png" in said
+    small = small_rig()
+    beam = small.with_projector().K * np.array([[4.0], [4.0], [1.0]])
+    rig = replace(small, projector=replace(small.with_projector(), width=1280, height=800, K=beam))
+    save_rig(replace(rig, projector=None), tmp_path / "rig.json")
+    for number, apart in ((1, 0.0), (2, 90.0)):
+        roof_scan(tmp_path / f"scan-{number}", rig, "x", apart, f"S{number}")
+    (fit,) = lines("flushline rig fit-projector")
+    assert main(shlex.split(fit)[1:]) == 0
+    found, true = load_rig(tmp_path / "whole.json").with_projector(), rig.with_projector()
+    np.testing.assert_allclose(found.centre[[0, 2]], true.centre[[0, 2]], atol=1.0)  # its rows are assumed
+    assert found.K[0, 0] == pytest.approx(true.K[0, 0], rel=1e-3)
+
+
+def test_real_captures_become_scenes_as_the_page_says(
+    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("box-3freq-8step", "procam-graycode"):
+        shutil.copytree(shared / "real" / name, tmp_path / name)
+    run = [line for line in lines("flushline ") if REAL.search(line)]
+    assert len(run) == 6
+    for command in run:
+        assert main(shlex.split(command)[1:]) == 0, command
+    said = capsys.readouterr().out
+    assert said.count("phase offset 0 rad") == 2
+    assert "3 of 3 poses" in said
+
+
+def test_every_command_of_the_page_is_run() -> None:
+    known = {*commands(), *frames_commands(), *filter(REAL.search, lines("flushline "))}
+    known |= {*lines("flushline calibrate pictures"), *lines("flushline rig fit-projector")}
+    assert [line for line in lines("flushline ") if line not in known] == [
+        "flushline calibrate raw --pictures '{camera}/{pose}/{frame}.png' --board charuco:14x10:20:15:DICT_5X5_100 "
+        "--projector 1280x800 --periods 16 18 21 --out rig.json"
+    ]

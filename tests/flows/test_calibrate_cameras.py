@@ -6,12 +6,12 @@ import csv
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from flows.cli import main
 from storage.rig import load_rig
+from tests.support.board_pictures import chessboard_pictures
 from tests.support.calibration_bench import SIZES, bench_rig, bench_state, see
 
 
@@ -73,29 +73,9 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
         main(["calibrate", str(tmp_path), "--pictures", "{camera}_{frame}.jpg", "--out", "x", "--board", "chess"]) == 2
     )
     assert "expected such as chessboard:9x6:25" in capsys.readouterr().err
-
-
-def chessboard_pictures(folder: Path, truth_distance: float) -> None:
-    """Coloured JPEG pairs of a chessboard of 9 × 6 corners, 25 mm, seen by two pinhole cameras; a lamp beside it."""
-    K = np.array([[900.0, 0, 400], [0, 900.0, 300], [0, 0, 1]])
-    tall, wide, px = 7 * 25, 10 * 25, 8
-    y, x = np.mgrid[: tall * px, : wide * px] // (25 * px)
-    printed = np.pad(np.where((x + y) % 2 == 0, 30, 200).astype(np.uint8), 25 * px, constant_values=200)
-    tilts = ((0, 15, 3), (20, 0, -8), (-20, 15, 12), (15, -25, 5), (-15, -12, -12), (5, 25, 10), (25, 10, 0))
-    for pose, tilt in enumerate(tilts):
-        R = cv2.Rodrigues(np.radians(np.array(tilt, float)))[0]
-        middle = np.array([20.0 * (pose % 3 - 1), 10.0 * (pose % 2), 620.0 + 20 * pose])
-        t = middle - R @ np.array([wide / 2 + 25, tall / 2 + 25, 0])
-        for camera, shift, yaw in (("left", 0.0, 0.0), ("right", truth_distance, -12.0)):
-            turned = cv2.Rodrigues(np.radians([0, yaw, 0.0]))[0].T
-            view = turned @ np.column_stack([R[:, 0], R[:, 1], t - [shift, 0, 0]])
-            to_mm = np.array([[1 / px, 0, 0.5 / px], [0, 1 / px, 0.5 / px], [0, 0, 1]])
-            size = (3 * 800, 3 * 600)  # drawn three times as large: smooth edges
-            finer = np.array([[3.0, 0, 1], [0, 3.0, 1], [0, 0, 1]])
-            drawn = cv2.warpPerspective(printed, finer @ K @ view @ to_mm, size, borderValue=90)
-            picture = cv2.resize(drawn, (800, 600), interpolation=cv2.INTER_AREA)
-            picture[:90, :140] = 255  # a lamp: 2.6 % of the picture, nothing of the board
-            cv2.imwrite(str(folder / f"{camera}_{pose}.jpg"), cv2.merge([picture] * 3), [cv2.IMWRITE_JPEG_QUALITY, 98])
+    alone = ["--pictures", "{frame}.jpg", "--out", "x", "--board", "chessboard:9x6:25"]
+    assert main(["calibrate", str(tmp_path), *alone]) == 2
+    assert "one camera is calibrated together with its projector (--projector)" in capsys.readouterr().err
 
 
 def test_pairs_of_pictures_make_a_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

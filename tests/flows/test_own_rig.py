@@ -11,13 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from flows.cli import main
-from metrology.fringe import Axis, FringeCode, GrayCode
-from metrology.moments import moment_of
-from metrology.results import SceneKey
-from metrology.rig import Device, Rig
+from metrology.fringe import GrayCode
+from metrology.rig import Device
 from storage.rig import load_rig, save_rig
-from storage.scene import write_scene
-from tests.support.rendered_fringes import clean_frames, plane_depth, recorded, seen_coordinate, small_rig
+from tests.support.rendered_fringes import small_rig
+from tests.support.roof_scan import roof_scan
 
 WHEN = "2026-11-01T00:00:00Z"
 
@@ -100,33 +98,14 @@ def test_a_code_on_a_board_calibrates_one_camera_and_a_projector(
     assert "no y" in capsys.readouterr().err
 
 
-def scan(folder: Path, rig: Rig, axis: Axis, apart: float, station: str) -> Path:
-    """A roof of two planes, nearer by `apart` millimetres, seen by both cameras."""
-    code = FringeCode(axis, 4, (13, 12, 11))
-    size = code.size(rig.with_projector().width, rig.with_projector().height)
-    rng, views = np.random.default_rng(7), []
-    for device in (rig.left, rig.with_right()):
-        planes = []
-        for tilt in (0.45, -0.45):
-            normal = np.array([tilt, -0.1, -1.0]) / np.linalg.norm([tilt, -0.1, -1.0])
-            planes.append(plane_depth(device, normal, float(normal @ [0.0, 0.0, 700.0 - apart])))
-        nearer = np.linalg.norm(planes[0] - device.centre, axis=-1) > np.linalg.norm(planes[1] - device.centre, axis=-1)
-        seen = seen_coordinate(rig, np.where(nearer[..., None], planes[1], planes[0]), axis)
-        lit = np.isfinite(seen)
-        frames = clean_frames(np.where(lit, seen, 0), code, size, 110.0, 80.0)
-        views.append(recorded(np.where(lit, frames, 4.0), rng, 1.0))
-    key = SceneKey("TRIAL", "P1", station, moment_of(WHEN))
-    write_scene(folder, key, rig.id, code, [1.0], views[0], views[1])
-    return folder
-
-
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
     """A rig file without a projector; scans along x and y of a station, and along x of another one."""
     folder = tmp_path_factory.mktemp("own")
     save_rig(replace(small_rig(), projector=None), folder / "cameras.json")
-    made = [scan(folder / "x1", small_rig(), "x", 0.0, "S1"), scan(folder / "y1", small_rig(), "y", 0.0, "S1")]
-    return folder / "cameras.json", [*made, scan(folder / "x2", small_rig(), "x", 90.0, "S2")]
+    stations = (("x1", "x", 0.0, "S1"), ("y1", "y", 0.0, "S1"), ("x2", "x", 90.0, "S2"))
+    made = [roof_scan(folder / name, small_rig(), axis, apart, station) for name, axis, apart, station in stations]
+    return folder / "cameras.json", made
 
 
 def test_scans_find_the_projector(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -382,10 +383,51 @@ def as_posed_to_a_board(rig: Rig, folder: Path) -> list[Path]:
     return [folder / "rig.npz"]
 
 
+def as_pickled(name: str, protocol: int) -> Callable[[Rig, Path], list[Path]]:
+    """One dictionary, as np.save and pickle write it."""
+
+    def write(rig: Rig, folder: Path) -> list[Path]:
+        values = {"image_size": (rig.left.width, rig.left.height), "R": rig.right.R, "t": rig.right.t[:, None]}
+        for number, device in enumerate(rig.cameras.values()):
+            values |= {f"K{number}": device.K, f"d{number}": device.distortion[None]}
+        if name.endswith(".npy"):
+            np.save(folder / name, np.array(values, dtype=object), allow_pickle=True)
+        else:
+            (folder / name).write_bytes(pickle.dumps(values, protocol=protocol))
+        return [folder / name]
+
+    return write
+
+
+class Call:
+    """What a pickle of this runs when it is read."""
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return (Path.touch, (Path("run"),))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("name", ["calib.pkl", "calib.npy", "calib.npz"])
+def test_nothing_in_a_pickle_is_run(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    held = np.array({"K1": Call()}, dtype=object)
+    if name.endswith("pkl"):
+        (tmp_path / name).write_bytes(pickle.dumps(held))
+    elif name.endswith("npy"):
+        np.save(tmp_path / name, held, allow_pickle=True)
+    else:
+        np.savez(tmp_path / name, calib=held)
+    with pytest.raises(RigError, match=r"found a file that cannot be read \(pathlib\.\w*Path"):
+        load_opencv_rig([tmp_path / name], "other", WHEN)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("write", "terms"),
     [
         (as_matlab_mat, 5),
+        (as_pickled("calib.npy", 5), 5),
+        (as_pickled("calib.pickle", 2), 5),
+        (as_pickled("calib.pkl", 5), 5),
         (as_matlab_json, 5),
         (as_kalibr, 4),
         (as_ros, 5),

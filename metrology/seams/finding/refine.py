@@ -210,7 +210,9 @@ def _fit(relative: Float32, nodes: Array, width_px: float) -> _Fits:
     near_jump, far_jump = near_band - near_skin, far_band - far_skin
     with np.errstate(invalid="ignore"):
         larger = np.maximum(np.abs(near_jump), np.abs(far_jump))
-        two_sided = (near_jump * far_jump > 0) & (np.minimum(np.abs(near_jump), np.abs(far_jump)) > _ONE_SIDED * larger)
+        two_sided = (np.sign(near_jump) == np.sign(far_jump)) & (
+            np.minimum(np.abs(near_jump), np.abs(far_jump)) > _ONE_SIDED * larger
+        )
         sound = (skin > 0) & (far > near) & two_sided
     offset, width = 0.5 * (near + far), far - near
     sigma = np.maximum(0.5 * np.sqrt(np.maximum(variance, 0.0)), _LEAST_SIGMA_PX)
