@@ -106,16 +106,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         job = Job(options.scene, Store(Path(folder) / "store"), options.rig, load_settings(), load_panel_spec())
         seconds: dict[str, list[float]] = {}
+        answered: list[float] = []
 
         def inspect() -> None:
-            for name, value in inspect_scene(job).seconds.items():
+            start = time.perf_counter()
+            done = inspect_scene(job, on_answer=lambda _: answered.append(time.perf_counter() - start))
+            for name, value in done.seconds.items():
                 seconds.setdefault(name, []).append(value)
 
         inspect()
         seconds.clear()
+        answered.clear()
         inspecting = timed(inspect, options.repeats, best)
         print(f"{len(frames)} frames with cv2.imread, one thread: {reading[0]:.3f} s, CPU {reading[1]:.3f} s")
         print(f"whole scene: {inspecting[0]:.3f} s, CPU {inspecting[1]:.3f} s")
+        print(f"answer before storing: {best(answered):.3f} s, ratio {best(answered) / reading[0]:.1f} by the clock")
         print(f"ratio: {inspecting[0] / reading[0]:.1f} by the clock, {inspecting[1] / reading[1]:.1f} of CPU")
         if options.steps:
             show_steps(job, options.repeats)

@@ -13,10 +13,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from flows.inspect_scene import Inspected, Job, inspect_scene
+from flows.compiling import kernels_beside
+from flows.inspect_scene import Answer, Job, inspect_scene
 from flows.progress import progress_bar
 from flows.simulate import RIG_FILE, simulate_folders
-from metrology.results import Rivet, SeamStation, of_type
+from metrology.results import Features, Rivet, SeamStation, of_type
 from simulator.spec import shipped_spec
 from storage.archive import Store
 from storage.panel_spec import load_panel_spec
@@ -49,28 +50,34 @@ def run_demo(out: Path, keep: bool) -> int:
     keep : bool
         Use the scene that an earlier run rendered there.
     """
-    scene, rig = _scene(out, keep)
-    store = Store(out / "store")
-    with progress_bar() as progress:
-        bar = progress.add_task("inspecting (the first time compiles, about a minute)", total=None)
-        job = Job(scene, store, rig, InspectionSettings(), load_panel_spec())
-        inspected = inspect_scene(job, on_step=lambda step: progress.update(bar, description=f"inspecting: {step}"))
-    truth = json.loads((scene / "truth.json").read_text(encoding="utf-8"))
-    pairs = compare(inspected, truth)
-    console = Console()
-    console.print(_table(pairs))
-    for line in _summary(pairs, inspected):
-        console.print(line, highlight=False)
-    paths = store.paths(inspected.key.scene_id)
-    overlay = shutil.copyfile(paths.overlay, out / "overlay.png")
-    print(f"scene    {scene}\nrig      {rig}\nstore    {store.root}\noverlay  {overlay}")
+    with kernels_beside():
+        scene, rig = _scene(out, keep)
+        truth = json.loads((scene / "truth.json").read_text(encoding="utf-8"))
+        store, overlay, console = Store(out / "store"), out / "overlay.png", Console()
+
+        def tell(answer: Answer) -> None:
+            pairs = compare(answer.features, truth)
+            console.print(_table(pairs))
+            for line in _summary(pairs, answer):
+                console.print(line, highlight=False)
+            overlay.write_bytes(answer.picture())
+            print(f"overlay  {overlay}", flush=True)
+
+        with progress_bar() as progress:
+            bar = progress.add_task("inspecting (the first time compiles, about a minute)", total=None)
+            inspect_scene(
+                Job(scene, store, rig, InspectionSettings(), load_panel_spec()),
+                on_step=lambda step: progress.update(bar, description=f"inspecting: {step}"),
+                on_answer=tell,
+            )
+    print(f"scene    {scene}\nrig      {rig}\nstore    {store.root}")
     print(f'ask      flushline query "SELECT * FROM worst_rivets" --store {store.root}')
     return 0
 
 
-def compare(inspected: Inspected, truth: dict[str, Any]) -> list[Pair]:
+def compare(features: Features, truth: dict[str, Any]) -> list[Pair]:
     """What was found beside the truth of a rendered scene: each rivet's height, each seam's mean step and width."""
-    rivets, stations = of_type(inspected.features, Rivet), of_type(inspected.features, SeamStation)
+    rivets, stations = of_type(features, Rivet), of_type(features, SeamStation)
     return [
         *(_rivet_pair(true, rivets) for true in truth["rivets"] if true.get("visible", True)),
         *(pair for true in truth["seams"] for pair in _seam_pairs(str(true["id"]), true, stations)),
@@ -154,10 +161,10 @@ def _table(pairs: list[Pair]) -> Table:
     return table
 
 
-def _summary(pairs: list[Pair], inspected: Inspected) -> list[str]:
+def _summary(pairs: list[Pair], answer: Answer) -> list[str]:
     errors = [abs(p.found - p.true) for p in pairs if p.quantity == "height" and p.found is not None]
     rivets = [p for p in pairs if p.quantity == "height"]
-    lines = [f"{len(errors)} of {len(rivets)} rivets found and measured in {inspected.seconds['total']:.1f} s"]
+    lines = [f"{len(errors)} of {len(rivets)} rivets found and measured in {answer.seconds['total']:.1f} s"]
     if errors:
         lines.append(f"height error: mean {np.mean(errors):.4f} mm, largest {max(errors):.4f} mm")
     return lines

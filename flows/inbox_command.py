@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 from flows.assemble_panels import assemble_after
 from flows.cli import EXIT_DONE, EXIT_SOME_FAILED, print_error
+from flows.compiling import kernels_beside
 from flows.deliver import deliver_after_run
 from flows.inbox import inspected_scenes, only_run, plan, run_here, write_parquet
 from flows.inbox_job import InboxJob, Outcome, Way
@@ -52,7 +55,8 @@ def _run_here(job: InboxJob, workers: int, outcomes: list[Outcome]) -> None:
             take(outcome)
             progress.advance(bar)
 
-        run_here(job, planned.ready, workers, finish)
+        with kernels_beside() if planned.ready else nullcontext():
+            run_here(job, planned.ready, workers, finish)
         assemble_after(Store(job.store), inspected_scenes(outcomes))
         if place := write_parquet(job, outcomes):
             print(f"tables for other engines in {place}")

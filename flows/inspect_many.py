@@ -9,7 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, counted, print_error, unexpected
-from flows.inspect_scene import Inspected, Job, inspect_scene
+from flows.compiling import kernels_beside
+from flows.inspect_scene import Answer, Inspected, Job, inspect_scene
 from flows.memory import share_heap
 from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
@@ -24,10 +25,13 @@ from storage.rig import load_rig
 from tasks import steps
 from tasks.settings import load_settings
 
+Run = Callable[[Job, Callable[[str], None], Callable[[Answer], None]], Inspected]
+"""Inspects a scene: told what is done with each step, and what is answered."""
+
 
 @dataclass(frozen=True)
 class Inputs:
-    """Paths that the command was given, and whether panels are put together in the end."""
+    """Paths that the command was given, whether panels are put together in the end, and a folder for overlays."""
 
     scenes: Sequence[Path]
     store: Path
@@ -35,6 +39,7 @@ class Inputs:
     panel_spec: Path | None = None
     settings: Path | None = None
     panels: bool = True
+    overlays: Path | None = None
 
 
 def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) -> int:
@@ -45,16 +50,24 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
     if not sound:
         return EXIT_BAD_INPUT
     run = _way_to_run(inputs, use_server)
+    if inputs.overlays:
+        inputs.overlays.mkdir(parents=True, exist_ok=True)
+
+    def tell(answer: Answer) -> None:
+        print(describe(answer), flush=True)
+        if inputs.overlays:
+            _write_overlay(inputs.overlays / f"{answer.key.scene_id}.png", answer)
+
     done, stored = 0, list[str]()
-    with progress_bar() as progress:
+    with kernels_beside(), progress_bar() as progress:
         bar = progress.add_task("", total=len(sound))
 
         def inspect(job: Job) -> None:
             def show(step: str) -> None:
                 progress.update(bar, description=f"{printable(job.folder.name)}: {PROGRESS[step]}")
 
-            inspected = run(job, show)
-            print(describe(inspected))
+            inspected = run(job, show, tell)
+            print(f"  stored, scene id {inspected.key.scene_id}", flush=True)
             stored.append(inspected.key.scene_id)
 
         for job in sound:
@@ -69,15 +82,22 @@ def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) 
     return EXIT_SOME_FAILED if done else EXIT_BAD_INPUT
 
 
-def describe(inspected: Inspected) -> str:
-    """A scene's result in a few lines."""
-    found = [_found(kind, rows) for kind in KINDS if kind.counts_in(rows := inspected.features.get(kind.name, ()))]
+def describe(answer: Answer | Inspected) -> str:
+    """What was found in a scene, in a few lines."""
+    found = [_found(kind, rows) for kind in KINDS if kind.counts_in(rows := answer.features.get(kind.name, ()))]
     lines = [
-        f"{inspected.key}: {'; '.join(found)}; {inspected.seconds['total']:.1f} s",
-        f"  scene id {inspected.key.scene_id}",
-        *(f"  warning: {warning}" for warning in inspected.warnings),
+        f"{answer.key}: {'; '.join(found)}; {answer.seconds['total']:.1f} s",
+        *(f"  warning: {warning}" for warning in answer.warnings),
     ]
     return "\n".join(lines)
+
+
+def _write_overlay(path: Path, answer: Answer) -> None:
+    """Write the overlay's picture; whoever shows it never finds half of one."""
+    part = path.with_suffix(".part")
+    part.write_bytes(answer.picture())
+    part.replace(path)
+    print(f"  overlay {path}", flush=True)
 
 
 def _jobs(inputs: Inputs) -> list[Job]:
@@ -94,14 +114,21 @@ def _look_at(job: Job) -> None:
     steps.load(job.folder, job.rig_path, job.store, job.settings.verification)
 
 
-def _way_to_run(inputs: Inputs, use_server: bool) -> Callable[[Job, Callable[[str], None]], Inspected]:
-    """In this process, or as a Prefect flow where a server is configured."""
+def _way_to_run(inputs: Inputs, use_server: bool) -> Run:
+    """In this process, or as a Prefect flow where a server is configured, which answers when the scene is stored."""
     if runs_on_server(use_server):
         from flows.prefect_flows import inspect_scene_flow
 
         store, rig, spec, settings = map(_text, (inputs.store, inputs.rig, inputs.panel_spec, inputs.settings))
-        return lambda job, _: inspect_scene_flow(str(job.folder), str(store), rig, spec, settings)
-    return lambda job, show: inspect_scene(job, on_step=show)
+
+        def on_server(job: Job, _show: Callable[[str], None], tell: Callable[[Answer], None]) -> Inspected:
+            inspected = inspect_scene_flow(str(job.folder), str(store), rig, spec, settings)
+            overlay = job.store.paths(inspected.key.scene_id).overlay
+            tell(Answer(inspected.key, inspected.features, inspected.warnings, inspected.seconds, overlay.read_bytes))
+            return inspected
+
+        return on_server
+    return lambda job, show, tell: inspect_scene(job, on_step=show, on_answer=tell)
 
 
 def _text(path: Path | None) -> str | None:

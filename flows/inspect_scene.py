@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
@@ -17,6 +17,7 @@ from metrology.results import Feature, Features, SceneKey
 from metrology.rig_health import RigHealth
 from metrology.sighted import Sighted
 from metrology.steps import STEPS
+from storage import png
 from storage.archive import Store
 from storage.archive.panels import PatternTaken
 from storage.panel_spec import PanelSpecification
@@ -51,8 +52,22 @@ class Job:
 
 
 @dataclass(frozen=True)
+class Answer:
+    """What is known of a scene before it is stored: all that somebody at the panel waits for."""
+
+    key: SceneKey
+    features: Features
+    """Judged, by kind."""
+    warnings: tuple[str, ...]
+    seconds: Mapping[str, float]
+    """Wall time of each step so far, and in total without storing."""
+    picture: Callable[[], bytes]
+    """Encodes the overlay as a PNG."""
+
+
+@dataclass(frozen=True)
 class Inspected:
-    """What became of a scene, in short."""
+    """What became of a scene that is stored, in short."""
 
     key: SceneKey
     run_id: str
@@ -74,6 +89,7 @@ class _Run:
 
     call: Call
     on_step: Callable[[str], None]
+    on_answer: Callable[[Answer], None]
     began: float = field(default_factory=time.perf_counter)
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -99,7 +115,12 @@ class _Measured:
     spec: PanelSpecification
 
 
-def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None] = lambda _: None) -> Inspected:
+def inspect_scene(
+    job: Job,
+    call: Call = directly,
+    on_step: Callable[[str], None] = lambda _: None,
+    on_answer: Callable[[Answer], None] = lambda _: None,
+) -> Inspected:
     """Inspect one scene and publish what was found.
 
     Parameters
@@ -108,8 +129,11 @@ def inspect_scene(job: Job, call: Call = directly, on_step: Callable[[str], None
         Runs a step.
     on_step : callable
         Told the name of each step as it begins.
+    on_answer : callable
+        Told what was found before it is stored. Told again where another first scan of the station was stored
+        meanwhile, by which this one is then recognised.
     """
-    run = _Run(call, on_step)
+    run = _Run(call, on_step, on_answer)
     measured = _measure(job, run)
     try:
         return _conclude(job, run, measured)
@@ -167,5 +191,6 @@ def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:
         spec,
         run.seconds,
     )
+    run.on_answer(Answer(result.key, judged, result.warnings, result.seconds, lambda: png.encode(drawn.image())))
     run_id = run.step(steps.publish, job.store, result, loaded.rig)
     return Inspected(result.key, run_id, result.features, result.warnings, run.seconds)

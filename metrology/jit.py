@@ -105,6 +105,12 @@ def _cache_file(dispatcher: Any) -> Any:
     return getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
 
 
+def is_compiled(dispatcher: Any) -> bool:
+    """Whether code of a kernel lies on disk that is good for its present source, or it is never compiled."""
+    file = _cache_file(dispatcher)
+    return file is None or bool(file._load_index())
+
+
 def _names(code: CodeType) -> set[str]:
     """Names that a function and those inside it look up."""
     inner = [_names(value) for value in code.co_consts if isinstance(value, CodeType)]

@@ -26,6 +26,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "--server", action="store_true", help="run as a Prefect flow, starting a server where none is set up"
     )
     parser.add_argument(
+        "--overlays", type=Path, metavar="DIR", help="write each overlay here, too, before its scene is stored"
+    )
+    parser.add_argument(
         "--no-panel", action="store_true", help="do not put the panels of these scenes together in the end"
     )
     parser.set_defaults(run=run)
@@ -36,7 +39,15 @@ def run(options: argparse.Namespace) -> int:
     from flows.inspect_many import Inputs, inspect_many
 
     return inspect_many(
-        Inputs(options.scenes, options.store, options.rig, options.panel_spec, options.settings, not options.no_panel),
+        Inputs(
+            options.scenes,
+            options.store,
+            options.rig,
+            options.panel_spec,
+            options.settings,
+            not options.no_panel,
+            options.overlays,
+        ),
         use_server=options.server,
         debug=options.debug,
     )

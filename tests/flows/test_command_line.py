@@ -18,6 +18,8 @@ import pytest
 
 from flows.cli import build_parser, main
 from flows.rows import plain, run_query, write_rows
+from metrology.errors import StoreError
+from metrology.inspection import InspectionResult
 from storage.archive import Store
 from tasks import steps
 from tests.support.results import small_key, small_result
@@ -44,6 +46,34 @@ def test_scenes_go_in_and_rows_come_out(
     rows = json.loads(capsys.readouterr().out)
     assert len(rows) == 6
     assert rows[0] == {"station": "S1", "rivet_id": "R1", "captured_at": "2026-11-20T08:15:00Z", "u_right_px": None}
+
+
+def test_what_was_found_is_said_before_it_is_stored(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    overlays = tmp_path / "overlays"
+    arguments = ["inspect", str(scenes[0]), "--rig", str(rig_file), "--overlays", str(overlays)]
+    publish, said = Store.publish, []
+
+    def watched(store: Store, result: InspectionResult) -> str:
+        said.append((capsys.readouterr().out, sorted(overlays.iterdir())))
+        if len(said) == 1:
+            raise StoreError("found a full disk, expected room")
+        return publish(store, result)
+
+    monkeypatch.setattr(Store, "publish", watched)
+    assert main([*arguments, "--store", str(tmp_path / "full")]) == 2
+    assert "stored" not in capsys.readouterr().out
+    assert main([*arguments, "--store", str(tmp_path / "store")]) == 0
+    scene_id = small_key("S1").scene_id
+    assert f"stored, scene id {scene_id}" in capsys.readouterr().out
+    for text, written in said:
+        assert "3 rivets (3 pass)" in text
+        assert "stored" not in text
+        assert written == [overlays / f"{scene_id}.png"]
+    (overlay,) = overlays.iterdir()
+    assert overlay.read_bytes() == Store(tmp_path / "store").paths(scene_id).overlay.read_bytes()
 
 
 def test_a_bad_scene_does_not_stop_the_others(
