@@ -40,7 +40,7 @@ _BULGE = 0.05  # of the diameter: a slope of 11° at the border of what is round
 _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
 _CLEAREST = 0.9  # quantile of the contrasts of a scan's gaps: dirt in a single one tells little
 # Three times as far beyond the median, as a ratio (3.8 standard deviations), is more than a gap's; within limits.
-_BEYOND, _CONTRAST = 2.0, (1.4, 2.0)
+_BEYOND, _CONTRAST = 2.0, (1.5, 2.0)
 _AS_DARK = 1.6  # times the others' contrast, or less by that
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like

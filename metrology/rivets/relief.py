@@ -28,10 +28,8 @@ _SHAPE_TOLERANCE = 0.15  # of the elongation of a blob of few cells
 _TEXTURE_STEP = 0.06  # relative brightness step that a painted-over head does not show
 _TOP_FROM = 0.45  # of the radius, from which on a head's top is looked at: a recess lies in the middle
 _BORDER_CELLS = 0.7  # of a disc's border hold skin, too
-_UNEVEN, _MOST_CELLS = (
-    0.35,
-    0.7,
-)  # of its height, by which most of the top's cells depart from a plane: a dent's depart more
+_UNEVEN = 0.35  # of its height, by which most of the top's cells depart from a plane: a dent's depart more
+_MOST_CELLS = 0.7  # of the top's
 _FEWEST_CELLS = 6
 _CLEAR_SHARE = 0.5  # of the pixels inside and outside such a head that lie clear of edges in the picture
 _ON_PICTURE = 0.7  # of the skin round such a head must lie on the picture

@@ -59,7 +59,7 @@ def test_a_painted_ring_of_another_size_between_the_rows_is_in_doubt(rng: np.ran
     assert "without a step" in doubtful[0].doubt
 
 
-@pytest.mark.parametrize(("width_mm", "contrast"), [(0.24, 30.0), (0.12, 90.0), (0.12, 65.0), (0.12, -30.0)])
+@pytest.mark.parametrize(("width_mm", "contrast"), [(0.24, 30.0), (0.12, 90.0), (0.12, 74.0), (0.12, -30.0)])
 def test_a_painted_ring_of_the_usual_size_is_told_by_its_line(
     rng: np.random.Generator, width_mm: float, contrast: float
 ) -> None:

@@ -8,10 +8,10 @@ import pytest
 
 from metrology.errors import UsageError
 from metrology.rivets import RivetSettings, detect_ellipses
-from metrology.rivets.alike import rings_alike
+from metrology.rivets.alike import _quarters, _ring_sums, rings_alike
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.ring import fit_ring
-from metrology.rivets.shapes import log_shape, shapes_of
+from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
 from tests.support.painted_texture import paint_texture
 from tests.support.texture_spec import TextureSpec
 
@@ -214,3 +214,15 @@ def test_faint_rings_as_large_as_others_show_in_their_sums(rng: np.random.Genera
         assert min(abs(f.radius / ellipse.radius - 1) for f in near) < 0.1  # from where the fit leads to it
     assert len(found) < 60
     assert not rings_alike(image.astype(np.float32), [Ellipse(0.0, 0.0, 30.0, 27.0, 0.3)], True, shapes)
+
+
+def test_sums_along_circles_are_those_of_plain_numpy(rng: np.random.Generator) -> None:
+    counts = rng.integers(-60, 60, (61, 84), dtype=np.int8)
+    shapes, radius, margin = CircleShapes.round(), 9.0, 8
+    sums = _ring_sums(_quarters(counts, margin), margin, radius, shapes)
+    padded = np.pad(counts.astype(int), 20)
+    steps = round(2 * np.pi * radius / 1.5)
+    offsets = np.round(Ellipse(0.0, 0.0, radius, radius, 0.0).points(steps)).astype(int)
+    for i, j in ((0, 0), (3, 40), (15, 21), (30, 41)):
+        around = [padded[2 * i + dv + 20, 2 * j + du + 20] for du, dv in offsets]
+        assert sums[i, j] == pytest.approx(np.mean(around), abs=1e-4)
