@@ -72,7 +72,10 @@ def measure_far_offsets(reconstruction: Reconstruction) -> TextureOffsets:
             if filled[block].mean() < _LEAST_FILLED or not np.isfinite(expected[block]).any():
                 continue
             found = _place(left[block], right[:, first : first + _BLOCK])
-            if found is not None and seen[found : found + _BLOCK, first : first + _BLOCK].mean() > _LEAST_FILLED:
+            if found is None:
+                continue
+            below = round(found)
+            if seen[below : below + _BLOCK, first : first + _BLOCK].mean() > _LEAST_FILLED:
                 across.append(_BIN_PX * (found - top) - float(np.nanmedian(expected[block])))
                 centres.append(np.nanmedian(pixels[block].reshape(-1, 2), axis=0))
     if not across:
@@ -134,12 +137,21 @@ def _expected_rows(reconstruction: Reconstruction, grid: _Grid, shape: tuple[int
     return shift, pixels
 
 
-def _place(block: Float32, strip: Float32) -> int | None:
-    """The row of a strip at which a block lies; None where no place stands out."""
+def _place(block: Float32, strip: Float32) -> float | None:
+    """The row of a strip at which a block lies, to a part of a row; None where no place stands out.
+
+    Whole rows would agree by chance: blocks that are all off by less than half a row would seem to fit to nothing.
+    """
     if block.std() == 0:
         return None
     match = cv2.matchTemplate(strip, block, cv2.TM_CCOEFF_NORMED)[:, 0]
     best = int(match.argmax())
     others = np.concatenate([match[: max(0, best - _EXCLUDE)], match[best + _EXCLUDE + 1 :]])
     lead = match[best] - (others.max() if others.size else -1.0)
-    return best if match[best] > _LEAST_CORRELATION and lead > _LEAST_LEAD else None
+    if not (match[best] > _LEAST_CORRELATION and lead > _LEAST_LEAD):
+        return None
+    if not 0 < best < len(match) - 1:
+        return float(best)
+    before, here, after = (float(value) for value in match[best - 1 : best + 2])
+    bend = 2 * here - before - after  # the peak of the parabola through three places
+    return best + (0.5 * (after - before) / bend if bend > 0 else 0.0)

@@ -27,7 +27,7 @@ def views() -> Views:
 
 
 def turn(view: DecodedView, rows: int, columns: int) -> DecodedView:
-    images = {f.name: getattr(view, f.name) for f in fields(view) if f.name != "noise"}
+    images = {f.name: getattr(view, f.name) for f in fields(view) if f.name not in ("noise", "stripe_px")}
     return replace(view, **{name: np.ascontiguousarray(image[::rows, ::columns]) for name, image in images.items()})
 
 

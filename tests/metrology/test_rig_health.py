@@ -10,6 +10,7 @@ import pytest
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.errors import RigError
+from metrology.far_offset import measure_far_offsets
 from metrology.reconstruct import coordinate_size, decode, triangulate
 from metrology.results import RivetDetection
 from metrology.rig import Device, Rig
@@ -207,3 +208,10 @@ def test_medians_of_groups_are_those_of_each_group() -> None:
     values = rng.normal(size=500)
     expected = [np.median(values[group == k]) for k in range(7)]
     np.testing.assert_allclose(_medians(values, group, np.bincount(group)), expected, rtol=1e-12)
+
+
+def test_texture_far_off_is_placed_to_parts_of_a_pixel(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    """In whole rows of the layout each block would be off by up to one pixel, and some of them all alike."""
+    found = measure_far_offsets(triangulate(*views, rig)).across_px
+    assert len(found) > 12
+    assert np.median(np.abs(found)) < 0.25
