@@ -26,6 +26,7 @@ WORDS: dict[Severity | None, str] = {name: look.short for name, look in SEVERITI
 GRAVEST_FIRST: tuple[Severity | None, ...] = tuple(SEVERITIES)
 
 _ARROW, _BARB = 0.7, 0.25  # length of an arrow over that of its outline; of its barbs over its half
+_MOST_BARB = 7.0  # line widths
 
 # How far from a seam's middle its marks begin, and end by severity: the graver, the longer.
 BAR_START_MM = 2.5
@@ -99,10 +100,11 @@ def arrow_marks(outline: Array, severity: Severity | None, width: int) -> list[S
     colour = COLOURS[severity]
     first, last = outline[0], outline[len(outline) // 2]
     middle, half = 0.5 * (first + last), _ARROW * 0.5 * (last - first)
+    barb = min(_BARB, _MOST_BARB * width / max(float(np.linalg.norm(half)), 1e-9))
     across = np.array([-half[1], half[0]])
     marks = [Stroke(np.stack([middle - half, middle + half]), colour, width)]
     for end in (-half, half):
-        barbs = np.stack([s * _BARB * across + (1 - _BARB) * end for s in (-1, 1)])
+        barbs = np.stack([s * barb * across + (1 - barb) * end for s in (-1, 1)])
         marks.append(Stroke(middle + np.stack([barbs[0], end, barbs[1]]), colour, width))
     return marks
 

@@ -13,7 +13,7 @@ from metrology.cloud import DecodedView, Reconstruction
 from metrology.defects.row import Defect
 from metrology.errors import UsageError
 from metrology.overlay import OverlaySettings, draw_overlay
-from metrology.overlay.marks import COLOURS, Label
+from metrology.overlay.marks import COLOURS, Label, arrow_marks
 from metrology.overlay.paint import text_size
 from metrology.results import Rivet, SeamStation, Severity
 from metrology.rig import Device, Rig
@@ -266,3 +266,13 @@ def test_where_there_is_no_room_grave_values_stay(scene: Reconstruction) -> None
     values = [x for x in overlay.labels if x.feature]
     assert sum(x.colour == COLOURS["red"] for x in values) == sum(r.severity == "red" for r in rivets)
     assert sum(x.colour == COLOURS["green"] for x in values) < sum(r.severity == "green" for r in rivets)
+
+
+def test_the_heads_of_a_long_arrow_stay_small() -> None:
+    turn = np.linspace(0, 2 * np.pi, 80, endpoint=False)
+    for long, barb in ((12.0, 0.25 * 0.7 * 12.0), (400.0, 21.0)):
+        shaft, *heads = arrow_marks(np.stack([long * np.cos(turn), 3 * np.sin(turn)], axis=1), "blue", 3)
+        assert np.ptp(shaft.points[:, 0]) == pytest.approx(1.4 * long)
+        for head in heads:
+            assert np.ptp(head.points[:, 0]) == pytest.approx(barb)
+            assert np.ptp(head.points[:, 1]) == pytest.approx(2 * barb)

@@ -10,7 +10,10 @@ import pytest
 
 from metrology.cloud import Reconstruction
 from metrology.defects.measure import measure_defects
+from metrology.results import SeamLine
 from metrology.seams import detect_seams
+from metrology.seams.finding.relief import Relief
+from metrology.seams.finding.scratches import scratches_of
 from metrology.sighted import Sighted
 from tests.support.rivet_scan import Skin, scan
 
@@ -61,6 +64,26 @@ def test_the_same_groove_from_one_end_of_the_view_to_the_other_stays_a_seam(bare
 def test_an_open_gap_that_ends_in_the_skin_stays_a_seam(bare: Reconstruction) -> None:
     (line,) = detect_seams(grooved(bare, 40.0, 2.0, 1.0, open_gap=True), [])
     assert line.relief
+
+
+def test_a_scratchs_edge_is_no_seam_and_a_groove_beside_it_is() -> None:
+    def line(name: str, v: float, start: float = 150.0) -> SeamLine:
+        u = np.arange(start, 501.0)
+        return SeamLine(name, np.stack([u, np.full_like(u, v)], axis=1), np.full(len(u), 8.0), 1.0, True)
+
+    skin = np.ones((480, 640), bool)
+    cut = Relief(1.0, groove_share=1.0, shallow_share=1.0)
+    scratch, edge = (line("scratch", 200.0), cut), (line("edge", 215.0), Relief(1.0, step_mm=0.2, step_share=1.0))
+    gap, far = (line("gap", 215.0), Relief(1.0, groove_share=1.0)), (line("far", 280.0), edge[1])
+    assert [found.seam_id for found in scratches_of([scratch, edge, far], skin)] == ["scratch", "edge"]
+    assert [found.seam_id for found in scratches_of([scratch, gap], skin)] == ["scratch"]
+    # What it runs on to makes it a seam: another line, the end of the skin, the picture's border.
+    crossed = np.stack([np.full(300, 520.0), np.arange(100.0, 400.0)], axis=1)
+    other = (SeamLine("other", crossed, np.full(300, 8.0), 1.0, True), Relief(1.0, groove_share=1.0))
+    assert scratches_of([scratch, other], skin) == []
+    skin[:, 520:] = False
+    assert scratches_of([scratch], skin) == []
+    assert scratches_of([(line("to the border", 200.0, 20.0), cut)], np.ones((480, 640), bool)) == []
 
 
 def test_what_lies_far_behind_is_no_dent_of_its_width(bare: Reconstruction) -> None:

@@ -29,7 +29,7 @@ _PIECE_ROWS = 12
 # No more pieces than this are looked at: shares to better than a tenth; a first look is content with half of them.
 MOST_PIECES = 40
 # Skin beside the line: 6 mm on each side tell a step from curvature.
-_SKIN_PX = 30.0
+SKIN_PX = 30.0
 _MIN_SIDE_PLACES = 40
 # Skins on both sides of a seam belong together: no farther apart than this.
 _MAX_STEP_MM = 4.0
@@ -115,7 +115,7 @@ def examine_relief(
         So many pieces of the line, evenly spread, are looked at.
     """
     inner = width_px / 2 + settings.guard_px
-    pieces = _Pieces.along(points, inner + _SKIN_PX, usable.shape, most_pieces)
+    pieces = _Pieces.along(points, inner + SKIN_PX, usable.shape, most_pieces)
     if pieces is None:
         return Relief()
     beside = pieces.inside & (np.abs(pieces.x) > inner)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.results import SeamLine
-from metrology.seams.finding.relief import Relief
+from metrology.seams.finding.relief import SKIN_PX, Relief
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,10 +25,11 @@ _GONE_PX = 8
 # Its direction at an end comes of so many px.
 _WAY_PX = 40
 _CLEAR_PX = 6.0  # of another line's border
+_SAME = 0.8  # share of a line that runs beside a scratch
 
 
 def scratches_of(found: Sequence[tuple[SeamLine, Relief]], skin: Mask) -> list[SeamLine]:
-    """The lines that are shallow grooves with both ends in the skin.
+    """The lines that are shallow grooves with both ends in the skin, and those that are their edges.
 
     Parameters
     ----------
@@ -37,7 +38,10 @@ def scratches_of(found: Sequence[tuple[SeamLine, Relief]], skin: Mask) -> list[S
         Pixels with a point, heads left out: where a groove meets a head, nothing is said.
     """
     lines = [line for line, _ in found]
-    return [line for line, relief in found if relief.is_shallow_groove and _is_free(line, lines, skin)]
+    scratches = [line for line, relief in found if relief.is_shallow_groove and _is_free(line, lines, skin)]
+    # An edge of a scratch may be a line of its own; the scratch in one of its skins makes the step.
+    edges = [a for a, relief in found if relief.groove_share < relief.step_share and _along_one(a, scratches)]
+    return scratches + [a for a in edges if all(a is not b for b in scratches)]
 
 
 def _is_free(line: SeamLine, lines: Sequence[SeamLine], skin: Mask) -> bool:
@@ -58,8 +62,15 @@ def _runs_on_in_skin(end: Array, way: Array, others: Sequence[SeamLine], skin: M
         return False
     if np.convolve(~skin[v, u], np.ones(_GONE_PX), "valid").max() >= _GONE_PX:
         return False
-    for other in others:
-        apart = np.linalg.norm(steps[:, None] - other.centre_px[None, ::4], axis=2).min()
-        if apart < 0.5 * float(np.nanmedian(other.width_px)) + _CLEAR_PX:
-            return False
-    return True
+    return not any(_beside(steps, other, _CLEAR_PX).any() for other in others)
+
+
+def _along_one(line: SeamLine, scratches: Sequence[SeamLine]) -> bool:
+    """Whether nearly all of a line has the same scratch in the skin beside it."""
+    return any(float(_beside(line.centre_px[::4], scratch, SKIN_PX).mean()) > _SAME for scratch in scratches)
+
+
+def _beside(places: Array, line: SeamLine, reach_px: float) -> Mask:
+    """(n,) which of places (n, 2) lie on a line or so near to its border."""
+    apart = np.linalg.norm(places[:, None] - line.centre_px[None, ::4], axis=2).min(axis=1)
+    return np.asarray(apart < 0.5 * float(np.nanmedian(line.width_px)) + reach_px)
