@@ -24,9 +24,9 @@ from storage.scene import Scene
 from storage.scene_models import Camera
 from tasks.settings import SceneChecks
 
-# Edges are taken to reach two blur radii and a pixel: at two and a half times the blur an eighth of the light comes
-# from beyond. Sound cameras and projectors together have 1.0 to 1.3 times it.
-_BLURRED = 2.5
+# Edges are taken to reach two blur radii and a pixel: at twice the blur a fifteenth of the light comes from beyond.
+# Sound cameras and projectors together have 1.0 to 1.3 times it.
+_BLURRED = 2.0
 # Noise below half a level does not average rounding out. The rounding of fringes of so many levels is as large as the
 # noise of a good scan: 0.29 levels to 12 as 1.5 to 60.
 _HALF_A_LEVEL, _FAINT = 0.5, 12.0

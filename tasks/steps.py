@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -31,7 +32,7 @@ from storage.archive.signed import refuse_signed_off
 from storage.cloud_scene import CloudScene
 from storage.frames import FrameStack, file_checksum
 from storage.panel_spec import PanelSpecification, load_panel_spec
-from storage.rig import load_rig
+from storage.rig import load_rig, rig_document
 from storage.scan_identity import frames_digest
 from storage.scene import Scene
 from storage.scene_folder import load_any_scene
@@ -60,9 +61,21 @@ def load(
     warnings = clock_warnings(scene.key, rig, known.first_stored_at if known else None)
     if rig.id != scene.rig_id:
         warnings.append(f"inspected with rig {rig.id!r} though the scene names {scene.rig_id!r}")
+    if rig_path and _is_another(rig, store):
+        warnings.append(
+            f"rig {rig.id!r} was given with other values than the store has for that id; a calibration needs an id of "
+            "its own"
+        )
     if evidence:
         warnings += evidence_warnings(store, rig, scene.key.captured_at, evidence, scene.folder)
     return LoadedScene(scene, rig, tuple(warnings), known)
+
+
+def _is_another(rig: Rig, store: Store) -> bool:
+    """Whether the store has a rig of this id with other values; a damaged one is no reason to refuse what is given."""
+    with contextlib.suppress(RigError):
+        return store.has_rig(rig.id) and rig_document(store.find_rig(rig.id)) != rig_document(rig)
+    return False
 
 
 def reconstruct_scene(loaded: LoadedScene, settings: InspectionSettings) -> Reconstruction:
