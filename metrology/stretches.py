@@ -6,7 +6,7 @@ Positions within U95 of a limit, and those that were not measured, make stretche
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
@@ -150,8 +150,7 @@ def with_stretches(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row
         for row in stretch.rows
     }
     return [
-        replace(
-            row,
+        row.changed(
             stretch=named.get(id(row)),
             beyond_mm=max((excess.beyond for excess in excesses(kind, row, spec)), default=None),
         )

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 from metrology.kinds import Kind, load
@@ -104,8 +103,8 @@ def as_measured(kind: Kind, row: Row) -> Row:
         reason = re.sub(rf"(?:^|; ){part}(?=$|; )", "", reason)
     decision: Decision = "unconfirmed" if row.decision == "unconfirmed" else "no limit"
     if isinstance(row, Course):
-        row = replace(row, stretch=None, beyond_mm=None)
-    return replace(row, severity=None, decision=decision, reason=reason.removeprefix("; ") or None)
+        row = row.changed(stretch=None, beyond_mm=None)
+    return row.changed(severity=None, decision=decision, reason=reason.removeprefix("; ") or None)
 
 
 def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
@@ -116,4 +115,4 @@ def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
     verdict = _gravest(parts, row.reason)
     if verdict.decision == "no limit" and kind.unlimited:
         verdict = load(kind.unlimited)(row) or verdict
-    return replace(row, severity=verdict.severity, decision=verdict.decision, reason=verdict.reason)
+    return row.changed(severity=verdict.severity, decision=verdict.decision, reason=verdict.reason)

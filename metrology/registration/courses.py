@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +91,9 @@ def _turned(piece: _Piece) -> _Piece:
 
 def exchanged(station: SeamStation) -> SeamStation:
     step = None if station.step_mm is None else -station.step_mm
-    row = replace(station, step_mm=step, n_left=station.n_right, n_right=station.n_left)
+    row = station.changed(step_mm=step, n_left=station.n_right, n_right=station.n_left)
     if isinstance(row, FittedStation) and row.fit is not None:
-        return replace(row, fit=row.fit.exchanged())
+        return row.changed(fit=row.fit.exchanged())
     return row
 
 
@@ -107,7 +107,7 @@ def _named(piece: _Piece, seam: NominalSeam, placement: Placement) -> list[SeamS
         if s is None:
             s = _carried(station.s_mm, own, piece.foot.s)
         wind = None if station.step_mm is None or sign is None or sign == 0 else float(sign * station.step_mm)
-        row = replace(station, seam_id=seam.seam_id, s_mm=s, zone=seam.zone_at(s), step_into_wind_mm=wind)
+        row = station.changed(seam_id=seam.seam_id, s_mm=s, zone=seam.zone_at(s), step_into_wind_mm=wind)
         named.append(placed(row, placement))
     return named
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -31,4 +30,4 @@ def placed(row: Row, placement: Placement) -> Row:
     if not has_position(row):
         return row
     x, y, z = placement.to_panel(positions([row])[0])
-    return replace(row, x_panel_mm=float(x), y_panel_mm=float(y), z_panel_mm=float(z))
+    return row.changed(x_panel_mm=float(x), y_panel_mm=float(y), z_panel_mm=float(z))

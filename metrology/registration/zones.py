@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -25,4 +24,4 @@ def in_nearest_zone(row: Row, layout: PanelLayout) -> Row:
         s = np.arange(0.0, course_length(seam.course), _SAMPLE_MM)
         away = np.linalg.norm(points_along(seam.course, s) - here, axis=1)
         near.append((float(away.min()), seam.zone_at(float(s[away.argmin()]))))
-    return replace(row, zone=min(near)[1])
+    return row.changed(zone=min(near)[1])

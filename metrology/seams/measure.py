@@ -119,7 +119,7 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     half_widths = [place.half_width_mm for place in places]
     gaps, joint = find_gaps(sections, half_widths, seam.joint, ground.reconstruction, ground.heads, settings)
     rows = [
-        replace(_row(seam.seam_id, place, section, gap, ground), joint=joint)
+        _row(seam.seam_id, place, section, gap, ground).changed(joint=joint)
         for place, section, gap in zip(places, sections, gaps, strict=True)
     ]
     rows = with_unresolved_bends(rows, settings.station_step_mm, settings.half_length_mm)
@@ -188,9 +188,9 @@ def _row(seam_id: str, place: _Place, section: Section | None, gap: Gap | str, g
     width, u95 = gap_width(section, gap.a, gap.b), COVERAGE_95 * gap.sigma_width_mm
     if width < u95 <= _WIDEST_BOUND_MM:
         limit = max(width, 0.0) + u95
-        return replace(row, reason=f"too narrow for its width to be measured: under {limit:.2f} mm")
+        return row.changed(reason=f"too narrow for its width to be measured: under {limit:.2f} mm")
     fit = replace(row.fit, depths_mm=(gap.a.depth_mm, gap.b.depth_mm)) if row.fit else None
-    return replace(row, width_mm=width, width_u95_mm=u95, fit=fit)
+    return row.changed(width_mm=width, width_u95_mm=u95, fit=fit)
 
 
 def _kept(place: _Place, section: Section, edges: tuple[float, float], settings: SeamSettings) -> SectionFit:

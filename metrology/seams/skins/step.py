@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +51,6 @@ def with_unresolved_bends(rows: Sequence[SeamStation], station_step: float, half
     bend[apart:-apart] = step[2 * apart :] - 2 * step[apart:-apart] + step[: -2 * apart]
     missed = np.nan_to_num(bend) / (apart * station_step) ** 2 * half_length**2 / 6
     return [
-        replace(row, step_u95_mm=float(np.hypot(row.step_u95_mm, COVERAGE_95 * off))) if row.step_u95_mm else row
+        row.changed(step_u95_mm=float(np.hypot(row.step_u95_mm, COVERAGE_95 * off))) if row.step_u95_mm else row
         for row, off in zip(rows, missed, strict=True)
     ]
