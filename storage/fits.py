@@ -101,7 +101,7 @@ def write_fits(path: Path, features: Features) -> None:
         _section_row(s.seam_id, s.s_mm, s.fit) for s in found if isinstance(s, FittedStation) and s.fit is not None
     ]
     rows += [_form_row(d.defect_id, d.form) for d in found if isinstance(d, FittedDefect) and d.form is not None]
-    pq.write_table(pa.Table.from_pylist(rows, _SCHEMA), path, compression="zstd")
+    pq.write_table(pa.Table.from_pylist(rows, _SCHEMA), path, compression="zstd", use_dictionary=False)
 
 
 def read_fits(path: Path) -> StoredFits:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,12 +81,13 @@ def _read_into(frame: Frame, path: Path, expected: FrameHeader, error: ErrorType
     """Decode a file into `frame`; returns the file's checksum."""
     data = read_bytes(path, error, _MAX_FRAME_BYTES)
     try:
-        header = _header_of(source_of(data))
+        chunks: list[png.Chunk] = []  # found once, as a camera's PNG may have some hundred
+        header = _header_of(source_of(data), chunks)
         if header != expected:
             raise BadFrame(f"found {header}, expected {expected}")
-        _decode_into(frame, data, expected)
+        _decode_into(frame, data, expected, chunks)
         _check_byte_order(frame)
-        return checksum(data)
+        return checksum(data, chunks)
     except BadFrame as problem:
         raise error(f"{path}: {problem}") from None
     except cv2.error:
@@ -110,13 +111,19 @@ def read_as_grey(path: Path) -> Frame | None:
     return grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
 
 
-def checksum(data: bytes) -> int:
+def checksum(data: bytes, chunks: Iterable[png.Chunk] | None = None) -> int:
     """CRC-32 of a file's content.
 
     A PNG states one of each chunk, which decoding verifies anyway: the CRC-32 of these stands for it and costs nothing.
+
+    Parameters
+    ----------
+    data : bytes
+    chunks : iterable, optional
+        A PNG's, where they are known.
     """
     if data[:8] == png.SIGNATURE:
-        return zlib.crc32(png.stated_sums(data))
+        return zlib.crc32(png.stated_sums(data, png.chunks_of(source_of(data)) if chunks is None else chunks))
     return zlib.crc32(data)
 
 
@@ -170,10 +177,11 @@ def write_frame(path: Path, frame: Frame) -> None:
     path.write_bytes(data.tobytes())
 
 
-def _header_of(source: FrameSource) -> FrameHeader:
+def _header_of(source: FrameSource, chunks: list[png.Chunk] | None = None) -> FrameHeader:
+    """What a frame's header says; of a PNG, `chunks` gets what it consists of."""
     start = source.take(0, 8)
     if start == png.SIGNATURE:
-        header = FrameHeader(*png.size_and_bits(source))
+        header = FrameHeader(*png.size_and_bits(source, chunks))
     elif start[:4] in tiff.SIGNATURES:
         header = FrameHeader(*tiff.size_and_bits(source))
     elif start[:2] == b"BM":
@@ -245,12 +253,12 @@ def _npy_layout(source: FrameSource) -> tuple[tuple[int, int], np.dtype, Literal
     return (shape[0], shape[1]), _NPY_TYPES[kind], "F" if fortran == "True" else "C", start
 
 
-def _decode_into(frame: Frame, data: bytes, expected: FrameHeader) -> None:
+def _decode_into(frame: Frame, data: bytes, expected: FrameHeader, chunks: Sequence[png.Chunk]) -> None:
     if data[:6] == _NPY_SIGNATURE:
         shape, dtype, order, start = _npy_layout(source_of(data))
         frame[:] = np.frombuffer(data, dtype, shape[0] * shape[1], start).reshape(shape, order=order)
         return
-    if data[:8] == png.SIGNATURE and png.decode_into(frame, data, png.checked_image_data(data)):
+    if data[:8] == png.SIGNATURE and png.decode_into(frame, data, png.checked_image_data(data, chunks)):
         return
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is not None and decoded.ndim == 3 and (decoded == decoded[..., :1]).all():

@@ -6,7 +6,7 @@ OpenCV decodes frames of unusual form.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from isal import isal_zlib
@@ -21,19 +21,30 @@ _MAX_CHUNKS = 100_000
 _MAX_EXIF_BYTES = 65_536
 _GREY, _COLOUR, _PALETTE = 0, 2, 3
 _UP = 2  # filter of a row: differences to the one above
+Chunk = tuple[bytes, int, int]
+"""Type, and start and length of the content."""
 _COLOURS = {_COLOUR: "colour", _PALETTE: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 
 
-def size_and_bits(source: FrameSource) -> tuple[int, int, int]:
+def size_and_bits(source: FrameSource, walked: list[Chunk] | None = None) -> tuple[int, int, int]:
     """Height, width and bits per sample that the header of a grey, whole PNG says; nothing is decoded.
 
     A palette of greys, as programs that shrink files make it of a grey picture, counts as 8 bits.
+
+    Parameters
+    ----------
+    source : FrameSource
+    walked : list, optional
+        Gets the PNG's chunks.
     """
     width, height, bits, colour = struct.unpack(">IIBB", source.read(16, 10))
     if source.read(12, 4) != b"IHDR":
         raise BadFrame("found a PNG that does not begin with its header, expected a whole one")
     grey = colour == _GREY
-    for kind, start, length in _chunks(source):
+    for chunk in chunks_of(source):
+        kind, start, length = chunk
+        if walked is not None:
+            walked.append(chunk)
         if kind == b"PLTE" and colour == _PALETTE and length <= 3 * 256:
             palette = np.frombuffer(source.read(start, length // 3 * 3), np.uint8).reshape(-1, 3)
             grey, bits = bool((palette == palette[:, :1]).all()), 8
@@ -48,16 +59,16 @@ def size_and_bits(source: FrameSource) -> tuple[int, int, int]:
     return height, width, bits
 
 
-def stated_sums(data: bytes) -> bytes:
+def stated_sums(data: bytes, chunks: Iterable[Chunk]) -> bytes:
     """The checksums that a whole PNG states of its chunks, one after the other."""
-    return b"".join(data[start + length : start + length + 4] for _, start, length in _chunks(source_of(data)))
+    return b"".join(data[start + length : start + length + 4] for _, start, length in chunks)
 
 
-def checked_image_data(data: bytes) -> bytes:
+def checked_image_data(data: bytes, chunks: Iterable[Chunk]) -> bytes:
     """The compressed samples of a PNG; one with a chunk that is not what its checksum says is refused."""
     view = memoryview(data)
     parts = []
-    for kind, start, length in _chunks(source_of(data)):
+    for kind, start, length in chunks:
         (stated,) = struct.unpack(">I", view[start + length : start + length + 4])
         if isal_zlib.crc32(view[start - 4 : start + length]) != stated:
             raise BadFrame(f"found a damaged PNG (checksum differs at byte {start}), expected a whole one")
@@ -122,8 +133,8 @@ def _check_exif(data: bytes) -> None:
     check_orientation(directory)
 
 
-def _chunks(source: FrameSource) -> Iterator[tuple[bytes, int, int]]:
-    """Type, start and length of the content of each chunk up to IEND; a file that ends before it is refused."""
+def chunks_of(source: FrameSource) -> Iterator[Chunk]:
+    """Each chunk up to IEND; a file that ends before it is refused."""
     offset = len(SIGNATURE)
     for _ in range(_MAX_CHUNKS):
         if offset + _CHUNK_OVERHEAD > source.size:

@@ -139,7 +139,8 @@ def write_bundle(
         (folder / PATTERN).write_text(text, encoding="utf-8")
     write_fits(folder / FITS, result.features)
     for name, table in tables.items():
-        pq.write_table(table, folder / f"{name}.parquet", compression="zstd")
+        # A dictionary of each column takes longer and more room than so few rows.
+        pq.write_table(table, folder / f"{name}.parquet", compression="zstd", use_dictionary=False)
     manifest = {
         "format": FORMAT,
         "run_id": run_id,

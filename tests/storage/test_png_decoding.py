@@ -12,6 +12,7 @@ import pytest
 
 from metrology.errors import SceneError
 from storage import png
+from storage.frame_source import source_of
 from storage.frames import FrameHeader, read_frame
 
 
@@ -53,7 +54,7 @@ def _encoded(frame: np.ndarray, kinds: np.ndarray, interlace: int = 0, parts: in
 
 def decoded(frame: np.ndarray, data: bytes) -> bool:
     """Whether the one pass decodes a file into the frame."""
-    return png.decode_into(frame, data, png.checked_image_data(data))
+    return png.decode_into(frame, data, png.checked_image_data(data, png.chunks_of(source_of(data))))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
