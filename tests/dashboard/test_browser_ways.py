@@ -130,6 +130,7 @@ def test_from_the_review_to_scene_trends_and_back(server: tuple[str, Path], page
     page.go_back()
     at(page, "review", scene=LAST)
     assert "feature=" not in page.url
+    page.get_by_text("Rivet R04").filter(visible=True).first.wait_for()  # the first of that scan again
     page.get_by_role("link", name="Trend", exact=True).click()
     at(page, "trends", panel="LH-F12", station="S2")
     page.go_back()
