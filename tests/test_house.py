@@ -69,8 +69,8 @@ def test_functions_and_files_can_be_read() -> None:
     assert long == []
 
 
-FOR_PROGRAMS = {"storage.archive.decisions: sign_off"}
-"""What others may call, and the house does not."""
+FOR_PROGRAMS = {"storage.archive.decisions: sign_off", "flows.compiling: compile_listed"}
+"""What others may call and the house does not, and what a process of its own is told to call by text."""
 
 
 def test_nothing_is_there_for_tests_alone() -> None:

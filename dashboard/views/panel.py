@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from dashboard.address import one_of, put
+from dashboard.address import one_of
 from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
 from dashboard.figures.panel import panel_figure
-from dashboard.findings import feature_from_parameter, feature_parameter, feature_words, standings_words
-from dashboard.frame import PageContext, go, link, plain
+from dashboard.findings import feature_from_parameter, feature_parameter, feature_words
+from dashboard.frame import PageContext, link, plain
 from dashboard.locale import Locale
-from dashboard.panel_changes import changes_since, earlier_nights, rework_of
 from dashboard.panels import (
     InScan,
     PanelView,
@@ -23,7 +21,6 @@ from dashboard.panels import (
     in_scan,
     load_panel,
     locations,
-    of_finding,
     panel_names,
     stitched_pictures,
     with_courses,
@@ -32,13 +29,19 @@ from dashboard.picking import clickable_chart
 from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
-from dashboard.tables import show_table
 from dashboard.views.feature import close_up
+from dashboard.views.panel_tables import (
+    look_at,
+    show_changes,
+    show_coverage,
+    show_findings,
+    show_rework,
+    show_rules,
+    show_scans,
+)
 from dashboard.words import N_, _, capital
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
-from metrology.verdicts import gravity
-from storage.archive.changes import CURED
 from storage.report import panel_report
 from storage.review import Feature
 
@@ -109,7 +112,7 @@ def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, p
         ),
         icon=":material/grid_off:",
     )
-    _scans(context, scenes)
+    show_scans(context, scenes)
     ask_who(context)
     _offer(context, scenes, aircraft, panel, "not put together")
 
@@ -193,7 +196,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
         picture = None if shown == _PLAIN else picture
     view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
-    clickable_chart(fig, "panel-map", _look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
+    clickable_chart(fig, "panel-map", look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
     st.caption(_("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move."))
 
 
@@ -203,10 +206,6 @@ def _part_of(view: PanelView, chosen: Feature | None) -> int:
     rows = view.features[chosen.kind]
     found = rows[rows["feature_id"] == chosen.id]["part"].dropna()
     return int(found.iloc[0]) if len(found) else 1
-
-
-def _look_at(feature: str) -> None:
-    put(feature=feature, view=None, part=None)
 
 
 def _report(context: PageContext, aircraft: str, panel: str) -> None:
@@ -231,16 +230,16 @@ def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen
     names = [_CLOSE_UP, _FINDINGS, _CHANGES, _RULES, _COVERAGE, _SCANS]
     shown = st.segmented_control(_("View"), names, format_func=_, label_visibility="collapsed", **one_of("view", names))
     if shown == _FINDINGS:
-        _findings(context, view)
+        show_findings(context, view)
     elif shown == _CHANGES:
-        _changes(context, view)
-        _rework(context, view)
+        show_changes(context, view)
+        show_rework(context, view)
     elif shown == _RULES:
-        _rules(context, view)
+        show_rules(context, view)
     elif shown == _COVERAGE:
-        _coverage(context, view)
+        show_coverage(context, view)
     elif shown == _SCANS:
-        _scans(context, scenes)
+        show_scans(context, scenes)
     elif chosen is None:
         st.info(_("Nothing was found on this panel."))
     else:
@@ -283,123 +282,3 @@ def _on_a_night(context: PageContext, found: InScan) -> None:
     close_up(context, scene, features, found.feature)
     link("review", _("Decide in the review"), ":material/fact_check:", aircraft=scene.aircraft_serial,
          panel=scene.panel, scene=scene.scene_id, feature=feature_parameter(found.feature))  # fmt: skip
-
-
-def _findings(context: PageContext, view: PanelView) -> None:
-    rows = view.findings.rename(columns={"value": "value_mm", "value_u95": "u95_mm"})
-    rows = rows.sort_values(["decision", "severity"], key=_gravest_first, kind="stable")
-    if rows.empty:
-        st.success(_("Every feature of the panel is within its limits."), icon=":material/check:")
-        return
-    names = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
-    columns = {
-        "feature_id": _("Feature"), "quantity": _("Quantity"), "value_mm": _("Worst"), "u95_mm": _("± U95"),
-        "length_mm": _("Length, mm"), "decision": _("Verdict"), "reason": _("Why"),
-    }  # fmt: skip
-    show_table(rows, columns, context.locale, "panel-findings", 470, names, _look_at, st.query_params.get("feature"))
-    st.caption(_("A stretch of a seam is one finding. Select one to see its worst place."))
-
-
-def _gravest_first(column: pd.Series) -> pd.Series:
-    return column.map(gravity) if column.name == "decision" else column != "red"
-
-
-def _changes(context: PageContext, view: PanelView) -> None:
-    """What changed since one of the nights before."""
-    nights = {run: context.locale.time(at) for run, at in earlier_nights(context.archive, view).items()}
-    if not nights:
-        st.info(_("This is the first assembly of the panel: there is no other to compare it with."))
-        return
-    names = list(nights)
-    since = names[-1]
-    if len(names) > 1:
-        since = st.select_slider(_("Since"), names, names[-1], format_func=nights.__getitem__, key=f"since-{names[-1]}")
-    else:
-        st.caption(_("since {time}", time=nights[since]))
-    rows = changes_since(context.archive, view, since)
-    if rows.empty:
-        st.success(_("Neither then nor now is anything beyond its limits."), icon=":material/check:")
-        return
-    columns = {
-        "change": _("Change"), "feature_id": _("Feature"), "value_mm": _("Now"), "before_mm": _("Then"),
-        "difference_mm": _("Difference"), "difference_u95_mm": _("± U95"), "decision": _("Verdict"), "reason": _("Why"),
-    }  # fmt: skip
-    keys = [feature_parameter(of_finding(view, row)) for row in rows.itertuples()]
-    # The same word as in the morning: there is nothing to find any more.
-    rows["change"] = rows["change"].replace("gone", CURED)
-    show_table(rows, columns, context.locale, "panel-changes", 330, keys, _look_at, st.query_params.get("feature"))
-    st.caption(
-        _(
-            "Both nights judged by today's limits. Worse and better: by more than the U95 of the difference. New: in "
-            "order then, or not seen. Select one to look at it."
-        )
-    )
-
-
-def _rework(context: PageContext, view: PanelView) -> None:
-    rows = rework_of(context.archive, view)
-    if rows.empty:
-        return
-    st.markdown("**" + _("Rework, repair and re-scan") + "**")
-    rows["feature"] = rows["panel_feature"].fillna(rows["name"])
-    columns = {"feature": _("Feature"), "disposition": _("Decided"), "who": _("By"), "decided_at": _("When"),
-               "state": _("Outcome"), "comment": _("Comment")}  # fmt: skip
-    keys = [
-        feature_parameter(Feature(kind, str(name)))
-        for kind, name in zip(rows["feature_kind"], rows["feature"], strict=True)
-    ]
-    show_table(rows, columns, context.locale, "panel-rework", 220, keys, _look_at, st.query_params.get("feature"))
-
-
-def _rules(context: PageContext, view: PanelView) -> None:
-    if view.rules.empty:
-        st.info(
-            _("The specification that judged this panel has no acceptance rules: nothing says when it is accepted.")
-        )
-    else:
-        shown = view.rules.assign(rule=view.rules["rule"].map(context.locale.reason))
-        columns = {"rule": _("Rule"), "applies_to": _("Of"), "verdict": _("Outcome"), "reason": _("What was found")}
-        show_table(shown, columns, context.locale, "panel-rules", 260)
-    st.markdown("**" + _("Verdicts so far") + "**")
-    columns = {"judged_at": _("Judged"), "panel_spec": _("By"), "verdict": _("Verdict"), "reason": _("Why")}
-    show_table(view.verdicts.iloc[::-1], columns, context.locale, "panel-verdicts", 200)
-
-
-def _coverage(context: PageContext, view: PanelView) -> None:
-    missing = view.coverage[view.coverage["state"] != "measured"]
-    if view.coverage.empty:
-        st.info(
-            _(
-                "No pattern says what there should be, so nothing can be missing. A specification with nominal places "
-                "(`flushline panel`) tells what was not looked at."
-            )
-        )
-    elif missing.empty:
-        st.success(_("Every expected fastener and stretch of seam was measured."), icon=":material/check:")
-    else:
-        columns = {"feature_id": _("Expected"), "state": _("State"), "from_mm": _("From, mm"), "to_mm": _("To, mm"),
-                   "reason": _("Why")}  # fmt: skip
-        show_table(missing, columns, context.locale, "panel-coverage", 470)
-
-
-def _scans(context: PageContext, scenes: Sequence[Any]) -> None:
-    signed = context.archive.review().sign_offs()
-    rows = pd.DataFrame(
-        {
-            "scene_id": str(scene.scene_id),
-            "station": scene.station,
-            "captured_at": scene.captured_at,
-            "findings": standings_words(context.archive.standings(str(scene.scene_id))),
-            "signed": signed[scene.scene_id].who if scene.scene_id in signed else "–",
-            "reason": SEPARATOR.join(map(str, scene.warnings if scene.warnings is not None else ())),
-        }
-        for scene in scenes
-    )
-    columns = {"station": _("Station"), "captured_at": _("Scanned"), "findings": _("Findings"),
-               "signed": _("Signed off"), "reason": _("Warnings")}  # fmt: skip
-    show_table(rows, columns, context.locale, "panel-scans", 300, list(rows["scene_id"]), _open_scene)
-    st.caption(_("Select a scan to open its picture."))
-
-
-def _open_scene(scene: str) -> None:
-    go("scene", scene=scene)
