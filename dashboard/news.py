@@ -25,13 +25,7 @@ _CHANCE = 0.05  # that one of all places that are watched is said to drift altho
 
 @dataclass(frozen=True)
 class Since:
-    """Which scans are new: those stored after a moment, or those of a selection.
-
-    Attributes
-    ----------
-    stored : datetime or None
-    selection : Selection
-    """
+    """Which scans are new: those stored after a moment, or those of a selection."""
 
     stored: datetime | None = None
     selection: Selection = field(default_factory=Selection)

@@ -63,8 +63,6 @@ def with_equal_ripples(
 
     Parameters
     ----------
-    left, right : DecodedView
-    code : FringeCode
     size : int
         W, projector pixels along the fringe axis.
 

@@ -118,7 +118,6 @@ def checksum(data: bytes, chunks: Iterable[png.Chunk] | None = None) -> int:
 
     Parameters
     ----------
-    data : bytes
     chunks : iterable, optional
         A PNG's, where they are known.
     """

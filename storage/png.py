@@ -33,7 +33,6 @@ def size_and_bits(source: FrameSource, walked: list[Chunk] | None = None) -> tup
 
     Parameters
     ----------
-    source : FrameSource
     walked : list, optional
         Gets the PNG's chunks.
     """

@@ -16,24 +16,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Wording:
-    """The words of a language.
-
-    Attributes
-    ----------
-    language : str
-        Its code.
-    text : callable
-        A text of the code in this language.
-    reason : callable
-        A stored reason or warning in this language.
-    decimal : str
-        The decimal mark.
-    """
+    """The words of a language."""
 
     language: str = "en"
+    """Its code."""
     text: Callable[[str], str] = str
+    """A text of the code in this language."""
     reason: Callable[[str], str] = str
+    """A stored reason or warning in this language."""
     decimal: str = "."
+    """The decimal mark."""
 
 
 _current: ContextVar[Wording] = ContextVar("wording")

@@ -38,39 +38,27 @@ _THINNEST = 0.02  # of its extent: narrower strips tell no surface
 
 @dataclass(frozen=True)
 class Reference:
-    """A plate without defects.
-
-    Attributes
-    ----------
-    frame : Frame
-        With its origin in the middle of the plate.
-    extents : (2,) ndarray
-        Half the plate's size along x and y, mm.
-    waves : (m, 2) ndarray of int
-        Degrees in x and y of the polynomial's terms.
-    coefficients, covariance : (7 + m,), (…, …) ndarray
-        Of `design`, over the larger extent; for noise as the residuals show it.
-    ruled : tuple of Ruled
-    noise : float
-        Residuals over the cells' own standard deviation.
-    wave_sd : float
-        Standard deviation of the polynomial's terms, mm; 0 until the plate has told it.
-    density : float
-        Cells that it was fitted to, for each mm² of the plate.
-    together : float
-        By how much the skin's waves raise the variance that independent cells would leave.
-    """
+    """A plate without defects."""
 
     frame: Frame
+    """With its origin in the middle of the plate."""
     extents: Array
+    """(2,): half the plate's size along x and y, mm."""
     waves: NDArray[np.int64]
+    """(m, 2) of int: degrees in x and y of the polynomial's terms."""
     coefficients: Array
     covariance: Array
+    """coefficients, covariance: (7 + m,), (…, …): of `design`, over the larger extent; for noise as the residuals show
+    it."""
     ruled: tuple[Ruled, ...] = ()
     noise: float = 1.0
+    """Residuals over the cells' own standard deviation."""
     wave_sd: float = 0.0
+    """Standard deviation of the polynomial's terms, mm; 0 until the plate has told it."""
     density: float = 0.0
+    """Cells that it was fitted to, for each mm² of the plate."""
     together: float = 1.0
+    """By how much the skin's waves raise the variance that independent cells would leave."""
 
     @property
     def extent(self) -> float:
@@ -146,7 +134,6 @@ class Reference:
             Their standard deviation, mm.
         cell_sd : float
             Of a cell's own noise, mm.
-        largest_mm : float
         """
         cells = self.density * 2 / np.pi * largest_mm**2
         return replace(self, together=1 + cells * (waves / cell_sd) ** 2)

@@ -23,22 +23,15 @@ _MOST_TURN = 0.05  # rad, from the seam's chord as it was seen
 
 @dataclass(frozen=True)
 class Ruled:
-    """Heights along a seam.
-
-    Attributes
-    ----------
-    direction : (2,) ndarray
-        Along the seam in the plate's frame.
-    start, heights : float, (n,) ndarray
-        mm; `BIN_MM` apart, linear between.
-    variance : (n,) ndarray
-        Of the heights, mm².
-    """
+    """Heights along a seam."""
 
     direction: Array
+    """(2,): along the seam in the plate's frame."""
     start: float
     heights: Array
+    """start, heights: float, (n,): mm; `BIN_MM` apart, linear between."""
     variance: Array
+    """(n,): of the heights, mm²."""
 
     def places(self, x: Array, y: Array) -> Array:
         """Where points lie, in bins."""

@@ -36,56 +36,37 @@ _NEAR = 0.05  # of a Gaussian's weight must be known
 
 @dataclass(frozen=True)
 class Region:
-    """Cells that lie off the skin together, to the same side.
-
-    Attributes
-    ----------
-    plate : int
-    sign : 1 or −1
-        Below or above.
-    rows, columns : slice
-        Its window.
-    cells : (…) bool
-        Its cells in the window.
-    doubt : float
-        By how much its depth changes if more round it is not taken for skin, mm: how well the rest tells the skin.
-    bend : float
-        By how much the skin under it is then bent otherwise, mm: what may look like a defect, and be none.
-    """
+    """Cells that lie off the skin together, to the same side."""
 
     plate: int
     sign: int
+    """Below or above."""
     rows: slice
     columns: slice
+    """rows, columns: its window."""
     cells: Mask
+    """(…): its cells in the window."""
     doubt: float = 0.0
+    """By how much its depth changes if more round it is not taken for skin, mm: how well the rest tells the skin."""
     bend: float = 0.0
+    """By how much the skin under it is then bent otherwise, mm: what may look like a defect, and be none."""
 
 
 @dataclass(frozen=True)
 class SkinMap:
-    """A scan against its skin.
-
-    Attributes
-    ----------
-    cells : CellMap
-    references : mapping of int to Reference
-        By plate.
-    depth : (rows, columns) ndarray
-        Below the skin along its normal, mm; NaN where there is none.
-    smoothed, sd : (rows, columns) ndarray
-        Depth smoothed over neighbours, fasteners bridged, and its standard deviation on bare skin, mm.
-    waves : mapping of int to float
-        Standard deviation of the bare skin over many cells about the reference, by plate, mm.
-    regions : tuple of Region
-    """
+    """A scan against its skin."""
 
     cells: CellMap
     references: Mapping[int, Reference]
+    """By plate."""
     depth: Array
+    """(rows, columns): below the skin along its normal, mm; NaN where there is none."""
     smoothed: Array
     sd: Array
+    """smoothed, sd: (rows, columns): depth smoothed over neighbours, fasteners bridged, and its standard deviation on
+    bare skin, mm."""
     waves: Mapping[int, float]
+    """Standard deviation of the bare skin over many cells about the reference, by plate, mm."""
     regions: tuple[Region, ...]
 
     def depth_at(self, plate: int, places: Array) -> Array:

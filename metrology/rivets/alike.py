@@ -42,7 +42,6 @@ def rings_alike(image: Float32, found: Sequence[Ellipse], dark: bool, shapes: Ci
     Parameters
     ----------
     image : (h, w) float32
-    found : sequence of Ellipse
     dark : bool
         Whether the rings are darker than what surrounds them.
     shapes : CircleShapes

@@ -35,17 +35,11 @@ _LEAST_CONTRAST = 0.15  # of a ring against either side, as a share of its ampli
 
 @dataclass(frozen=True)
 class Ring:
-    """A ring that was found, and how good it is.
-
-    Attributes
-    ----------
-    fit : RingFit
-    distinction : float
-        See `evidence.distinction`.
-    """
+    """A ring that was found, and how good it is."""
 
     fit: RingFit
     distinction: float
+    """See `evidence.distinction`."""
 
     @property
     def ellipse(self) -> Ellipse:
@@ -75,7 +69,6 @@ def detect_ellipses(
     ----------
     texture : (h, w) array
         Grey levels; NaN where there are none.
-    settings : RivetSettings
     shapes : CircleShapes
         What a circle looks like in each part of the image. Without it the confident rings tell it to the others.
     radii : (least, most)

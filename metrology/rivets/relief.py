@@ -43,21 +43,14 @@ _SKIN_SIGMAS = 3.0  # within which of its own scatter about the smoothed skin a 
 
 @dataclass(frozen=True)
 class ReliefMap:
-    """Heights over the smoothed skin on cells of 4 × 4 pixels.
-
-    Attributes
-    ----------
-    height : (h/4, w/4) float32
-        mm, positive towards the rig; NaN where there is no cloud.
-    skin : (h/4, w/4) float32
-        1/z of the smoothed skin, 1/mm.
-    noise : float
-        Standard deviation of a cell, mm.
-    """
+    """Heights over the smoothed skin on cells of 4 × 4 pixels."""
 
     height: Float32
+    """(h/4, w/4) float32: mm, positive towards the rig; NaN where there is no cloud."""
     skin: Float32
+    """(h/4, w/4) float32: 1/z of the smoothed skin, 1/mm."""
     noise: float
+    """Standard deviation of a cell, mm."""
 
 
 @dataclass(frozen=True)
@@ -181,8 +174,6 @@ def discs(relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]) -
 
     Parameters
     ----------
-    relief : ReliefMap
-    shapes : CircleShapes
     radii : (least, most)
         Radii looked for, px.
     """
@@ -307,22 +298,15 @@ def _shows_in_texture(texture: Float32, ellipse: Ellipse) -> bool:
 
 @dataclass(frozen=True)
 class HeadRelief:
-    """What the cloud says about a ring.
-
-    Attributes
-    ----------
-    step_mm : float
-        Median height of the inside over the plane of the outside.
-    significance : float
-        Its size over its standard deviation.
-    inner_share, outer_share : float
-        Shares of pixels inside and outside that have a point.
-    """
+    """What the cloud says about a ring."""
 
     step_mm: float
+    """Median height of the inside over the plane of the outside."""
     significance: float
+    """Its size over its standard deviation."""
     inner_share: float
     outer_share: float
+    """inner_share, outer_share: shares of pixels inside and outside that have a point."""
 
 
 def head_relief(reconstruction: Reconstruction, ellipse: Ellipse) -> HeadRelief:

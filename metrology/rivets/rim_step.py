@@ -33,24 +33,16 @@ _WAVES_MM = 0.004  # of the skin that no quadric follows
 
 @dataclass(frozen=True)
 class RimStep:
-    """The step of the surface at a ring.
-
-    Attributes
-    ----------
-    mean_mm : float
-        Height of the inside over the outside, mean over the ring.
-    rise_mm : float
-        By how much that differs from the mean where it differs most: a tilt.
-    significance : float
-        Length of both over their standard deviation (χ of three components): above 3.4 in one flat ring of a hundred.
-    mean_significance : float
-        Size of the mean alone over its standard deviation.
-    """
+    """The step of the surface at a ring."""
 
     mean_mm: float
+    """Height of the inside over the outside, mean over the ring."""
     rise_mm: float
+    """By how much that differs from the mean where it differs most: a tilt."""
     significance: float
+    """Length of both over their standard deviation (χ of three components): above 3.4 in one flat ring of a hundred."""
     mean_significance: float
+    """Size of the mean alone over its standard deviation."""
 
 
 def rim_step(reconstruction: Reconstruction, ellipse: Ellipse) -> RimStep | None:

@@ -36,8 +36,6 @@ def detect_rivets(
 
     Parameters
     ----------
-    reconstruction : Reconstruction
-    settings : RivetSettings
     ground : Ground
         See `ground_of`; found where it is not given.
     holes : sequence of Ellipse
