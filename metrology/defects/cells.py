@@ -47,6 +47,8 @@ class CellMap:
     """(rows, columns) int32: which piece of skin between seams a cell lies on, 1 …; 0 on none."""
     seam: Mask
     """(rows, columns): cells of seams."""
+    covered: Mask
+    """(rows, columns): cells of fasteners and holes."""
     free: Mask
     """(rows, columns): sound cells of a plate that are no fastener, hole or seam."""
 
@@ -72,7 +74,7 @@ def cell_map(sighted: Sighted) -> CellMap:
     # Half a matching window is missing at the border of the image.
     inside = np.zeros(plate.shape, bool)
     inside[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
-    return CellMap(points, sigma, plate, seam, np.isfinite(sigma) & (plate > 0) & ~covered & inside)
+    return CellMap(points, sigma, plate, seam, covered, np.isfinite(sigma) & (plate > 0) & ~covered & inside)
 
 
 @kernel

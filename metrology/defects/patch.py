@@ -151,7 +151,8 @@ def _patch(
         return np.repeat(np.repeat(cell_values, fine, axis=0), fine, axis=1)
 
     plate = np.asarray(finer(cells.plate[window] == region.plate), bool)
-    covered = np.asarray(finer((~cells.free & np.isfinite(cells.sigma))[window]), bool)
+    # A hole's cell may have too few points for a mean, and yet some.
+    covered = np.asarray(finer((cells.covered | ~cells.free & np.isfinite(cells.sigma))[window]), bool)
     known = np.isfinite(sigma) & plate & ~covered
     depth = np.full(shape, np.nan)
     reference.depths(points, known, depth)

@@ -71,19 +71,26 @@ def test_a_scratchs_edge_is_no_seam_and_a_groove_beside_it_is() -> None:
         u = np.arange(start, 501.0)
         return SeamLine(name, np.stack([u, np.full_like(u, v)], axis=1), np.full(len(u), 8.0), 1.0, True)
 
-    skin = np.ones((480, 640), bool)
+    skin, none = np.ones((480, 640), bool), np.zeros((480, 640), bool)
     cut = Relief(1.0, groove_share=1.0, shallow_share=1.0)
     scratch, edge = (line("scratch", 200.0), cut), (line("edge", 215.0), Relief(1.0, step_mm=0.2, step_share=1.0))
     gap, far = (line("gap", 215.0), Relief(1.0, groove_share=1.0)), (line("far", 280.0), edge[1])
-    assert [found.seam_id for found in scratches_of([scratch, edge, far], skin)] == ["scratch", "edge"]
-    assert [found.seam_id for found in scratches_of([scratch, gap], skin)] == ["scratch"]
+    assert [found.seam_id for found in scratches_of([scratch, edge, far], skin, none)] == ["scratch", "edge"]
+    assert [found.seam_id for found in scratches_of([scratch, gap], skin, none)] == ["scratch"]
     # What it runs on to makes it a seam: another line, the end of the skin, the picture's border.
     crossed = np.stack([np.full(300, 520.0), np.arange(100.0, 400.0)], axis=1)
     other = (SeamLine("other", crossed, np.full(300, 8.0), 1.0, True), Relief(1.0, groove_share=1.0))
-    assert scratches_of([scratch, other], skin) == []
+    assert scratches_of([scratch, other], skin, none) == []
+    # A head hides what comes next: beyond it a seam may go on.
+    head = none.copy()
+    head[170:230, 505:565] = True
+    beyond = (line("beyond", 200.0, 350.0), Relief(1.0, groove_share=1.0))
+    beyond[0].centre_px[:, 0] += 220.0
+    assert scratches_of([scratch], skin, head) == [scratch[0]]
+    assert scratches_of([scratch, beyond], skin, head) == []
     skin[:, 520:] = False
-    assert scratches_of([scratch], skin) == []
-    assert scratches_of([(line("to the border", 200.0, 20.0), cut)], np.ones((480, 640), bool)) == []
+    assert scratches_of([scratch], skin, none) == []
+    assert scratches_of([(line("to the border", 200.0, 20.0), cut)], np.ones((480, 640), bool), none) == []
 
 
 def test_what_lies_far_behind_is_no_dent_of_its_width(bare: Reconstruction) -> None:

@@ -60,7 +60,7 @@ def detect_seams(
             seams.append((SeamLine("", line.centre_px, line.width_px, _confidence(line, relief), True), relief))
         elif relief.between_skins and _is_shown(line):
             others.append(SeamLine("", line.centre_px, line.width_px, _SHOWN_CONFIDENCE, False))
-    scratches = scratches_of(seams, usable)
+    scratches = scratches_of(seams, reconstruction.valid, heads)
     found = with_laps(seams, reconstruction, usable, settings)
     found = [line for line in found if all(line is not scratch for scratch in scratches)]
     found.sort(key=lambda line: tuple(line.centre_px.mean(axis=0)))
