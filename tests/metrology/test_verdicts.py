@@ -75,7 +75,7 @@ def test_screen_paper_and_projector_follow_the_table() -> None:
         assert palette.SEVERITY_SYMBOLS[severity] == {
             "disc": "circle", "diamond": "diamond", "cross": "x", "ring": "circle-open"
         }[look.symbol]  # fmt: skip
-        assert f"{look.sign} {look.words}" in paper.KEY
+        assert f"{look.sign} {look.words}" in paper.key()
     for decision, look in DECISIONS.items():
         assert palette.decision_words(decision) == f"{look.sign} {decision}"
         assert paper.SIGNS[decision] == look.sign
