@@ -203,7 +203,10 @@ class _Problem:
         s2 = float(np.sum(weight * off**2)) / max(self.blocks - len(names), 1)
         jacobian = found.jac.copy()
         jacobian[: self.blocks] /= np.sqrt(s2)  # what is assumed keeps its own standard deviation
-        covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        # Of its columns at one scale: what is hardly known must not pass for what is known exactly.
+        norms = np.linalg.norm(jacobian, axis=0)
+        inverse = np.linalg.pinv(jacobian / norms, rcond=1e-12) / norms[:, None]
+        covariance = inverse @ inverse.T
         return _Solution(
             _unpacked(found.x, names, self.size),
             names,

@@ -127,6 +127,7 @@ def test_from_the_review_to_scene_trends_and_back(server: tuple[str, Path], page
     settle(page)
     click_row(page, 3)
     page.wait_for_url("**feature=*", wait_until="commit")
+    settle(page)
     page.go_back()
     at(page, "review", scene=LAST)
     assert "feature=" not in page.url

@@ -23,7 +23,11 @@ def projector() -> Device:
 
 
 def seen(
-    axis: Axis, rng: np.random.Generator, heights: tuple[float, ...] = (0.0, 60.0, -50.0), sigma: float = 0.03
+    axis: Axis,
+    rng: np.random.Generator,
+    heights: tuple[float, ...] = (0.0, 60.0, -50.0),
+    sigma: float = 0.03,
+    device: Device | None = None,
 ) -> SeenPoints:
     """Tilted planes at several heights, 240 blocks of 30 points each."""
     blocks, points = [], []
@@ -35,7 +39,7 @@ def seen(
             points.append(np.column_stack([px, py, 700 + height + slope * px + 0.2 * py]))
             blocks += [plane * 80 + k] * 30
     where: NDArray[np.float64] = np.concatenate(points)
-    shown = projector().project(where)[:, 0 if axis == "x" else 1]
+    shown = (device or projector()).project(where)[:, 0 if axis == "x" else 1]
     return SeenPoints(axis, where, shown + rng.normal(0, sigma, len(shown)), np.array(blocks))
 
 
@@ -64,6 +68,15 @@ def test_one_axis_tells_columns_and_says_how_far_rows_are_assumed(rng: np.random
     assert off[:, 1].max() < 2 * found.assumed_u95_px
     assert found.assumed_u95_px > 1
     assert found.summary["assumed"] == "rows"
+
+
+def test_where_a_lens_without_distortion_lies_along_its_columns_is_not_known(rng: np.random.Generator) -> None:
+    true = replace(projector(), distortion=np.zeros(5))
+    found = fit_projector([seen("x", rng, sigma=0.003, device=true)], SIZE)
+    off = np.abs(true.R @ (found.device.centre - true.centre))
+    assert off[1] < found.place_u95_mm
+    assert found.place_u95_mm > 20
+    assert off[[0, 2]].max() < 1
 
 
 def test_what_is_flat_is_refused(rng: np.random.Generator) -> None:
