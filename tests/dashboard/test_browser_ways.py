@@ -126,12 +126,14 @@ def test_from_the_review_to_scene_trends_and_back(server: tuple[str, Path], page
     # One click is one step back.
     settle(page)
     click_row(page, 3)
+    first = page.get_by_text("Rivet R04").filter(visible=True).first
     page.wait_for_url("**feature=*", wait_until="commit")
+    first.wait_for(state="hidden")  # else a slow page takes the click for one after the step back
     settle(page)
     page.go_back()
     at(page, "review", scene=LAST)
     assert "feature=" not in page.url
-    page.get_by_text("Rivet R04").filter(visible=True).first.wait_for()  # the first of that scan again
+    first.wait_for()
     page.get_by_role("link", name="Trend", exact=True).click()
     at(page, "trends", panel="LH-F12", station="S2")
     page.go_back()
