@@ -53,11 +53,6 @@ def _(text: str, /, **values: object) -> str:
     return worded.format(**values) if values else worded
 
 
-def capital(text: str) -> str:
-    """A text with a capital at its beginning."""
-    return text[:1].upper() + text[1:]
-
-
 def po_file(language: str) -> Path:
     """The catalogue of a language."""
     return _FOLDER / language / "LC_MESSAGES" / "dashboard.po"

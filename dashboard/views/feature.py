@@ -14,12 +14,13 @@ from dashboard.frame import PageContext, link, plain
 from dashboard.palette import DECISION_BADGES, decision_words, quantity_words
 from dashboard.scenes import find_feature, required_by, requirements
 from dashboard.views.defect import show_defect
-from dashboard.words import N_, _, capital
+from dashboard.words import N_, _
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME, DEFECT, RIVET, SEAM_STATION
 from metrology.requirements import limit_of
 from metrology.tolerance import PanelSpec
 from storage.review import Feature
+from storage.wording import capital
 
 HOW_DECIDED = N_(
     "Decided after ISO 14253-1: a value fails or passes where it lies beyond or within its limits by more than its "

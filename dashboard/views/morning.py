@@ -17,10 +17,11 @@ from dashboard.frame import PageContext, go, link
 from dashboard.looks import Looks
 from dashboard.news import Since, changes, drifts, due_rigs, new_scans, not_inspected
 from dashboard.tables import show_table
-from dashboard.words import N_, _, capital
+from dashboard.words import N_, _
 from metrology.kinds import BY_NAME
 from storage.archive.changes import CURED, NEW, WORSE
 from storage.review import Feature
+from storage.wording import capital
 
 MY_LOOK = N_("I looked before")
 _DRIFTING, _REWORK, _DUE, _ASIDE = N_("drifting"), N_("open work"), N_("rigs due"), N_("not inspected")

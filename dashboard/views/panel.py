@@ -39,11 +39,12 @@ from dashboard.views.panel_tables import (
     show_rules,
     show_scans,
 )
-from dashboard.words import N_, _, capital
+from dashboard.words import N_, _
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
 from storage.report import panel_report
 from storage.review import Feature
+from storage.wording import capital
 
 TITLE = N_("Panel")
 _BADGES = {

@@ -25,7 +25,7 @@ from dashboard.scenes import (
     worst_feature,
 )
 from dashboard.views.feature import absent, close_up
-from dashboard.words import N_, _, capital
+from dashboard.words import N_, _
 from metrology.errors import FlushlineError, StoreError
 from metrology.kinds import HOLE, KINDS, RIVET, Kind
 from storage.archive.views import NEWEST_FIRST
@@ -33,6 +33,7 @@ from storage.archive.work import OPEN_WORK
 from storage.cloud import StoredCloud
 from storage.report import scene_report
 from storage.review import Feature
+from storage.wording import capital
 
 TITLE = N_("Scan")
 _MAP_POINTS = 120_000

@@ -31,7 +31,7 @@ from dashboard.trends import (
     series,
     spread,
 )
-from dashboard.words import N_, _, capital
+from dashboard.words import N_, _
 from metrology.statistics import (
     NELSON_RULES,
     WESTERN_ELECTRIC_RULES,
@@ -43,6 +43,7 @@ from metrology.statistics import (
     rule_violations,
 )
 from metrology.tolerance import Limit
+from storage.wording import capital
 
 TITLE = N_("Trends")
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
