@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from metrology.errors import FlushlineError
-from storage.archive.files import locked
+from storage.archive.files import locked, replacing
 from storage.documents import read_json
 
 FORMAT = "flushline-log-outs/1"
@@ -56,9 +56,8 @@ class LogOuts:
             self.path.parent.mkdir(exist_ok=True)
             with locked(self.path.parent / ".lock"):
                 kept = {other: at for other, at in self._read().items() if now - at < _KEPT_S}
-                partial = self.path.with_name(".log-outs.partial")
-                partial.write_text(json.dumps({"format": FORMAT, "ended": kept | {name: now}}), encoding="utf-8")
-                partial.replace(self.path)
+                with replacing(self.path) as partial:
+                    partial.write_text(json.dumps({"format": FORMAT, "ended": kept | {name: now}}), encoding="utf-8")
         except (OSError, FlushlineError) as problem:
             _LOG.error("%s: the log-out holds until this server stops: %s", self.path, problem)
 

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from metrology.errors import FlushlineError
-from storage.archive.files import locked
+from storage.archive.files import locked, replacing
 from storage.documents import read_json, utc_text
 
 FORMAT = "flushline-looks/1"
@@ -62,9 +62,9 @@ class Looks:
         with locked(self.path.parent / ".lock"):
             looks = {**self._read(), who: (before, now)}
             written = {name: [utc_text(at) if at else None for at in times] for name, times in looks.items()}
-            partial = self.path.with_name(".looks.partial")
-            partial.write_text(json.dumps({"format": FORMAT, "looks": written}, ensure_ascii=False), encoding="utf-8")
-            partial.replace(self.path)
+            document = {"format": FORMAT, "looks": written}
+            with replacing(self.path) as partial:
+                partial.write_text(json.dumps(document, ensure_ascii=False), encoding="utf-8")
 
 
 def _times(times: object) -> tuple[datetime | None, datetime | None]:

@@ -17,6 +17,7 @@ from metrology.calibration.epipolar_residuals import epipolar_residuals
 from metrology.calibration.observations import DeviceName
 from metrology.calibration.prediction import FieldUncertainty
 from metrology.rig import Device, Rig
+from storage.archive.files import replacing
 from storage.evidence.rig_facts import rig_facts
 from storage.report.markup import table
 from storage.templates import rendered
@@ -49,9 +50,8 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
         parameters=_parameter_table(calibration),
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(document, encoding="utf-8")
-    partial.replace(path)
+    with replacing(path) as partial:
+        partial.write_text(document, encoding="utf-8")
 
 
 def _board(rig: Rig) -> str:

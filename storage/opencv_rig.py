@@ -17,6 +17,7 @@ from metrology.errors import RigError
 from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
 from metrology.rig_plausibility import check_rig
 from storage import other_rigs
+from storage.archive.files import replacing
 from storage.calibration_documents import flat, read_document
 from storage.calibration_names import first_number, from_names, side_of_file
 from storage.lens_names import check_lens_names
@@ -112,12 +113,11 @@ def save_opencv_rig(rig: Rig, path: Path) -> None:
     for number, device in enumerate(rig.devices.values(), start=1):
         values[f"M{number}"] = device.K
         values[f"D{number}"] = device.distortion[None] if device.distortion.size else np.zeros((1, 4))
-    partial = path.with_name(f".partial-{path.name}")
-    storage = cv2.FileStorage(str(partial), cv2.FILE_STORAGE_WRITE)
-    for name, value in values.items():
-        storage.write(_WRITTEN.get(name, name), np.ascontiguousarray(value, float))
-    storage.release()
-    partial.replace(path)
+    with replacing(path) as partial:
+        storage = cv2.FileStorage(str(partial), cv2.FILE_STORAGE_WRITE)
+        for name, value in values.items():
+            storage.write(_WRITTEN.get(name, name), np.ascontiguousarray(value, float))
+        storage.release()
 
 
 def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Array]:

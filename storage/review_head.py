@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metrology.errors import StoreError, UsageError
-from storage.archive.files import sync, write_durably
+from storage.archive.files import replacing
 from storage.documents import read_json
 from storage.review_file import FIRST
 
@@ -76,8 +76,5 @@ class HeadFile:
     def write(self, head: Head, following: Head | None = None) -> None:
         """Keep a head, durably; the caller holds the log's lock."""
         document = {"format": FORMAT, "head": str(head)} | ({"following": str(following)} if following else {})
-        partial = self.path.with_name(".head.partial")
-        partial.unlink(missing_ok=True)
-        write_durably(partial, json.dumps(document).encode())
-        partial.replace(self.path)
-        sync(self.path.parent)
+        with replacing(self.path) as partial:
+            partial.write_text(json.dumps(document), encoding="ascii")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from uuid import uuid4
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from metrology.errors import RigError
 from metrology.rig import Device, Rig
 from metrology.rig_plausibility import check_rig
+from storage.archive.files import replacing
 from storage.documents import check_format, read_json, utc_text
 from storage.lens_names import check_lens_names
 from storage.models import Identifier, UtcTime, WholeNumber, validate
@@ -108,15 +107,8 @@ def save_rig(rig: Rig, path: Path) -> None:
     document = rig_document(rig)
     _check_plausible(rig_from_document(document, path), path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{uuid4().hex}")
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            json.dump(document, file, indent=1, allow_nan=False)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
 
 
 def _check_plausible(rig: Rig, path: Path) -> None:

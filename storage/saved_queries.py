@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from metrology.errors import StoreError, UsageError
-from storage.archive.files import locked
+from storage.archive.files import locked, replacing
 from storage.documents import read_json
 from storage.models import StrictModel, validate
 
@@ -59,8 +59,7 @@ class SavedQueries:
                     raise UsageError(f"queries: found {len(queries)}, expected at most {MAX_QUERIES}; forget one first")
                 document = {"format": FORMAT, "queries": queries}
                 validate(QueriesModel, document, self.path, UsageError)
-                partial = self.path.with_name(".queries.partial")
-                partial.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
-                partial.replace(self.path)
+                with replacing(self.path) as partial:
+                    partial.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
         except OSError as problem:
             raise StoreError(f'{self.path}: found "{problem.strerror}", expected it to be writable') from None

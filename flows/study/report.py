@@ -7,6 +7,7 @@ from pathlib import Path
 
 from flows import plotly_page
 from flows.study.document import Section, bars_table
+from storage.archive.files import replacing
 from storage.report import markup
 from storage.spreadsheet import ENCODING
 
@@ -33,10 +34,8 @@ def write_report(out: Path, title: str, lead: Sequence[str], sections: Sequence[
 
 
 def _write(path: Path, text: str, encoding: str = "utf-8") -> None:
-    """Whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding=encoding, newline="")
-    partial.replace(path)
+    with replacing(path) as partial:
+        partial.write_text(text, encoding=encoding, newline="")
 
 
 def _markdown(title: str, lead: Sequence[str], sections: Sequence[Section]) -> str:

@@ -98,6 +98,19 @@ def write_durably(path: Path, content: bytes) -> None:
     sync(path.parent)
 
 
+@contextlib.contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """A file to write to, beside the target; it takes the target's place whole and durably, or not at all."""
+    partial = target.with_name(f".{uuid4().hex}.{target.name}")
+    try:
+        yield partial
+        sync(partial)
+        partial.replace(target)
+        sync(target.parent)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
 def write_first(target: Path, content: bytes) -> bool:
     """Write a file that does not exist yet, whole or not at all; False where another was first."""
     partial = target.with_name(f".{target.name}.{uuid4().hex}")

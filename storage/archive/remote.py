@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
-from uuid import uuid4
 
 from metrology.errors import StoreError
 from storage.archive.bundle import MANIFEST
-from storage.archive.files import protect
+from storage.archive.files import protect, replacing
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
@@ -67,14 +66,9 @@ class Remote:
         from pyarrow import fs
 
         target.parent.mkdir(parents=True, exist_ok=True)
-        # A name of its own: others may be fetching the same file just now.
-        partial = target.with_name(f".{target.name}.{uuid4().hex}")
-        try:
+        with replacing(target) as partial:  # others may be fetching the same file just now
             fs.copy_files(f"{self.base}/{run}/{name}", str(partial), self.filesystem, fs.LocalFileSystem())
             protect(partial)
-            partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
 
     def remove(self, run: str) -> None:
         """Remove a run there, or what there is of one that did not arrive."""

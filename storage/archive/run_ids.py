@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import uuid
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from storage.archive.bundles import Bundles
-from storage.archive.files import sync
+from storage.archive.files import replacing
 from storage.archive.layout import Layout
 
 _FORMAT = "%Y%m%dT%H%M%S.%fZ"
@@ -41,7 +40,5 @@ def _next(stamp: str) -> str:
 
 
 def _note(layout: Layout, run_id: str) -> None:
-    partial = layout.newest_run.with_name(f".{layout.newest_run.name}.{os.getpid()}")
-    partial.write_text(run_id, encoding="ascii")
-    sync(partial)
-    partial.replace(layout.newest_run)
+    with replacing(layout.newest_run) as partial:
+        partial.write_text(run_id, encoding="ascii")
