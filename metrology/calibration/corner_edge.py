@@ -14,6 +14,8 @@ _START_BLUR_PX = 1.0
 _LEAST_BLUR_PX = 0.25
 _BAND_PX = 4.0  # half-width of the bands along both edges that are fitted, at least
 _BAND_BLURS = 3.0
+_LEAST_BAND_PX = 2.0
+_CLEAR_BLURS = 2.0  # from what else is printed, so far its blur reaches
 _ITERATIONS = 15
 _CONVERGED_PX = 1e-4
 _LOST_PX = 2.0  # a corner that leaves its start by more has locked onto something else
@@ -38,7 +40,9 @@ class CornerFit:
         return float(np.sqrt(np.trace(self.covariance) / 2))
 
 
-def fit_corner(image: Array, start: Array, directions: Array, reach_px: float) -> CornerFit | None:
+def fit_corner(
+    image: Array, start: Array, directions: Array, reach_px: float, clear_px: float = np.inf
+) -> CornerFit | None:
     """Fit one corner.
 
     Least squares of ``I = m + g·x + c erf(d₁/√2σ) erf(d₂/√2σ)`` with d₁, d₂ the distances from two lines through the
@@ -53,6 +57,8 @@ def fit_corner(image: Array, start: Array, directions: Array, reach_px: float) -
         Rows: unit vectors along the two edges.
     reach_px : float
         How far along the edges to look; less than to the next corner.
+    clear_px : float
+        How far from the edges something else is printed, as a marker is.
 
     Returns
     -------
@@ -74,7 +80,8 @@ def fit_corner(image: Array, start: Array, directions: Array, reach_px: float) -
         normals = np.column_stack([-np.sin(angles), np.cos(angles)])
         along = np.column_stack([np.cos(angles), np.sin(angles)])
         distance = offset @ normals.T
-        near = np.abs(distance).min(-1) < max(_BAND_PX, _BAND_BLURS * blur)
+        band = min(max(_BAND_PX, _BAND_BLURS * blur), max(clear_px - _CLEAR_BLURS * blur, _LEAST_BAND_PX))
+        near = np.abs(distance).min(-1) < band
         near &= np.linalg.norm(offset, axis=-1) < reach_px
         if near.sum() < _LEAST_PIXELS:
             return None

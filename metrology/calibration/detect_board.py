@@ -248,11 +248,14 @@ def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: A
     """Fit the crossing edges at every corner; the homography tells their directions."""
     points = board.points[index, :2]
     homography = fit_homography(points, pixels)
-    reach = _REACH * board.spacing_mm * np.sqrt(unit_area(homography, points))
+    scale = np.sqrt(unit_area(homography, points))
+    reach = _REACH * board.spacing_mm * scale
+    clear = scale * ((board.spacing_mm - board.marker_mm) / 2 if board.marker_mm else np.inf)
     fits, kept = [], []
     for k, start in enumerate(pixels):
         ends = apply_homography(homography, points[k] + np.eye(2)) - apply_homography(homography, points[k] - np.eye(2))
-        fit = fit_corner(lit, start, ends / np.linalg.norm(ends, axis=1, keepdims=True), float(reach[k]))
+        along = ends / np.linalg.norm(ends, axis=1, keepdims=True)
+        fit = fit_corner(lit, start, along, float(reach[k]), float(clear[k]))
         if fit is not None:
             fits.append(fit)
             kept.append(k)
@@ -263,7 +266,8 @@ def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: A
     fits, kept = [fit for fit, _ in sharp], [k for _, k in sharp]
     if len(fits) < LEAST_PART * len(pixels):
         raise CalibrationError(
-            f"{len(fits)} of {len(pixels)} corners of the {board} are sharp enough to be measured: blurred or too dark"
+            f"{len(fits)} of {len(pixels)} corners of the {board} are sharp enough to be measured: blurred, too dark, "
+            f"or too small (a square is {float(np.median(reach)) / _REACH:.0f} px)"
         )
     blur, spacing = float(np.median([fit.blur_px for fit in fits])), float(np.median(reach)) / _REACH
     if blur > _BLUR_OF_SQUARE * spacing:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flows.cli import main
+from flows.cli import build_parser, main
+from flows.code_options import both_fringe_models
 from metrology.fringe import GrayCode
-from metrology.rig import Device
+from metrology.rig import Device, Rig
 from storage.rig import load_rig, save_rig
 from tests.support.rendered_fringes import small_rig
 from tests.support.roof_scan import roof_scan
 
+PAGE = Path(__file__).parents[2] / "docs" / "any-rig.md"
 WHEN = "2026-11-01T00:00:00Z"
 
 
@@ -75,6 +78,66 @@ def code_on_board(folder: Path) -> None:
                 str(folder / f"capture_{pose}" / f"graycode_{number:02d}.png"),
                 np.clip(level, 0, 255).round().astype(np.uint8),
             )
+
+
+def test_fringes_on_a_charuco_board_calibrate_two_cameras_and_a_projector(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command of the page "bring your own rig", as it is written there."""
+    (command,) = (line for line in PAGE.read_text(encoding="utf-8").splitlines() if "calibrate raw" in line)
+    words = shlex.split(command)[1:]
+    codes = both_fringe_models(build_parser().parse_args(words))
+    kind = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    printed = cv2.aruco.CharucoBoard((14, 10), 20.0, 15.0, kind).generateImage((14 * 160, 10 * 160)) / 255.0
+    rig, rng = fringes_rig(), np.random.default_rng(4)
+    monkeypatch.chdir(tmp_path)
+    for pose, tilt in enumerate(TILTS):
+        for name, camera in rig.cameras.items():
+            grey, light = printed_and_light(camera, rig.with_projector(), printed, 160 / 20.0, pose, tilt)
+            along_x, along_y = np.moveaxis(light + 0.5, -1, 0) / np.reshape([1280, 800], (2, 1, 1))
+            lines = [codes["x"].code.lines(along_x.ravel()), codes["y"].code.lines(along_y.ravel())]
+            frames = np.concatenate(lines).reshape(-1, *grey.shape)
+            level = grey * (10 + 190 * frames) + rng.normal(0, 0.8, frames.shape)
+            (folder := tmp_path / "raw" / name / str(pose)).mkdir(parents=True)
+            for number, frame in enumerate(np.clip(level, 0, 255).round().astype(np.uint8)):
+                cv2.imwrite(str(folder / f"{number:02d}.png"), frame)
+    assert main(words) == 0
+    assert "5 of 5 poses" in capsys.readouterr().out
+    found = load_rig(tmp_path / "rig.json")
+    for name, true in rig.devices.items():
+        assert found.devices[name].K[0, 0] == pytest.approx(true.K[0, 0], rel=3e-3), name
+        assert np.linalg.norm(found.devices[name].centre - true.centre) < 1.5, name
+
+
+def fringes_rig() -> Rig:
+    """Two cameras and a projector of 1280 × 800 pixels that look at a board half a metre away."""
+
+    def device(width: int, height: int, focal: float, centre: list[float], yaw: float) -> Device:
+        turn = np.asarray(cv2.Rodrigues(np.radians([0.0, yaw, 0.0]))[0]).T
+        K = np.array([[focal, 0, width / 2 - 0.5], [0, focal, height / 2 - 0.5], [0, 0, 1]])
+        return Device(width, height, K, np.zeros(5), turn, -turn @ np.array(centre))
+
+    left, right = device(512, 384, 720.0, [0, 0, 0], 0.0), device(512, 384, 724.0, [140.0, 0, 0], -15.0)
+    return Rig("true", WHEN, left, right, device(1280, 800, 1500.0, [70.0, 10.0, 0], -7.0))
+
+
+def printed_and_light(
+    camera: Device, projector: Device, printed: NDArray[np.float64], per_mm: float, pose: int, tilt: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(h, w) reflectance and (h, w, 2) projector pixels of what a camera sees of a printed board."""
+    R = np.asarray(cv2.Rodrigues(np.radians(0.8 * np.array(tilt)))[0])
+    middle = np.array([printed.shape[1], printed.shape[0], 0.0]) / per_mm / 2
+    t = np.array([8.0 * (pose % 3 - 1), 6.0 * (pose % 2), 500.0 + 15 * pose]) - R @ middle
+    fine = 2
+    v, u = (np.mgrid[: fine * camera.height, : fine * camera.width] + 0.5) / fine - 0.5
+    rays = camera.rays(np.stack([u, v], -1))
+    normal, origin = R[:, 2], camera.centre
+    points = origin + rays * ((normal @ (t - origin)) / (rays @ normal))[..., None]
+    at = ((points - t) @ R[:, :2] * per_mm - 0.5).astype(np.float32)
+    grey = cv2.remap(printed.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0.8)
+    size = (camera.width, camera.height)
+    grey = cv2.resize(grey * 0.8 + 0.1, size, interpolation=cv2.INTER_AREA).astype(float)
+    return grey, np.asarray(cv2.resize(projector.project(points), size, interpolation=cv2.INTER_AREA))
 
 
 def test_a_code_on_a_board_calibrates_one_camera_and_a_projector(

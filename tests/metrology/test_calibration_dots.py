@@ -105,6 +105,24 @@ def test_a_corner_is_where_its_edges_cross(angles_deg: tuple[float, float]) -> N
     assert np.abs(errors).max() < 0.03
 
 
+def test_markers_beside_the_edges_are_left_out() -> None:
+    """As on a ChArUco board of 29 px a square: markers of two opposite squares begin 3.6 px from the edges."""
+    rng, truth, gap = np.random.default_rng(3), np.array([40.27, 38.61]), 3.6
+
+    def value(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        offset = pixels - truth
+        marker = (np.abs(offset).min(-1) > gap) & (offset.prod(-1) > 0) & (np.sin(0.9 * offset).prod(-1) > 0)
+        return np.asarray(90 + 70 * np.where(marker, -1, np.sign(offset).prod(-1)))
+
+    shown = picture(value, (80, 80))
+    frames = [shown + rng.normal(0, NOISE, shown.shape) for _ in range(8)]
+    fits = [fit_corner(frame, truth + 0.3, np.eye(2), 13.0, gap) for frame in frames]
+    assert np.abs([fit.centre - truth for fit in fits if fit is not None]).max() < 0.03
+    assert all(fits)
+    disturbed = [fit_corner(frame, truth + 0.3, np.eye(2), 13.0) for frame in frames]
+    assert all(fit is None or fit.sigma_px > 2 * fits[0].sigma_px for fit in disturbed if fits[0])
+
+
 def test_a_flat_patch_has_no_corner() -> None:
     flat = 100 + np.random.default_rng(4).normal(0, NOISE, (60, 60))
     assert fit_corner(flat, np.array([30.0, 30.0]), np.eye(2), 15.0) is None
