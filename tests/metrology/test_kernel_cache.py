@@ -16,7 +16,7 @@ import numba
 import numpy as np
 import pytest
 
-from metrology.jit import cached, kernel
+from metrology.jit import cached, kernel, shared_kernel
 
 
 @pytest.fixture
@@ -104,6 +104,19 @@ def test_a_kernel_is_called_by_kernels_first_and_by_python_later(
     assert kernel(twice)(1.5) == 5.0  # what was saved still stands by itself
     assert outer(2) == 6  # with another type of number
     assert inner(2) == 3
+
+
+def test_a_kernel_that_both_call_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def more(x: float) -> float:
+        return x + 1
+
+    inner = shared_kernel(more)
+    assert kernel(lambda x: 2 * inner(x))(1.5) == 5.0
+    [compiled] = inner.overloads.values()
+    assert inner(1.5) == 2.5
+    assert list(inner.overloads.values()) == [compiled]
 
 
 def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
