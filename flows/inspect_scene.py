@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import ParamSpec, Protocol, TypeVar
@@ -19,6 +19,7 @@ from metrology.sighted import Sighted
 from metrology.steps import STEPS
 from storage import png
 from storage.archive import Store
+from storage.archive.bundle import OVERLAY
 from storage.archive.panels import PatternTaken
 from storage.panel_spec import PanelSpecification
 from tasks import steps
@@ -179,18 +180,21 @@ def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:
     judged = run.step(steps.judge, registered.features, spec)
     drawn = run.step(steps.draw_overlay, judged, loaded, reconstruction, settings)
     run.seconds["total"] = time.perf_counter() - run.began
-    result = assemble(
-        loaded,
-        reconstruction,
-        measured.health,
-        registered,
-        judged,
-        drawn,
-        measured.encoded,
-        settings,
-        spec,
-        run.seconds,
-    )
-    run.on_answer(Answer(result.key, judged, result.warnings, result.seconds, lambda: png.encode(drawn.image())))
+    with ThreadPoolExecutor(1) as painter:
+        painting = painter.submit(lambda: png.encode(drawn.image()))
+        result = assemble(
+            loaded,
+            reconstruction,
+            measured.health,
+            registered,
+            judged,
+            drawn,
+            measured.encoded,
+            settings,
+            spec,
+            run.seconds,
+        )
+        run.on_answer(Answer(result.key, judged, result.warnings, result.seconds, painting.result))
+        result = replace(result, encoded={**result.encoded, OVERLAY: painting.result()})
     run_id = run.step(steps.publish, job.store, result, loaded.rig)
     return Inspected(result.key, run_id, result.features, result.warnings, run.seconds)

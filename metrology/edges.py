@@ -42,20 +42,18 @@ def flag_neighbourhoods(view: DecodedView, frames: int, settings: Reconstruction
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = (x * x + y * y <= (reach + 0.5) ** 2).astype(np.uint8)
     flags = view.flags | _spread(_edges(view, frames, settings), disc)
-    saturated = (flags & (PixelFlag.SATURATED | PixelFlag.SATURATED_SAMPLES)) != 0
+    saturated = flags & np.uint16(PixelFlag.SATURATED | PixelFlag.SATURATED_SAMPLES)
     if saturated.any():
-        flags |= _spread(saturated * np.uint8(PixelFlag.SATURATED_SAMPLES), disc)
+        flags |= _spread((saturated != 0) * np.uint8(PixelFlag.SATURATED_SAMPLES), disc)
     return replace(view, flags=flags)
 
 
 def without_border(view: DecodedView) -> DecodedView:
     """The view without the phase of its outermost pixels: what filters pictures invents what lies beyond them."""
-    coordinate = view.coordinate.copy()
-    border = np.ones(coordinate.shape, bool)
-    border[1:-1, 1:-1] = False
-    flags = view.flags.copy()
-    flags[border & np.isfinite(coordinate)] |= np.uint16(PixelFlag.ORDER_RESIDUAL)
-    coordinate[border] = np.nan
+    coordinate, flags = view.coordinate.copy(), view.flags.copy()
+    for border in np.s_[0, :], np.s_[-1, :], np.s_[:, 0], np.s_[:, -1]:
+        flags[border][np.isfinite(coordinate[border])] |= np.uint16(PixelFlag.ORDER_RESIDUAL)
+        coordinate[border] = np.nan
     return replace(view, coordinate=coordinate, flags=flags)
 
 
@@ -88,13 +86,13 @@ def _without_lone_gaps(view: DecodedView) -> NDArray[np.float32]:
     A pixel whose fringe order noise has made doubtful is missing, but no edge; neighbours on two sides of an edge still
     show it. Saturated pixels stay missing.
     """
-    gone = np.isnan(view.coordinate).view(np.uint8)
-    if not gone.any():
-        return view.coordinate
-    around = cv2.boxFilter(gone, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    lone = (gone > 0) & (around <= _LONE) & ((view.flags & np.uint16(PixelFlag.SATURATED)) == 0)
+    gone = np.isnan(view.coordinate)
+    around = cv2.boxFilter(gone.view(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    lone = gone & (around <= _LONE)
     lone[[0, -1]] = lone[:, [0, -1]] = False
-    v, u = np.nonzero(lone)
+    v, u = np.divmod(np.flatnonzero(lone), lone.shape[1])
+    kept = (view.flags[v, u] & np.uint16(PixelFlag.SATURATED)) == 0
+    v, u = v[kept], u[kept]
     if v.size == 0:
         return view.coordinate
     filled = view.coordinate.copy()

@@ -98,7 +98,7 @@ def contradictory_share(flags: NDArray[np.uint16]) -> float:
     # One pixel in sixteen tells the share to a thousandth.
     flags = flags[::_STRIDE, ::_STRIDE]
     lit = (flags & _UNLIT) == 0
-    return float(((flags & PixelFlag.ORDER_RESIDUAL) != 0)[lit].mean()) if lit.any() else 0.0
+    return float(((flags & np.uint16(PixelFlag.ORDER_RESIDUAL)) != 0)[lit].mean()) if lit.any() else 0.0
 
 
 def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:

@@ -109,7 +109,7 @@ def from_scratch(
         off = np.abs(target - design @ solution) if distance is None else distance(solution)
         if off is None:
             return None
-        scale = MAD * float(np.median(off)) + least
+        scale = MAD * median(off) + least
         early = iteration < absolute
         weights = 1 / np.maximum(off, _LEAST_OF_SCALE * scale) if early else tukey(off / (TUKEY * scale))
     return Solution(solution, weights, (design * weights[:, None]).T @ design)

@@ -299,9 +299,10 @@ def _accept(y, left, m, views, maps, table, grid, window, planes, limits, w, sta
             continue
         vc = pixel >> 16
         uc = pixel & 0xFFFF
-        noise = np.sqrt(float(sl[y, x]) ** 2 + float(sr[vc, uc]) ** 2)
-        slope = np.sqrt(w[_PLANE_U + i] ** 2 + w[_PLANE_V + i] ** 2)
-        slack = np.floor(min(_SLACK_SIGMAS * noise / slope, _MOST_SLACK))
+        left_variance, variance = float(sl[y, x]) ** 2, float(sr[vc, uc]) ** 2
+        noise2 = _SLACK_SIGMAS**2 * (left_variance + variance)
+        slope2 = w[_PLANE_U + i] ** 2 + w[_PLANE_V + i] ** 2
+        slack = 0.0 if noise2 < slope2 else np.floor(min(np.sqrt(noise2 / slope2), _MOST_SLACK))
         reach = _REACH + 0.25 * slack
         if not (abs(u) <= reach and abs(v) <= reach):
             continue
@@ -315,7 +316,6 @@ def _accept(y, left, m, views, maps, table, grid, window, planes, limits, w, sta
         if not (w[_SHARE2 + i] >= min_slope * min_slope and nearest <= z <= farthest):
             flags[y, x] = flag | _SLOPE
             continue
-        variance = float(sr[vc, uc]) ** 2
         if planes[vc, uc, 3] < np.inf:
             spread = per_window + u * u * across_u + v * v * across_v
         else:
@@ -324,7 +324,7 @@ def _accept(y, left, m, views, maps, table, grid, window, planes, limits, w, sta
             spread += 2.0 * (fit[4] * u + fit[5] * v + fit[7] * u * v)
         if planes[vc, uc, 3] > variance * _TORN_SIGMAS * _TORN_SIGMAS:
             flag |= _EDGE
-        total = float(sl[y, x]) ** 2 + variance * spread
+        total = left_variance + variance * spread
         flags[y, x] = flag | (fr[vc, uc] & _EDGE)
         points[y, x, 0] = xyl[y, x, 0] * z
         points[y, x, 1] = xyl[y, x, 1] * z

@@ -46,10 +46,5 @@ def source_of(data: bytes) -> FrameSource:
 def open_source(path: Path) -> Iterator[FrameSource]:
     """A frame on disk, of the size that it has now."""
     with path.open("rb", buffering=0) as file:
-        size = os.fstat(file.fileno()).st_size
-
-        def take(at: int, count: int) -> bytes:
-            file.seek(at)
-            return file.read(count) or b""
-
-        yield FrameSource(size, take)
+        descriptor = file.fileno()
+        yield FrameSource(os.fstat(descriptor).st_size, lambda at, count: os.pread(descriptor, count, at))

@@ -144,10 +144,10 @@ def config_hash(settings: InspectionSettings, spec: PanelSpecification) -> str:
 
 def preview(texture: NDArray[np.float32]) -> NDArray[np.uint8]:
     """The texture as an 8-bit picture; brightened or dimmed only where it would not fit."""
-    lit = np.nan_to_num(texture, nan=0.0, posinf=0.0, neginf=0.0)
+    lit = np.fmax(texture, np.float32(0))  # dark where it is NaN
     high = float(np.quantile(lit[::4, ::4], 0.999))
     scale = 250.0 / high if high > 255 else 1.0
-    return np.clip(np.rint(lit * np.float32(scale)), 0, 255).astype(np.uint8)
+    return np.minimum(np.rint(lit * np.float32(scale)), 255).astype(np.uint8)
 
 
 def versions() -> dict[str, str]:
@@ -181,6 +181,6 @@ def overexposure_warnings(reconstruction: Reconstruction, checks: SceneChecks) -
 
 def _saturated_share(flags: NDArray[np.uint16], measured: NDArray[np.bool_]) -> float:
     """Share of the skin, measured or saturated, that is saturated."""
-    saturated = (flags & PixelFlag.SATURATED) != 0
+    saturated = (flags & np.uint16(PixelFlag.SATURATED)) != 0
     skin = saturated | measured
     return float(saturated[skin].mean()) if skin.any() else 0.0

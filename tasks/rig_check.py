@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.errors import FlushlineError, RigError, SceneError
@@ -72,14 +74,19 @@ def _along_the_baseline(scene: Scene, reconstruction: Reconstruction) -> SceneEr
     )
 
 
+def _share(pixels: NDArray[Any]) -> float:
+    """Of the pixels those that are not zero."""
+    return np.count_nonzero(pixels) / pixels.size
+
+
 def unmatched(
     scene: Scene, reconstruction: Reconstruction, settings: HealthSettings | None = None
 ) -> FlushlineError | None:
     """What is to be said where both cameras see fringes and still hardly any pixel has its counterpart."""
-    left, right = (float(np.isfinite(view.coordinate).mean()) for _, view in reconstruction.cameras.values())
-    matched = float(reconstruction.valid.mean())
-    lost = (reconstruction.flags & (PixelFlag.UNMATCHED | PixelFlag.SLOPE)) != 0
-    if matched >= _LEAST_MATCHED * min(left, right) or lost.mean() < matched:
+    left, right = (_share(np.isfinite(view.coordinate)) for _, view in reconstruction.cameras.values())
+    matched = _share(reconstruction.valid)
+    lost = reconstruction.flags & np.uint16(PixelFlag.UNMATCHED | PixelFlag.SLOPE)
+    if matched >= _LEAST_MATCHED * min(left, right) or _share(lost) < matched:
         return None
     told = mixed_up(scene, reconstruction, settings) or _along_the_baseline(scene, reconstruction)
     return told or RigError(

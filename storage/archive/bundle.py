@@ -43,6 +43,7 @@ MANIFEST = "manifest.json"
 _DIGITS = {"mm": 5, "deg": 4, "px": 4}
 CLOUD, OVERLAY, OVERLAY_SVG, PREVIEW, RIG = "cloud.parquet", "overlay.png", "overlay.svg", "preview.png", "rig.json"
 FITS = "fits.parquet"
+_AT_A_TIME = 4  # files that are brought onto the disk
 PATTERN = "pattern.toml"  # where the scene enrols its station's pattern
 
 
@@ -126,12 +127,12 @@ def write_bundle(
         The rig's last verification.
     """
     first_stored_at = first_stored_at or datetime.now(UTC)
-    with ThreadPoolExecutor(1) as painter:
-        painted = painter.submit(lambda: png.encode(result.overlay.image()))
-        tables = result_tables(result, run_id, final_path, first_stored_at)
-        for name, content in (result.encoded or encode(result.reconstruction, result.preview)).items():
-            (folder / name).write_bytes(content)
-        (folder / OVERLAY).write_bytes(painted.result())
+    tables = result_tables(result, run_id, final_path, first_stored_at)
+    encoded = dict(result.encoded) or encode(result.reconstruction, result.preview)
+    if OVERLAY not in encoded:
+        encoded[OVERLAY] = png.encode(result.overlay.image())
+    for name, content in encoded.items():
+        (folder / name).write_bytes(content)
     (folder / OVERLAY_SVG).write_text(result.overlay.svg(), encoding="utf-8")
     (folder / RIG).write_text(json.dumps(result.rig_document, indent=1), encoding="utf-8")
     if result.pattern:
@@ -169,10 +170,15 @@ def write_bundle(
 def seal(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Bring a run's files onto the disk and write its manifest, with their sizes and checksums, last."""
     files = sorted(folder.iterdir())
-    for path in files:
+
+    def settle(path: Path) -> dict[str, Any]:
         protect(path)
         sync(path)
-    listed = {path.name: {"bytes": path.stat().st_size, "sha256": sha256(path)} for path in files}
+        return {"bytes": path.stat().st_size, "sha256": sha256(path)}
+
+    # The disk takes several files at a time, and a file is summed up while others are written.
+    with ThreadPoolExecutor(_AT_A_TIME) as workers:
+        listed = dict(zip((path.name for path in files), workers.map(settle, files), strict=True))
     text = json.dumps({**manifest, "files": listed}, indent=1, ensure_ascii=False)
     write_durably(folder / MANIFEST, text.encode())
     protect(folder / MANIFEST)
