@@ -23,11 +23,8 @@ from typing import Any
 
 import numba
 import numpy
-from numba import _dynfunc  # type: ignore[attr-defined]
-from numba.core import sigutils
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.cpu import CPUContext
 
 # NaN marks missing values throughout, so "nnan" and "ninf" stay off.
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -57,49 +54,9 @@ _numbas = CPUCodeLibrary._optimize_final_module
 CPUCodeLibrary._optimize_final_module = _with_copies_of_its_own(_numbas)  # type: ignore[method-assign]
 
 
-def _without_way_in(make: Callable[..., Any]) -> Callable[..., Any]:
-    """Leave a kernel that Python cannot call without machine code: those that call it have copies of it."""
-
-    def make_if_called(context: Any, library: Any, function: Any, environment: Any) -> Any:
-        names = {defined.name for defined in library._final_module.functions}
-        if library._finalized or function.llvm_cpython_wrapper_name in names:  # loaded from disk, or just compiled
-            return make(context, library, function, environment)
-        library.without_code = True
-        place = function.lookup_module(), function.qualname, "a kernel that kernels call", 0, environment, (library,)
-        return _dynfunc.make_function(*place)
-
-    return make_if_called
-
-
-def _finished(finish: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Make the machine code of a kernel, if it is to have any."""
-
-    def finish_if_called(library: Any) -> None:
-        if getattr(library, "without_code", False):
-            library._finalize_dynamic_globals()
-            library._finalized = True
-        else:
-            finish(library)
-
-    return finish_if_called
-
-
-CPUContext.get_executable = _without_way_in(CPUContext.get_executable)  # type: ignore[method-assign]
-_numbas_end = CPUCodeLibrary._finalize_final_module
-CPUCodeLibrary._finalize_final_module = _finished(_numbas_end)  # type: ignore[method-assign]
-
-
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function`: cached on disk, without the interpreter lock, IEEE division, relaxed summation order."""
-    options: dict[str, Any] = {"nogil": True, "fastmath": _FAST, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return cached(numba.njit(cache=True, **options), function)
-
-
-def shared_kernel(function: Callable[..., Any]) -> Any:
-    """Compile a kernel that Python calls as well as kernels do, once for both (see `called_by_kernels`)."""
-    compiled = kernel(function)
-    compiled.is_shared = True
-    return compiled
+    return cached(numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy"), function)
 
 
 def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:
@@ -196,55 +153,7 @@ def _compiled_in_turn(dispatcher: Any) -> Any:
             return compile_(signature)
 
     dispatcher.compile = compile_in_turn
-    return called_by_kernels(dispatcher)
-
-
-def called_by_kernels(dispatcher: Any) -> Any:
-    """Spare a kernel that another one calls the code by which Python would call it, and a place on disk.
-
-    These take an eighth of the time of compiling. A kernel that Python calls later is compiled again, with them, unless
-    it is a `shared_kernel`.
-    """
-    if not hasattr(dispatcher, "overloads"):  # nothing is compiled
-        return dispatcher
-    compile_ = dispatcher.compile
-    without: dict[tuple[Any, ...], Any] = {}  # numba forgets what a kernel compiled that is no more
-
-    def compile_as_needed(signature: Any) -> Any:
-        with global_compiler_lock, _compiling:
-            types, _ = sigutils.normalize_signature(signature)
-            if not _compiling.within or getattr(dispatcher, "is_shared", False):
-                if without.pop(types, None):
-                    del dispatcher.overloads[types]
-                return compile_(signature)
-            if types not in dispatcher.overloads:
-                inner = numba.jit(**{**dispatcher.targetoptions, "no_cpython_wrapper": True})(dispatcher.py_func)
-                inner.compile(signature)
-                dispatcher.overloads[types], without[types] = inner.overloads[types], inner
-            return dispatcher.overloads[types].entry_point
-
-    dispatcher.compile = compile_as_needed
     return dispatcher
-
-
-class _Compiling:
-    """Whether a kernel is compiled because another one calls it; used under numba's lock."""
-
-    def __init__(self) -> None:
-        self._kernels = 0
-
-    @property
-    def within(self) -> bool:
-        return self._kernels > 1
-
-    def __enter__(self) -> None:
-        self._kernels += 1
-
-    def __exit__(self, *_problem: object) -> None:
-        self._kernels -= 1
-
-
-_compiling = _Compiling()
 
 
 @contextlib.contextmanager
@@ -290,21 +199,14 @@ def cores() -> int:
 
 def over_rows(function: Callable[[int, int], None], height: int, threads: int | None = None) -> None:
     """Call ``function(first_row, end_row)`` for bands that cover `height` rows, on several threads."""
-    starts = range(0, height, _ROWS_PER_BAND)
-    # Each thread takes the next band as it comes free: a list's iterator gives no item twice.
-    bands = iter([(first, min(first + _ROWS_PER_BAND, height)) for first in starts])
-
-    def work() -> None:
+    bands = [(first, min(first + _ROWS_PER_BAND, height)) for first in range(0, height, _ROWS_PER_BAND)]
+    workers = min(threads or cores(), len(bands))
+    if workers <= 1:
         for band in bands:
             function(*band)
-
-    others = min(threads or cores(), len(starts)) - 1
-    if others > 0:
-        function(*next(bands))  # compiles or loads the kernel before others need it
-        with ThreadPoolExecutor(others) as pool:
-            working = [pool.submit(work) for _ in range(others)]
-            work()
-            for future in working:
-                future.result()
-    else:
-        work()
+        return
+    # The first band compiles or loads the kernel before others need it.
+    function(*bands[0])
+    with ThreadPoolExecutor(workers) as pool:
+        for future in [pool.submit(function, *band) for band in bands[1:]]:
+            future.result()

@@ -6,16 +6,16 @@ from typing import Any
 
 from numba import njit
 
-from metrology.jit import cached, called_by_kernels
+from metrology.jit import cached
 
 # IEEE arithmetic in the order written. No kernel allocates: without numba's runtime arrays are passed without counting
 # references, which otherwise takes more time than the geometry.
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
 def kernel(function: Any) -> Any:
     """An inner kernel."""
-    return called_by_kernels(njit(**_OPTIONS)(function))
+    return njit(**_OPTIONS)(function)
 
 
 def entry(function: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrology.jit import kernel, shared_kernel
+from metrology.jit import kernel
 from metrology.linear import solve
 from metrology.robust import MAD
 
@@ -131,7 +131,7 @@ def borders(x, grey, count, edges, tie, grid, table, free, found):  # type: igno
     return True
 
 
-@shared_kernel
+@kernel
 def fit(x, grey, count, edges, tie, grid, table, free):  # type: ignore[no-untyped-def]
     """Levenberg–Marquardt on [levels, two slopes, shifts]: first on all pixels, then with outliers losing weight."""
     size = free.size

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from metrology.jit import kernel, shared_kernel
+from metrology.jit import kernel
 from metrology.linear import solve
 from metrology.seams.blur import blurred_steps
 from metrology.seams.gap.equations import normal_equations
@@ -84,7 +84,7 @@ def keep_apart(borders, shared):  # type: ignore[no-untyped-def]
         borders[s, 1] += 0.5 * missing
 
 
-@shared_kernel
+@kernel
 def tables_of(across, shared):  # type: ignore[no-untyped-def]
     """(k, 6, nodes) blurred steps of the cameras, and how they change."""
     lenses = shared[LENSES : LENSES + across.shape[0]]

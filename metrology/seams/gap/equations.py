@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from metrology.jit import kernel, shared_kernel
+from metrology.jit import kernel
 from metrology.seams.gap.model import (
     CHAMFER_WIDTH_A,
     COLUMNS,
@@ -44,7 +44,7 @@ _AT_ONCE = 16
 _LEAN_CHANGE, _SPILL, _LENS, _SHAPE = range(OUTLINE, OUTLINE + 4)
 
 
-@shared_kernel
+@kernel
 def normal_equations(  # type: ignore[no-untyped-def]
     samples, greys, variances, sizes, places, borders, shared, tables, sealed, tilts, eyes, lamps, px_mm, precisions,
     courses, normals, gradients, levels, costs,
