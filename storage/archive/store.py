@@ -42,6 +42,15 @@ def query_problem(problem: duckdb.Error) -> str:
     return text
 
 
+def check_one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
+    """Refuse SQL of several statements, of which only the last one's rows would be seen, and of none."""
+    found = len(connection.extract_statements(sql))
+    if not found:
+        raise StoreError("query: found no statement, expected a SELECT")
+    if found > 1:
+        raise StoreError(f"query: found {found} statements, expected a SELECT alone: ask one after the other")
+
+
 class Store:
     """A folder that keeps every result by aircraft and panel.
 
@@ -287,6 +296,7 @@ class Store:
         with contextlib.closing(self.connect()) as connection:
             register_tables(connection, self.root, sql)
             try:
+                check_one_statement(connection, sql)
                 rows = connection.sql(sql, params=list(parameters) or None)
                 if rows is None:
                     raise StoreError("query: found a statement without a result, expected a SELECT")
