@@ -14,7 +14,7 @@ from decimal import Decimal
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from metrology.errors import StoreError
-from storage.archive.store import check_one_statement, query_problem
+from storage.archive.statements import check_one_statement, query_problem
 from storage.spreadsheet import harmless
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from metrology.errors import RigError, StoreError
 from storage.archive.files import disk_trouble, locked, write_first
 from storage.archive.layout import STORE_FORMAT, Layout, ScenePaths
+from storage.archive.statements import check_one_statement, query_problem
 from storage.documents import read_json
 from storage.models import leads_inside
 
@@ -32,23 +33,6 @@ if TYPE_CHECKING:
     from storage.evidence.verifications import VerificationModel, Verifications
 
 _log = logging.getLogger("flushline.archive")
-
-
-def query_problem(problem: duckdb.Error) -> str:
-    """What DuckDB says of a query, in one line."""
-    text = " ".join(str(problem).split())
-    if "attached in read-only mode" in text:
-        return "found a statement that writes to the read-only archive, expected a SELECT"
-    return text
-
-
-def check_one_statement(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
-    """Refuse SQL of several statements, of which only the last one's rows would be seen, and of none."""
-    found = len(connection.extract_statements(sql))
-    if not found:
-        raise StoreError("query: found no statement, expected a SELECT")
-    if found > 1:
-        raise StoreError(f"query: found {found} statements, expected a SELECT alone: ask one after the other")
 
 
 class Store:
