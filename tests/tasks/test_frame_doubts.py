@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -11,14 +13,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from metrology import rig_health
 from metrology.cloud import Reconstruction
 from metrology.defects.row import Defect
 from metrology.frame_doubts import FrameDoubt, without_doubtful
 from metrology.kinds import DEFECT, SEAM_STATION
 from metrology.results import SeamStation
+from metrology.rig_health import RigHealth
 from storage.archive import Store
 from tasks import steps
 from tasks.settings import InspectionSettings
+from tests.support.results import small_result
 from tests.tasks.test_scan_checks import faulty
 
 Change = Callable[[NDArray, np.random.Generator], NDArray]
@@ -126,3 +131,17 @@ def test_doubtful_values_are_not_left_to_be_believed() -> None:
     assert (position.step_mm, position.width_mm, position.width_u95_mm) == (0.1, None, None)
     assert position.decision == "not measured"
     assert position.reason == "width not measured; pictures sharpened"
+
+
+@pytest.mark.parametrize("odd", [False, True])
+def test_odd_frames_are_scanned_again_before_a_rig_is_calibrated(monkeypatch: pytest.MonkeyPatch, odd: bool) -> None:
+    result = small_result()
+    doubts = (FrameDoubt("…", "pictures sharpened"),) if odd else ()
+    found = RigHealth(0.2, None, 9, None, 0, "warning", f"texture lies off: {rig_health.CALIBRATE}")
+    monkeypatch.setattr(rig_health, "epipolar_health", lambda *_: found)
+    monkeypatch.setattr(steps, "doubtful", lambda _: False)
+    loaded = SimpleNamespace(scene=SimpleNamespace(code=SimpleNamespace(axis="x")))
+    reconstruction = replace(result.reconstruction, doubts=doubts)
+    health = steps.check_rig(loaded, reconstruction, [], InspectionSettings())  # type: ignore[arg-type]
+    assert health.verdict == "warning"
+    assert ("scan again first" in (health.reason or "")) == odd
