@@ -15,6 +15,31 @@ SENTENCES = (
     "measured; take a shorter exposure as well",
     "{share} of the lit pixels of the {camera} camera have fringes that contradict each other and therefore no points; "
     "look for movement, reflections of the fringes, or a frame of another scan",
+    "faint: the {camera} camera's fringes have {n} grey levels (of {step} each), expected {least} at least; rounding "
+    "may show as defects and steps that are none, and gaps are not measured; expose longer, look at focus and other "
+    "light, and let the files keep all bits of the camera",
+    "blurred: the {camera} camera's fringes are blurred by {blur} px, expected at most {limit}; gaps are not "
+    "measured, heights and steps beside edges may be off; did something move while it exposed, or is the camera or "
+    "the projector out of focus? Scan again at rest; whoever turns a focus ring calibrates again",
+    "the {camera} camera's pictures bear waves or stripes that change from frame to frame (pixels far apart share "
+    "{share} of their noise, and means of columns and blocks scatter {n} times as far as a sensor's, expected none "
+    "and 1.0): what looks like a dent or a bump may be none; look for a beat (moiré) of camera and projector, a lamp "
+    "that flickers, or the camera's readout",
+    "the {camera} camera's pictures were smoothed, scaled or compressed (neighbouring pixels share {share} of their "
+    "noise, expected none): U95 allows for that, gaps are not measured, and what looks like a dent or a bump may be "
+    "none; keep pictures as the sensor gives them, without filters and JPEG",
+    "the {camera} camera's pictures were sharpened (their noise averages out {n} times as fast as a sensor's): gaps "
+    "are not measured, and steps and heights beside edges may be off; switch the camera's sharpening off",
+    "the cameras see fringes of different shape (harmonics of {first} and {last} of their amplitude, expected the "
+    "same): one of them has a gamma or contrast curve; the ripple that it makes was taken out; let both cameras give "
+    "linear grey levels",
+    "the frames of the {camera} camera are uneven in another way than the other camera's (a blurred frame, a late "
+    "trigger, light that flickers): the ripple that they make was taken out; look at triggers and light",
+    "overexposed: the crests of the {camera} camera's fringes are cut off in {share} of its pixels, expected at most "
+    "{least} where fringes are no sinusoids (harmonics of {n}): what looks like a dent or a bump may be none; take a "
+    "shorter exposure, or one as well; is the camera's black level raised?",
+    "cut off at black: {share} of the {camera} camera's lit pixels are 0 for a quarter of a fringe and more, expected"
+    " none: dark edges lie elsewhere in such pictures, and gaps are not measured; raise the camera's black level",
     "panel's pattern not recognised: {cause}, expected most; ids are this scan's own; is this the right station?",
     "panel's pattern fits in two ways almost alike, expected one: ids may be shifted; see to the station's nominal "
     "placement",
@@ -74,6 +99,14 @@ CLAUSES = (
     "{quantity} beyond its serious limit",
     "{quantity} of any value",
     "calibrate the rig again",
+    "scan again first, as these frames are odd, and calibrate the rig again only where that stays so",
+    "fringes of the {camera} camera blurred by {blur} px",
+    "fringes of the {camera} camera of {n} grey levels, whose rounding may look like it",
+    "pictures of the {camera} camera with waves or stripes that change from frame to frame",
+    "pictures of the {camera} camera smoothed, scaled or compressed",
+    "pictures of the {camera} camera sharpened",
+    "pictures of the {camera} camera cut off at black",
+    "crests of the {camera} camera's fringes cut off",
 )
 """Clauses of verdicts and rules."""
 

@@ -57,7 +57,8 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | No
     import pyarrow as pa
 
     from metrology.errors import UsageError
-    from storage.archive.store import Store, query_problem
+    from storage.archive.statements import query_problem
+    from storage.archive.store import Store
     from storage.archive.tables_beside import register_tables
 
     connection = Store(root).connect(spill)

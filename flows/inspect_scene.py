@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import ParamSpec, Protocol, TypeVar
 
 from metrology.cloud import Reconstruction
+from metrology.frame_doubts import without_doubtful
 from metrology.kinds import KINDS, RIVET, SEAM_STATION, load
 from metrology.results import Feature, Features, SceneKey
 from metrology.rig_health import RigHealth
@@ -168,7 +169,8 @@ def _measure(job: Job, run: _Run) -> _Measured:
                 features[kind.name] = run.step(
                     load(kind.measure), sighted, getattr(settings, kind.settings or kind.table, None)
                 )
-        return _Measured(loaded, reconstruction, health, features, encoding.result(), spec)
+        believed = without_doubtful(features, reconstruction.doubts)
+        return _Measured(loaded, reconstruction, health, believed, encoding.result(), spec)
 
 
 def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:

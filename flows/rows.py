@@ -14,7 +14,7 @@ from decimal import Decimal
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 from metrology.errors import StoreError
-from storage.archive.store import query_problem
+from storage.archive.statements import check_one_statement, query_problem
 from storage.spreadsheet import harmless
 
 if TYPE_CHECKING:
@@ -30,8 +30,7 @@ def run_query(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.DuckDBP
     import duckdb
 
     try:
-        if not connection.extract_statements(sql):
-            raise StoreError("query: found no statement, expected a SELECT")
+        check_one_statement(connection, sql)
         return connection.execute(sql)
     except duckdb.Error as problem:
         raise StoreError(f"query: {query_problem(problem)}") from None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from metrology.errors import RigError
+from metrology.frame_doubts import FrameDoubt
 from metrology.noise import NoiseModel
 from metrology.rig import Device, Rig
 
@@ -77,6 +78,8 @@ class Reconstruction:
     """Names the content of the frames that it was made of."""
     remarks: tuple[str, ...] = ()
     """What was odd about the frames, not enough to refuse them."""
+    doubts: tuple[FrameDoubt, ...] = ()
+    """What the frames make doubtful beyond the values' U95."""
 
     def with_right(self) -> DecodedView:
         """The right view; RigError where there is none."""

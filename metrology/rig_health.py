@@ -145,9 +145,11 @@ def projector_rms(reconstruction: Reconstruction, axis: Axis, settings: HealthSe
 
 
 _ORDER: tuple[Verdict, ...] = ("ok", "warning", "unjudged", "refused")
+CALIBRATE = "calibrate the rig again"
+"""What a warning advises."""
 _ADVICE: dict[Verdict, str] = {
-    "warning": "calibrate the rig again",
-    "refused": "calibrate the rig again, or give the rig that took the scan",
+    "warning": CALIBRATE,
+    "refused": f"{CALIBRATE}, or give the rig that took the scan",
 }
 # What is off, and what is missing where it cannot be told.
 _EPIPOLAR = ("texture lies off the epipolar lines by", "too little texture that both cameras see alike")

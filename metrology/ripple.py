@@ -57,7 +57,7 @@ def without_ripple(view: DecodedView, code: FringeCode, size: int) -> DecodedVie
 
 
 def with_equal_ripples(
-    left: DecodedView, right: DecodedView, code: FringeCode, size: int
+    left: DecodedView, right: DecodedView, code: FringeCode, size: int, of_shape: bool = False
 ) -> tuple[DecodedView, DecodedView, float]:
     """Two views with one ripple of uneven frames, which then cancels, where those are not alike.
 
@@ -65,6 +65,8 @@ def with_equal_ripples(
     ----------
     size : int
         W, projector pixels along the fringe axis.
+    of_shape : bool
+        Whether the fringes' shape differs, too: one camera has a gamma of its own.
 
     Returns
     -------
@@ -73,8 +75,13 @@ def with_equal_ripples(
     difference : float
         Largest difference between their amplitudes, as a share of a pixel's median σ.
     """
-    orders = {count * times for count in code.counts for times in _UNEVEN}
-    finest = [count * max(_UNEVEN) for count in code.counts]
+    own = list(zip(code.counts, code.step_counts, strict=True))
+    orders = {
+        count * times
+        for count, steps in own
+        for times in (*_UNEVEN, *(steps * order for order in (_ORDERS if of_shape else ())))
+    }
+    finest = [count * (steps if of_shape else max(_UNEVEN)) for count, steps in own]
     views = (left, right)
     found = [_found(view, code, size, orders, finest, _ROWS_OF_TWO) for view in views]
     one, other = found

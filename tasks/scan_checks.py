@@ -10,29 +10,17 @@ from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.errors import SceneError
-from metrology.focus import fringe_blur
 from metrology.frame_consistency import FrameConsistency, contradictory_share, frame_consistency
 from metrology.frame_diagnosis import FrameDiagnosis, diagnose_frames
 from metrology.frame_faults import FrameFault
 from metrology.frame_geometry import expected_gradient
 from metrology.frame_sample import FrameSample, sample_frames
-from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
+from metrology.noise_texture import NoiseTexture, level_step, noise_texture
 from metrology.rig import Rig
-from metrology.ripple import with_equal_ripples
 from storage.scene import Scene
 from storage.scene_models import Camera
 from tasks.settings import SceneChecks
-
-# Edges are taken to reach two blur radii and a pixel: at twice the blur a fifteenth of the light comes from beyond.
-# Sound cameras and projectors together have 1.0 to 1.3 times it.
-_BLURRED = 2.0
-# Noise below half a level does not average rounding out. The rounding of fringes of so many levels is as large as the
-# noise of a good scan: 0.29 levels to 12 as 1.5 to 60.
-_HALF_A_LEVEL, _FAINT = 0.5, 12.0
-_STRIDE = 4
-# Of the deviation from which frames are refused: flicker of 2 % with vibration leaves less than half.
-_DOUBTFUL = 0.5
 
 
 @dataclass(frozen=True)
@@ -45,6 +33,10 @@ class CheckedFrames:
     """Of each exposure."""
     diagnosis: FrameDiagnosis | None
     """Of frames that are suspicious."""
+    texture: NoiseTexture | None = None
+    """Of the first exposure; None where too little noise is seen."""
+    level_step: float = 1.0
+    """Grey levels from one that occurs to the next."""
 
 
 def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scene, rig: Rig) -> CheckedFrames:
@@ -64,7 +56,8 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     found = tuple(frame_consistency(sample, exposure) for exposure in range(len(frames)))
     seen = sum(judged.judged for judged in found) > 0
     if seen and not any(judged.odd for judged in found):
-        return CheckedFrames(camera, sample, found, None)
+        texture = noise_texture(frames[0], scene.code, sample.saturation)
+        return CheckedFrames(camera, sample, found, None, texture, level_step(frames[0]))
 
     def finer(rows: NDArray[np.int64]) -> FrameSample:
         return sample_frames(frames, scene.code, noise, rows)
@@ -114,62 +107,6 @@ def refuse_wrong_frames(scene: Scene, views: Sequence[CheckedFrames], checks: Sc
                 f"{scene.folder}: found frames of the {view.camera} camera that do not fit each other, expected "
                 "frames of one scan, taken while nothing moved and in the same light, alike but for their fringes"
             )
-
-
-def without_unevenness(
-    left: DecodedView, right: DecodedView, checked: Sequence[CheckedFrames], code: FringeCode, size: int
-) -> tuple[DecodedView, DecodedView, tuple[str, ...]]:
-    """Both views without what uneven frames leave in one and not in the other, and what is to be said of it."""
-    worst = {view.camera: max((judged.deviation for judged in view.found), default=0.0) for view in checked}
-    if not any(judged.uneven for view in checked for judged in view.found):
-        return left, right, ()
-    left, right, difference = with_equal_ripples(left, right, code, size)
-    remarks = []
-    if difference > 1:
-        camera = max(worst, key=lambda name: worst[name])
-        remarks.append(
-            f"the frames of the {camera} camera are uneven in another way than the other camera's (a blurred frame, a "
-            "late trigger, light that flickers): the ripple that they make was taken out; look at triggers and light"
-        )
-    elif max(worst.values()) > _DOUBTFUL:
-        cameras = " and ".join(name for name, deviation in worst.items() if deviation > _DOUBTFUL)
-        remarks.append(
-            f"frames of the {cameras} camera hardly fit each other ({max(worst.values()):.0%} of what is refused): "
-            "look for light that flickers or changes, dark parts cut off at black, movement, or a blurred frame"
-        )
-    return left, right, tuple(remarks)
-
-
-def focus_warnings(
-    views: Sequence[DecodedView], checked: Sequence[CheckedFrames], size: int, blur_radius_px: float
-) -> list[str]:
-    """A warning where a camera's fringes are so blurred that edges reach farther than they are taken to."""
-    limit = _BLURRED * blur_radius_px
-    for view, frames in zip(views, checked, strict=True):
-        blur = fringe_blur(frames.sample, view, size) if frames.found else None
-        if blur is not None and blur > limit:
-            return [
-                f"out of focus: the {frames.camera} camera's fringes are blurred by {blur:.1f} px, expected at most "
-                f"{limit:.1f}; heights and steps beside edges may be off; focus that camera and the projector, and "
-                "calibrate again"
-            ]
-    return []
-
-
-def faintness_warnings(reconstruction: Reconstruction) -> list[str]:
-    """A warning where fringes are so faint and noise is so low that rounding to grey levels draws relief."""
-    for name, (_, view) in reconstruction.cameras.items():
-        seen = np.isfinite(view.coordinate[::_STRIDE, ::_STRIDE])
-        if view.noise is None or not seen.any():
-            continue
-        fringes = float(np.median(view.modulation[::_STRIDE, ::_STRIDE][seen]))
-        level = float(np.median(view.texture[::_STRIDE, ::_STRIDE][seen]))
-        if fringes < _FAINT and view.noise.read_variance + view.noise.gain * level <= _HALF_A_LEVEL**2:
-            return [
-                f"faint: the {name} camera's fringes have {fringes:.0f} grey levels, expected {_FAINT:g} at least; "
-                "rounding may show as defects and steps that are none; expose longer, or look at focus and other light"
-            ]
-    return []
 
 
 def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:

@@ -39,10 +39,11 @@ from storage.scene_folder import load_any_scene
 from storage.scene_models import MANIFEST, Camera
 from tasks.clock import clock_warnings
 from tasks.cloud_scan import cloud_of
+from tasks.frame_doubts import frame_doubts, widened, without_unevenness
 from tasks.loaded import LoadedScene
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
-from tasks.scan_checks import CheckedFrames, check_frames, focus_warnings, refuse_wrong_frames, without_unevenness
+from tasks.scan_checks import CheckedFrames, check_frames, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
 
 
@@ -114,13 +115,14 @@ def _from_frames(loaded: LoadedScene, scene: Scene, settings: InspectionSettings
     digest = frames_digest(scene.code, scene.exposures, checksums["left"], checksums.get("right", unread))
     if loaded.known:
         loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
+    doubts = tuple(frame_doubts(views, checked, size, settings.reconstruction.blur_radius_px))
+    views = [widened(view, frames.texture) for view, frames in zip(views, checked, strict=True)]
     if len(views) == 1:
         found = triangulate_one(views[0], replace(rig, right=None), scene.code, size, settings.reconstruction)
-        return replace(found, frames_digest=digest)
-    blurred = focus_warnings(views, checked, size, settings.reconstruction.blur_radius_px)
-    left, right, remarks = without_unevenness(views[0], views[1], checked, scene.code, size)
+        return replace(found, frames_digest=digest, doubts=doubts)
+    left, right, remarks = without_unevenness(views[0], views[1], checked, scene, size)
     found = reconstruct.triangulate(left, right, rig, settings.reconstruction)
-    reconstruction = replace(found, frames_digest=digest, remarks=(*blurred, *remarks))
+    reconstruction = replace(found, frames_digest=digest, remarks=remarks, doubts=doubts)
     if problem := unmatched(scene, reconstruction, settings.rig_health):
         raise problem
     return reconstruction
@@ -157,6 +159,8 @@ def check_rig(
         health = rig_health.epipolar_health(reconstruction, detections, scene.code.axis, settings.rig_health)
         if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings.rig_health)):
             raise problem
+    if health.reason and (reconstruction.doubts or reconstruction.remarks):
+        health = replace(health, reason=health.reason.replace(rig_health.CALIBRATE, _SCAN_AGAIN))
     if health.verdict == "refused":
         raise RigError(
             f"{scene.folder}: found that rig {loaded.rig.id!r} does not fit the scan ({health.reason}), "
@@ -251,7 +255,8 @@ def doubts(reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]
     """Why a scan may not become its station's pattern."""
     flags = {name: view.flags for name, (_, view) in reconstruction.cameras.items()}
     # Of one camera nothing ever tells whether its rig fits, so that a doubt of every scan is none of this one.
-    return registration.enrolment_doubts(flags, health.verdict if reconstruction.right else None)
+    found = registration.enrolment_doubts(flags, health.verdict if reconstruction.right else None)
+    return (*(doubt.clause for doubt in reconstruction.doubts), *found)
 
 
 def judge(features: Features, spec: PanelSpecification) -> Features:
@@ -286,6 +291,7 @@ def _check_skin_is_seen(scene: Scene | CloudScene, reconstruction: Reconstructio
     )
 
 
+_SCAN_AGAIN = "scan again first, as these frames are odd, and calibrate the rig again only where that stays so"
 _ONE_CAMERA = "cannot tell whether the rig still fits: with one camera nothing is seen twice; verify it by an artefact"
 _CAUSE = {
     PixelFlag.SATURATED: "saturated",

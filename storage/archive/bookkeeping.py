@@ -190,9 +190,10 @@ def row_hash(table: str, groups: Sequence[Sequence[str]]) -> str:
     return folded
 
 
-def row_digests(connection: duckdb.DuckDBPyConnection) -> dict[str, int]:
-    """Digests of the rows of an index as they are now, by scene."""
-    return dict(connection.execute(digests_sql(additions(connection), lambda table: table)).fetchall())
+def row_digests(connection: duckdb.DuckDBPyConnection, columns: Additions | None = None) -> dict[str, int]:
+    """Digests of the rows of an index as they are now, by scene; of these columns, as another index has them."""
+    sql = digests_sql(columns or additions(connection), lambda table: table)
+    return dict(connection.execute(sql).fetchall())
 
 
 def kept_digests(connection: duckdb.DuckDBPyConnection) -> dict[str, int] | None:

@@ -68,6 +68,7 @@ class BundleModel(BaseModel):
     scene_id: FileName
     config_hash: str
     rig_hash: str = ""
+    rig: str = ""
     frames_digest: str | None = None
     files_state: str | None = None
     first_stored_at: UtcTime | None = None

@@ -17,9 +17,10 @@ import duckdb
 from metrology.errors import StoreError
 from storage.archive import bookkeeping, generations, index, snapshot, views
 from storage.archive.anchors import named_verifications, review_problems
-from storage.archive.bundle import MANIFEST, check_bundle
+from storage.archive.bundle import MANIFEST, BundleModel, check_bundle
 from storage.archive.bundles import Bundles
 from storage.archive.files import companions
+from storage.archive.kept_checking import kept_problems
 from storage.archive.layout import Layout
 from storage.archive.loading import Loader
 from storage.archive.signed import by_preference, signed_runs
@@ -53,11 +54,12 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequ
     bundles = Bundles(layout)
     runs = bundles.runs()
     damaged: dict[Path, str] = {}
+    sound: list[BundleModel] = []
 
     def look(run: Path) -> None:
         try:
             with bundles.as_stored(run) as folder:
-                check_bundle(folder)
+                sound.append(check_bundle(folder))
         except StoreError as problem:
             damaged[run] = str(problem)
         on_run()
@@ -73,6 +75,7 @@ def check(layout: Layout, on_run: Callable[[], None] = lambda: None, heads: Sequ
     digests = {run.parent.name: digest for run, digest in expected.loaded.items() if run.parent.name not in other_runs}
     problems += [*other_runs.values(), *_rows_problems(layout, digests)]
     problems += verification_problems(layout, named_verifications(bundles, runs))
+    problems += kept_problems(layout, sound)
     return Check(len(runs), (*problems, *review_problems(bundles, runs, heads)))
 
 

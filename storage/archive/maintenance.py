@@ -47,12 +47,42 @@ def rebuild(layout: Layout) -> list[str]:
             with locked(layout.lock):
                 with index.connected(made) as connection:
                     refused |= index.catch_up(connection, layout, _stored_meanwhile(layout, connection))
+                    altered = _altered(layout, connection)
                 generations.replace(layout, made)
         finally:
             remove_database(made)
     bundles = Bundles(layout)
     there = bundles.whatever_is_there()  # without what was pruned meanwhile
-    return [text for run, text in sorted(refused.items()) if run in there] + incomplete(bundles)
+    return [text for run, text in sorted(refused.items()) if run in there] + altered + incomplete(bundles)
+
+
+def _altered(layout: Layout, made: duckdb.DuckDBPyConnection) -> list[str]:
+    """Runs that came in with other rows than the published index noted of them, one line each.
+
+    A bundle that was altered together with its manifest agrees with itself. What the index noted is told by its digest.
+    """
+    published = generations.newest(layout)
+    with contextlib.suppress(StoreError, duckdb.Error, snapshot.LogBesideError), contextlib.ExitStack() as stack:
+        if published:
+            former = stack.enter_context(contextlib.closing(snapshot.open_generation(published)))
+            noted, then = bookkeeping.shown_runs(former), bookkeeping.kept_digests(former) or {}
+            now = bookkeeping.row_digests(made, bookkeeping.additions(former))
+            same = {scene for scene, run in bookkeeping.shown_runs(made).items() if noted.get(scene) == run}
+            signed = signed_runs(layout.root)
+            return [
+                f"{layout.scene_folder(scene) / noted[scene]}: found other rows than the index noted when the run came "
+                f"in, expected the same: bundle or index was altered, {_vouched(noted[scene], signed.get(scene))}"
+                for scene in sorted(same & then.keys() & now.keys())
+                if then[scene] != now[scene]
+            ]
+    return []
+
+
+def _vouched(run: str, signed: str | None) -> str:
+    """Whether a signature tells which of bundle and index is right."""
+    if run == signed:
+        return "and the run was signed off: 'flushline archive check' holds it against the review log"
+    return "and nobody signed the run off, so nothing tells which; compare it with a backup"
 
 
 def _start(layout: Layout, connection: duckdb.DuckDBPyConnection) -> None:

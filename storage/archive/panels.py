@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 from metrology.errors import SpecError, StoreError
@@ -16,6 +17,9 @@ from metrology.panel import PanelLayout
 from storage.archive.files import make_folders, sync, write_first
 from storage.models import IDENTIFIER_PATTERN
 from storage.panel_spec import PanelSpecification, load_panel_spec, pattern_toml
+
+SEAL = b"# sha256 of the lines above: "
+"""Begins the last line of a pattern that a person enrolled."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +106,16 @@ class Panels:
             number = 1 + len(list(path.parent.glob(f"{station}.replaced-*")))
             path.replace(path.with_name(f"{station}.replaced-{number}"))
             sync(path.parent)
-        return write_first(path, pattern_toml(layout, panel, "enrolled", scene_id).encode())
+        return write_first(path, _sealed(pattern_toml(layout, panel, "enrolled", scene_id)))
 
     def _folder(self, panel: str) -> Path:
         return self.root / _checked(panel)
+
+
+def _sealed(text: str) -> bytes:
+    """A pattern with a last line by which an alteration is told."""
+    content = text.encode()
+    return content + SEAL + sha256(content).hexdigest().encode() + b"\n"
 
 
 def _checked(name: str) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from metrology.errors import RigError, StoreError
 from storage.archive.files import disk_trouble, locked, write_first
 from storage.archive.layout import STORE_FORMAT, Layout, ScenePaths
+from storage.archive.statements import check_one_statement, query_problem
 from storage.documents import read_json
 from storage.models import leads_inside
 
@@ -32,14 +33,6 @@ if TYPE_CHECKING:
     from storage.evidence.verifications import VerificationModel, Verifications
 
 _log = logging.getLogger("flushline.archive")
-
-
-def query_problem(problem: duckdb.Error) -> str:
-    """What DuckDB says of a query, in one line."""
-    text = " ".join(str(problem).split())
-    if "attached in read-only mode" in text:
-        return "found a statement that writes to the read-only archive, expected a SELECT"
-    return text
 
 
 class Store:
@@ -287,6 +280,7 @@ class Store:
         with contextlib.closing(self.connect()) as connection:
             register_tables(connection, self.root, sql)
             try:
+                check_one_statement(connection, sql)
                 rows = connection.sql(sql, params=list(parameters) or None)
                 if rows is None:
                     raise StoreError("query: found a statement without a result, expected a SELECT")

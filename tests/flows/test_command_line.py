@@ -301,6 +301,8 @@ def test_query_writes_parquet(tmp_path: Path) -> None:
     ("sql", "ending", "said"),
     [
         ("", "csv", "query: found no statement, expected a SELECT"),
+        ("SELECT 1; SELECT 2", "table", "query: found 2 statements, expected a SELECT alone: ask one after the other"),
+        ("SELECT 1; SELECT 2", "parquet", "query: found 2 statements, expected a SELECT alone"),
         ("-- nothing", "parquet", "expected a SELECT"),
         (
             "DELETE FROM rivets",

@@ -297,3 +297,15 @@ def test_the_check_by_names_looks_into_a_folder_only_where_they_differ(store: St
     shutil.rmtree(run)
     [problem] = maintenance.check_fast(store.layout).problems
     assert f"found scene {run.parent.name} without an undamaged run" in problem
+
+
+def test_a_run_forged_with_its_manifest_is_said_when_the_index_is_made_again(store: Store) -> None:
+    """The bundle agrees with itself: only what the index noted when the run came in says otherwise."""
+    assert maintenance.rebuild(store.layout) == []
+    run = runs(store)[-1]
+    rivets = pq.read_table(run / "rivets.parquet")
+    rewrite(run, "rivets", with_column(rivets, "height_mean_mm", 0.01))
+    (said,) = maintenance.rebuild(store.layout)
+    assert said.startswith(f"{run}: found other rows than the index noted when the run came in")
+    assert "nobody signed the run off" in said
+    assert maintenance.rebuild(store.layout) == []

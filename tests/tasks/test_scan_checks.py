@@ -18,7 +18,7 @@ from metrology.errors import SceneError
 from storage.archive import Store
 from storage.rig import load_rig
 from tasks import steps
-from tasks.scan_checks import contradiction_warnings, faintness_warnings
+from tasks.scan_checks import contradiction_warnings
 from tasks.settings import InspectionSettings
 
 Edit = Callable[[Path, dict[str, Any]], None]
@@ -109,6 +109,8 @@ def test_a_sound_scan_is_neither_refused_nor_warned_of(shared: Path, tmp_path: P
     loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
     reconstruction = steps.reconstruct_scene(loaded, InspectionSettings())
     assert contradiction_warnings(reconstruction, InspectionSettings().checks) == []
+    assert reconstruction.doubts == ()
+    assert reconstruction.remarks == ()
     assert np.isfinite(reconstruction.points).any()
 
 
@@ -164,9 +166,9 @@ def test_a_scan_in_the_dark_is_warned_of(shared: Path, tmp_path: Path, light: fl
     loaded = steps.load(
         faulty(shared, tmp_path / "scene", darker), shared / "scenes" / "rig.json", Store(tmp_path / "store")
     )
-    found = faintness_warnings(steps.reconstruct_scene(loaded, InspectionSettings()))
+    found = steps.reconstruct_scene(loaded, InspectionSettings()).doubts
     assert len(found) == faint
-    assert not faint or "faint: the left camera's fringes have 6 grey levels" in found[0].replace("7", "6")
+    assert not faint or "faint: the left camera's fringes have 6 grey levels" in found[0].warning.replace("7", "6")
 
 
 @pytest.mark.parametrize("sigma", [0.0, 2.0, 4.0])
@@ -179,11 +181,11 @@ def test_a_camera_out_of_focus_is_warned_of(shared: Path, tmp_path: Path, sigma:
 
     folder = faulty(shared, tmp_path / "scene", defocused)
     loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
-    said = steps.reconstruct_scene(loaded, InspectionSettings()).remarks
+    doubts = steps.reconstruct_scene(loaded, InspectionSettings()).doubts
     if not sigma:
-        assert said == ()
+        assert doubts == ()
         return
-    blur = re.search(r"the right camera's fringes are blurred by ([\d.]+) px", said[0])
+    blur = re.search(r"the right camera's fringes are blurred by ([\d.]+) px", doubts[0].warning)
     assert blur is not None
     # The sound pictures' own blur, 1.2 px, adds to it.
     assert float(blur[1]) == pytest.approx(np.hypot(sigma, 1.2), abs=0.15)
