@@ -92,22 +92,24 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
             on_plate = (cells.plate == plate) & sound
             depth[on_plate] = np.nan
             references.pop(plate, None)
-            reference = _reference(cells, plate, covered, seams, settings)
+            reference = _reference(cells, plate, covered, seams, settings, dents_known=number > 0)
             if reference is not None:
                 reference.depths(cells.points, on_plate, depth)
                 references[plate] = reference
         smoothed, sd, waves = _smoothed(depth, cells, covered)
         regions = _regions(smoothed, sd, cells, settings)
         left_out = _undisputed(regions, smoothed, cells, references) if number < _DOUBTFUL_ROUNDS else regions
-        before, covered = covered, _footprints(left_out, covered.shape, _MARGIN)
+        before, covered = covered, covered | _footprints(left_out, covered.shape, _MARGIN)
         changed = (before != covered) & cells.free
-        due = [p for p in cells.plates if changed[cells.plate == p].sum() > _UNCHANGED * (cells.plate == p).sum()]
+        areas = {p: cells.plate == p for p in cells.plates}
+        # At first only what is bent plainly was taken for bent.
+        due = [p for p, area in areas.items() if not number or changed[area].sum() > _UNCHANGED * area.sum()]
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
     others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
-    doubted = tuple(_doubted(r, depth, cells, references[r.plate], others[r.plate]) for r in regions)
+    doubted = tuple(_doubted(region, depth, cells, others[region.plate]) for region in regions)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
 
@@ -133,19 +135,17 @@ def _reference(
     seams: list[tuple[Array, Array]],
     settings: DefectSettings,
     like: Reference | None = None,
+    dents_known: bool = True,
 ) -> Reference | None:
     """The skin of a plate by its bare cells."""
     use = np.flatnonzero((cells.plate == plate) & cells.free & ~covered)
     use = use[:: max(1, len(use) // _ENOUGH)]
     points, sigma = cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use]
-    return fit_reference(points, sigma, seams, settings.largest_mm, like)
+    return fit_reference(points, sigma, seams, settings.largest_mm, like, dents_known)
 
 
-def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other: Reference | None) -> Region:
-    """A region with what another reference makes of it.
-
-    On lines across a seam of which nothing is left, the other one's profile tells nothing: its surface alone counts.
-    """
+def _doubted(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> Region:
+    """A region with what another reference makes of it."""
     here = np.where(region.cells, depth[region.rows, region.columns], np.nan)
     known = np.isfinite(here)
     if other is None or not known.any():
@@ -153,12 +153,6 @@ def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other
     again = np.full(here.shape, np.nan)
     points = cells.points[region.rows, region.columns]
     other.depths(points, known, again)
-    x, y = other.frame.local(points[known])[:, :2].T
-    told = other.told(x, y)
-    if not told.all():
-        untold = known.copy()
-        untold[known] = ~told
-        replace(other, ruled=own.ruled).depths(points, untold, again)
     off = again - here
     middle = np.abs(here) > 0.7 * np.abs(here[known]).max()
     row, column = np.nonzero(known)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import solveh_banded
 
 from metrology.defects.outline import crossings
 from metrology.defects.reference import Reference
-from metrology.defects.ruled_kernel import bin_medians, robust_polyline
-from metrology.robust import MAD, TUKEY, tukey
+from metrology.defects.ruled_kernel import add_polylines, bin_medians, stiffest
 from metrology.surfaces import Frame
 
 
@@ -25,33 +23,46 @@ def test_medians_of_bins(rng: np.random.Generator) -> None:
     assert found[11] == found[10]
 
 
-def test_robust_polyline_is_weighted_least_squares(rng: np.random.Generator) -> None:
-    count, held = 9, 1e-3
-    place = rng.uniform(0, count - 1.01, 400)
-    low = place.astype(int)
-    share = place - low
-    sd = rng.uniform(0.5, 2.0, 400)
-    values = np.sin(place) + 0.02 * sd * rng.normal(size=400)
-    values[:30] += 3.0
-    start = np.sin(np.arange(count))
-    heights = start.copy()
-    variance = robust_polyline(low, share, values, sd, held, heights)
+def polyline(low: np.ndarray, share: np.ndarray, count: int) -> np.ndarray:
+    """Columns of a polyline, plainly."""
+    every, columns = np.arange(len(low)), np.zeros((len(low), count))
+    columns[every, low], columns[every, low + 1] = 1 - share, share
+    return columns
 
-    design = np.zeros((400, count))
-    design[np.arange(400), low], design[np.arange(400), low + 1] = 1 - share, share
-    own, w = start, np.ones(400)
-    for number in range(4):
-        if number:
-            normal = design.T @ (design * w[:, None])
-            hold = held * np.diag(normal).max() * (np.diff(np.eye(count), axis=0).T @ np.diff(np.eye(count), axis=0))
-            banded = np.array([np.diag(normal + hold), [*np.diag(normal + hold, 1), 0.0]])
-            own = solveh_banded(banded, design.T @ (w * values), lower=True)
-        residual = np.abs(values - design @ own) / sd
-        scale = MAD * np.sort(residual)[200]
-        w = tukey(residual / (TUKEY * scale)) / sd**2
-    assert heights == pytest.approx(own, abs=1e-9)
-    assert variance == pytest.approx(scale**2 / (design.T @ w), rel=1e-6)
-    assert heights == pytest.approx(np.sin(np.arange(count)), abs=0.08)
+
+def test_polylines_are_columns_of_normal_equations(rng: np.random.Generator) -> None:
+    design, weights, target, lever = rng.normal(size=(300, 3)), *rng.uniform(0.5, 2.0, (3, 300))
+    place = rng.uniform(0, [[5.0], [3.0]], (2, 300))
+    low, share = place.astype(int), place % 1
+    lines = [lever[:, None] * polyline(low[k], share[k], count) for k, count in enumerate((6, 4))]
+    whole = np.hstack([design, *lines])
+    normal, right = np.zeros((13, 13)), np.zeros(13)
+    normal[:3, :3], right[:3] = design.T @ (design * weights[:, None]), design.T @ (weights * target)
+    add_polylines(low + np.array([[3], [9]]), share, lever, design, weights, target, normal, right)
+    assert np.triu(normal) == pytest.approx(np.triu(whole.T @ (whole * weights[:, None])))
+    assert right == pytest.approx(whole.T @ (weights * target))
+
+
+@pytest.mark.parametrize("bend", [1e-4, 1e-2])
+def test_values_tell_how_stiff_a_polyline_is(rng: np.random.Generator, bend: float) -> None:
+    """Heights drawn with second differences of a known size; the evidence is that of the plain Gaussian model."""
+    count, scale, least = 120, 0.004, 1e-5
+    heights = np.cumsum(np.cumsum(bend * rng.normal(size=count)))
+    place = rng.uniform(0, count - 1.01, 2400)
+    columns = polyline(place.astype(int), place % 1, count)
+    values = columns @ heights + scale * rng.normal(size=2400)
+    normal, right = columns.T @ columns, columns.T @ values
+    found = stiffest(np.diag(normal).copy(), np.append(np.diag(normal, 1), 0.0), right, scale, least)
+    assert scale / np.sqrt(found) == pytest.approx(bend, rel=0.9)
+
+    def evidence(stiffness: float) -> float:
+        bends = np.diff(np.eye(count), 2, axis=0)
+        whole = normal + stiffness * bends.T @ bends
+        best = right @ np.linalg.solve(whole, right) / scale**2
+        return float((count - 2) * np.log(stiffness) - np.linalg.slogdet(whole)[1] + best)
+
+    tried = [(scale / least) ** 2 / 10.0**k for k in range(9)]
+    assert found == pytest.approx(max(tried, key=evidence))
 
 
 def test_a_references_height_solves_its_equation(rng: np.random.Generator) -> None:
