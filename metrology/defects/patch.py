@@ -21,12 +21,14 @@ _MARGIN = 0.4  # of the region's size round it
 _MARGIN_CELLS = 6
 _SPIKE, _SPIKE_SHARE = 8.0, 0.15  # standard deviations of a point, and share of the depth
 _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
-_OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
-_SMOOTH_PX = (2.4, 8.0)
+_OUTLINE_SMOOTH = 0.11  # of a defect's radius: what noise is smoothed over, within the bounds below
+_SMOOTH_PX = (3.2, 11.0)
 _BRIDGED = 0.02  # weight of a cell without sound skin beside those with it: the ground of a scratch has gaps
 _NARROW = 2.5  # times as large is the radius of an area as its greatest inner one: it is a line
 _FINEST_CELLS = 400_000  # of a grid of single pixels
 _FWHM = 2.355  # of a Gaussian, standard deviations
+_TWICE_FWHM = 2.03  # of a mean with the mean of what it left put back: 2 g − g ∗ g
+_TWICE_SD = 0.382  # of it on white noise, over that of a cell and the smoothing's standard deviation in cells
 _ENOUGH = 1000  # points that tell how pixels map onto the skin
 SUPPORT_PX = 1.4
 """Standard deviation of the area that a point is a mean of."""
@@ -74,7 +76,8 @@ class Patch:
     def true_pixels(self, width_mm: float) -> float:
         """Pixels that a narrow line is wide, less what smoothing has added to its outline."""
         pixels = width_mm / self.step_mm * self.step_px
-        return float(np.sqrt(max(pixels**2 - (_FWHM * np.hypot(_SMOOTH_PX[0], SUPPORT_PX)) ** 2, 0.0)))
+        added = np.hypot(_TWICE_FWHM * _SMOOTH_PX[0], _FWHM * SUPPORT_PX)
+        return float(np.sqrt(max(pixels**2 - added**2, 0.0)))
 
     def grid_of(self, pixels: Array) -> Array:
         """(n, 2) column and row of pixels (n, 2) of the left image."""
@@ -84,14 +87,24 @@ class Patch:
         """Depth as its outline is taken from."""
         weight = np.where(self.skin, 1.0, _BRIDGED) * self.plate
         both = np.dstack([np.where(self.plate, self.depth, 0.0) * weight, weight])
-        total = cv2.GaussianBlur(both, (0, 0), self._smoothing(radius_mm), borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-4))
+        sigma = self._smoothing(radius_mm)
+        total, weights = cv2.split(cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT))
+        weights = np.maximum(weights, 1e-4)
+        once = total / weights
+        # What the mean has flattened, and gaps have shifted, is put back.
+        rest = cv2.GaussianBlur(both[..., 0] - once * weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(once + rest / weights)
 
     def smoothed_sd(self, radius_mm: float) -> float:
         """Standard deviation of that by noise, mm."""
-        return (
-            float(np.nanmedian(self.sigma)) * self.reference.noise / (np.sqrt(4 * np.pi) * self._smoothing(radius_mm))
-        )
+        return float(np.nanmedian(self.sigma)) * self.reference.noise * _TWICE_SD / self._smoothing(radius_mm)
+
+    def crossing_sd(self, radius_mm: float) -> float:
+        """Standard deviation of `smoothed` at a crossing of an outline, as if crossings were independent, mm.
+
+        4/π of them lie on a grid step, and what is smoothed over s of these is correlated over 2 √π s.
+        """
+        return self.smoothed_sd(radius_mm) * float(np.sqrt(8 / np.sqrt(np.pi) * self._smoothing(radius_mm)))
 
     def _smoothing(self, radius_mm: float) -> float:
         """Standard deviation of the smoothing, grid cells."""

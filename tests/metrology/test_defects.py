@@ -116,6 +116,8 @@ def test_a_pointed_bottom_is_as_deep_as_it_is(rng: np.random.Generator, fold: bo
     assert found.depth_mm == pytest.approx(0.25, abs=0.0075)
     assert abs((found.depth_mm or 0.0) - 0.25) < (found.depth_u95_mm or 0.0) < 0.02
     assert (found.bottom_radius_mm or 0.0) < 30.0
+    assert found.length_mm == pytest.approx(22.0, rel=0.035)  # a fold's outline has corners where it is longest
+    assert found.width_mm == pytest.approx(13.0, rel=0.035)
 
 
 @pytest.mark.parametrize("depth", [0.15, 0.3])
