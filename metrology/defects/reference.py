@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial.legendre import leg2poly, legvander
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, medians_along, turned
 from metrology.defects.ruled_kernel import add_polylines, stiffest
@@ -186,7 +187,8 @@ def fit_reference(
     largest_mm : float
         Length of the largest defect of interest.
     like : Reference
-        Of more of the plate's cells: its frame, its terms and how large they are, and its lines are this one's.
+        Of much the same cells: its frame, its terms, and how large they are where it says so, and its lines are this
+        one's.
     dents_known : bool
         Whether dents are left out. Before, only what is bent along a seam in all of its parts is taken for bent.
     """
@@ -296,8 +298,8 @@ def _bending(count: int) -> Array:
 def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Reference:
     """Reweighted least squares with Tukey's weights, of the surface and the profiles at once.
 
-    How much the polynomial waves, and how stiff the profiles are, the plate itself tells. Profiles of the shape are
-    near already, and lie over a surface by its coefficients.
+    How much the polynomial waves, and how stiff the profiles are, the plate itself tells. Coefficients and profiles
+    that the shape has are near already.
     """
     e, terms = shape.extent, _PLAIN + len(shape.waves)
     lines = _Polylines.of(shape, x, y, e / sd)
@@ -305,9 +307,9 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
     target = h / sd
     solution = np.zeros(lines.parts[-1].stop if lines.parts else terms)
     weights, noise, wave_sd = np.ones(len(x)), 1.0, shape.wave_sd or _WAVE_SD_MM
-    if shape.ruled:
+    if len(shape.coefficients):
         solution[: len(shape.coefficients)] = shape.coefficients
-        solution[terms:] = np.concatenate([profile.heights for profile in shape.ruled]) / e
+        solution[terms:] = np.concatenate([np.zeros(0), *(profile.heights for profile in shape.ruled)]) / e
         residual = np.abs(target - design @ solution[:terms] - lines.at(solution))
         noise = MAD * median(residual) + 1e-9
         weights = tukey(residual / (TUKEY * noise))
@@ -322,8 +324,8 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
             add_polylines(lines.low, lines.share, lines.lever, design, weights, target, normal, right)
             normal = np.triu(normal) + np.triu(normal, 1).T
             lines.hold(normal, right, solution, noise, e)
-        inverse = np.linalg.inv(normal)
-        solution = inverse @ right
+        factor = cho_factor(normal, check_finite=False)
+        solution = cho_solve(factor, right, check_finite=False)
         before, predicted = predicted, design @ solution[:terms] + lines.at(solution)
         residual = np.abs(target - predicted)
         noise = MAD * median(residual) + 1e-9
@@ -331,12 +333,14 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         if number > 1 and np.abs(predicted - before).max() < _CONVERGED * noise:
             break
         if number > 0 and len(waves) and not shape.wave_sd:
-            second = solution[_PLAIN:terms] ** 2 + noise**2 * np.diag(inverse)[_PLAIN:terms]
+            columns = np.eye(len(normal), terms)
+            variance = noise**2 * np.diag(cho_solve(factor, columns, check_finite=False))
+            second = solution[_PLAIN:terms] ** 2 + variance[_PLAIN:]
             wave_sd = float(np.clip(e * np.sqrt(second.mean()), *_WAVE_RANGE_MM))
     ruled = tuple(
         replace(profile, heights=solution[part] * e) for profile, part in zip(shape.ruled, lines.parts, strict=True)
     )
-    covariance = np.asarray(inverse * noise**2, float)
+    covariance = noise**2 * cho_solve(factor, np.eye(len(normal)), check_finite=False)
     return replace(
         shape, coefficients=solution[:terms], ruled=ruled, covariance=covariance, noise=noise, wave_sd=wave_sd
     )

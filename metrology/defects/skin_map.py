@@ -91,16 +91,17 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
         for plate in due:
             on_plate = (cells.plate == plate) & sound
             depth[on_plate] = np.nan
-            references.pop(plate, None)
-            reference = _reference(cells, plate, covered, seams, settings, dents_known=number > 0)
+            before = references.pop(plate, None)
+            like = replace(before, wave_sd=0.0) if before and number > 1 else None
+            reference = _reference(cells, plate, covered, seams, settings, like, dents_known=number > 0)
             if reference is not None:
                 reference.depths(cells.points, on_plate, depth)
                 references[plate] = reference
         smoothed, sd, waves = _smoothed(depth, cells, covered)
         regions = _regions(smoothed, sd, cells, settings)
         left_out = _undisputed(regions, smoothed, cells, references) if number < _DOUBTFUL_ROUNDS else regions
-        before, covered = covered, covered | _footprints(left_out, covered.shape, _MARGIN)
-        changed = (before != covered) & cells.free
+        added = _footprints(left_out, covered.shape, _MARGIN) & ~covered
+        changed, covered = added & cells.free, covered | added
         areas = {p: cells.plate == p for p in cells.plates}
         # At first only what is bent plainly was taken for bent.
         due = [p for p, area in areas.items() if not number or changed[area].sum() > _UNCHANGED * area.sum()]
