@@ -103,8 +103,10 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
         added = _footprints(left_out, covered.shape, _MARGIN) & ~covered
         changed, covered = added & cells.free, covered | added
         areas = {p: cells.plate == p for p in cells.plates}
-        # At first only what is bent plainly was taken for bent.
-        due = [p for p, area in areas.items() if not number or changed[area].sum() > _UNCHANGED * area.sum()]
+        due = [p for p, area in areas.items() if changed[area].sum() > _UNCHANGED * area.sum()]
+        if not number:  # At first only what is bent plainly was taken for bent, and the rest of it may hide a defect.
+            hide = {p for p, wave in waves.items() if _START * wave > settings.least_depth_mm}
+            due = sorted(hide | {region.plate for region in regions})
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
