@@ -52,6 +52,8 @@ class Outline:
 def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int], noise: float = 0.0) -> Outline | None:
     """The outline of what is deeper than a level round a grid cell; None where hardly a cell is.
 
+    At the ridge to another defect it is closed as the rest of it tells.
+
     Parameters
     ----------
     depth : (rows, columns) ndarray
@@ -62,7 +64,7 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
     noise : float
         Standard deviation of the depth at a crossing, as if crossings were independent, mm.
     """
-    deep = (depth > level) & patch.plate
+    deep = (depth > level) & patch.plate & ~patch.others
     _, labels = cv2.connectedComponents(deep.astype(np.uint8), connectivity=4)
     if labels[inside] == 0:
         return None

@@ -54,6 +54,8 @@ class Patch:
     """(rows, columns): standard deviation of it if pixels were independent, mm."""
     own: Mask
     """(rows, columns): the region's."""
+    others: Mask
+    """(rows, columns): of other defects on the plate to the same side, which it runs into."""
     skin: Mask
     """(rows, columns): sound skin."""
     plate: Mask
@@ -117,9 +119,12 @@ def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> 
     cells = skin.cells
     rows, columns = _window(region, cells.plate.shape)
     depth = region.sign * skin.smoothed[rows, columns]
-    own = np.zeros(cells.plate.shape, bool)
+    own, others = np.zeros((2, *cells.plate.shape), bool)
     own[region.rows, region.columns] = region.cells
-    own = own[rows, columns]
+    for other in skin.regions:
+        if other.plate == region.plate and other.sign == region.sign:
+            others[other.rows, other.columns] |= other.cells
+    own, others = own[rows, columns], (others & ~own)[rows, columns]
     peak = float(np.where(own, depth, -np.inf).max())
     core = (own & (depth > 0.5 * peak)).astype(np.uint8)
     radius = float(np.sqrt(core.sum() / np.pi))
@@ -127,7 +132,7 @@ def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> 
     step = _step(inner if radius > _NARROW * inner else radius)
     if step == 1 and core.size * SIZE**2 > _FINEST_CELLS:
         step = 2
-    return _patch(region, own, skin, reconstruction, (rows, columns), step)
+    return _patch(region, (own, others), skin, reconstruction, (rows, columns), step)
 
 
 def _step(radius: float) -> int:
@@ -146,7 +151,7 @@ def _window(region: Region, shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 def _patch(
     region: Region,
-    own: Mask,
+    masks: tuple[Mask, Mask],
     skin: SkinMap,
     reconstruction: Reconstruction,
     window: tuple[slice, slice],
@@ -186,7 +191,8 @@ def _patch(
         y=y,
         depth=depth,
         sigma=sigma,
-        own=np.asarray(finer(own), bool),
+        own=np.asarray(finer(masks[0]), bool),
+        others=np.asarray(finer(masks[1]), bool),
         skin=known,
         plate=plate,
         covered=covered,

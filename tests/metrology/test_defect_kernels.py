@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from metrology.defects.outline import crossings
 from metrology.defects.reference import Reference
 from metrology.defects.ruled_kernel import add_polylines, bin_medians, stiffest
+from metrology.defects.split import bottoms
 from metrology.surfaces import Frame
 
 
@@ -97,3 +99,20 @@ def test_crossings_of_a_level() -> None:
     whole = crossings(*(np.ascontiguousarray(a[part]) if np.ndim(a) else a for a in (depth, 0.5, cells, plate)),
                       *(np.ascontiguousarray(a[part]) for a in (x < 0, x, y)), *at)  # fmt: skip
     assert whole[1] == by_view + cells[:, 8].sum()
+
+
+def test_basins_are_filled_up_to_their_ridges(rng: np.random.Generator) -> None:
+    """Each part holds, as one piece, what a level just above the ridge to the next one leaves round its bottom."""
+    y, x = np.mgrid[0:40, 0:60]
+    middles = ((12.0, 20.0, 1.0), (33.0, 20.0, 0.6), (33.0, 36.0, 0.05))
+    bumps = [d * np.exp(-0.5 * ((x - u) ** 2 + (y - v) ** 2) / 36.0) for u, v, d in middles]
+    depth = np.sum(bumps, axis=0) + 1e-4 * rng.normal(size=x.shape)
+    member = depth > 0.02
+    parts = bottoms(depth, member, np.full(depth.shape, 0.03), 8)
+    assert (np.sum(parts, axis=0) == member).all()
+    assert len(parts) == 2  # the third does not stand out
+    ridge = float(depth[20, 12:34].min())
+    _, labels = cv2.connectedComponents((depth > ridge + 1e-3).astype(np.uint8), connectivity=4)
+    for u in (12, 33):
+        (part,) = (p for p in parts if p[20, u])
+        assert part[labels == labels[20, u]].all()
