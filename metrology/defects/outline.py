@@ -200,7 +200,8 @@ def _extents(x: Array, y: Array) -> tuple[float, float, float]:
     extent = np.ptp(np.outer(np.cos(turns), x) + np.outer(np.sin(turns), y), axis=1)
     turn = 0.5 * float(np.angle(extent @ np.exp(2j * turns))) % np.pi
     c, s = np.cos(turn), np.sin(turn)
-    return float(np.ptp(c * x + s * y)), float(np.ptp(c * y - s * x)), turn
+    length, width = float(np.ptp(c * x + s * y)), float(np.ptp(c * y - s * x))
+    return (length, width, turn) if length >= width else (width, length, (turn + 0.5 * np.pi) % np.pi)
 
 
 def _of_line(x: Array, y: Array, angle: float) -> tuple[float, float, float]:

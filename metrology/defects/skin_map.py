@@ -31,6 +31,7 @@ _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
 _LEAST_CELLS = 8
 _MARGIN = 0.25  # of a defect's radius round it is not taken for skin
 _WIDE_MARGIN = 0.5  # of it left out to see how well the rest tells the skin under it
+_FEW = 50  # places of a bottom tell how well the skin under it is known
 _NEAR = 0.05  # of a Gaussian's weight must be known
 
 
@@ -47,7 +48,7 @@ class Region:
     cells: Mask
     """(…): its cells in the window."""
     doubt: float = 0.0
-    """By how much its depth changes if more round it is not taken for skin, mm: how well the rest tells the skin."""
+    """By how much more than noise makes it its depth changes if more round it is not taken for skin, mm."""
     bend: float = 0.0
     """By how much the skin under it is then bent otherwise, mm: what may look like a defect, and be none."""
 
@@ -112,7 +113,7 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
     wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
     others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
-    doubted = tuple(_doubted(region, depth, cells, others[region.plate]) for region in regions)
+    doubted = tuple(_doubted(r, depth, cells, references[r.plate], others[r.plate]) for r in regions)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
 
@@ -147,8 +148,12 @@ def _reference(
     return fit_reference(points, sigma, seams, settings.largest_mm, like, dents_known)
 
 
-def _doubted(region: Region, depth: Array, cells: CellMap, other: Reference | None) -> Region:
-    """A region with what another reference makes of it."""
+def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other: Reference | None) -> Region:
+    """A region with what a reference of fewer cells makes of it.
+
+    Of two estimates, one of a part of the other's values, the difference has by noise alone the difference of their
+    variances: what is beyond it is a reference that the defect has bent.
+    """
     here = np.where(region.cells, depth[region.rows, region.columns], np.nan)
     known = np.isfinite(here)
     if other is None or not known.any():
@@ -161,7 +166,10 @@ def _doubted(region: Region, depth: Array, cells: CellMap, other: Reference | No
     row, column = np.nonzero(known)
     plane = np.column_stack([np.ones(len(row)), row, column])
     bent = off[known] - plane @ np.linalg.lstsq(plane, off[known], rcond=None)[0]
-    return replace(region, doubt=float(np.abs(off[middle]).mean()), bend=float(np.sqrt(np.mean(bent**2))))
+    x, y = other.frame.local(points[middle])[:: max(1, int(middle.sum()) // _FEW), :2].T
+    noise = float((other.variance(x, y) - own.variance(x, y)).mean())
+    doubt = np.sqrt(max(float(np.abs(off[middle]).mean()) ** 2 - max(noise, 0.0), 0.0))
+    return replace(region, doubt=float(doubt), bend=float(np.sqrt(np.mean(bent**2))))
 
 
 def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:
