@@ -33,6 +33,7 @@ def defect_map(form: DefectForm, locale: Locale, height: int = 300) -> go.Figure
         hoverongaps=False,
     )
     x, y = np.vstack([form.outline, form.outline[:1]]).T
+    fig.add_scatter(x=x, y=y, mode="lines", line={"color": "white", "width": 4}, hoverinfo="skip", showlegend=False)
     _line(fig, x, y, INK, "dot", _("outline at half depth"))
     for name, turn, colour, dash in (
         (_("section along"), form.turn, GREEN, "solid"),
@@ -44,7 +45,7 @@ def defect_map(form: DefectForm, locale: Locale, height: int = 300) -> go.Figure
     fig.update_yaxes(
         visible=False, range=_within(form.corner[1], form.step_mm, rows)[::-1], scaleanchor="x", constrain="domain"
     )
-    fig.update_layout(plot_bgcolor=MISSING)
+    fig.update_layout(plot_bgcolor=MISSING, margin={"t": 44}, legend={"y": 1.08, "yanchor": "bottom"})
     return fig
 
 
@@ -95,9 +96,17 @@ def defect_sections(form: DefectForm, depth: float, u95: float, locale: Locale, 
 
 
 def _depth(fig: go.Figure, row: int, start: float, end: float, text: str) -> None:
-    """An arrow from the skin as it would be to the deepest point."""
+    """An arrow from the skin as it would be to the deepest point; its own line ends before the place it starts from."""
     x, y = (axis + (str(row) if row > 1 else "") for axis in "xy")
     axes = {"xref": x, "yref": y}
+    fig.add_shape(type="line", x0=0, x1=0, y0=start, y1=end, line={"color": RED, "width": 2}, **axes)
     fig.add_annotation(x=0, y=end, ax=0, ay=start, axref=x, ayref=y, arrowhead=2, arrowwidth=2, arrowcolor=RED, **axes)
     middle = 0.5 * (start + end)
-    fig.add_annotation(x=0, y=middle, text=f"<b>{text}</b>", showarrow=False, xanchor="left", xshift=8, **axes)
+    shown = {
+        "showarrow": False,
+        "xanchor": "left",
+        "xshift": 8,
+        "font": {"color": "white"},
+        "bgcolor": "rgba(0,0,0,0.6)",
+    }
+    fig.add_annotation(x=0, y=middle, text=f"<b>{text}</b>", **shown, **axes)

@@ -85,15 +85,15 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
         return None
     depth = patch.smoothed(0.0)
     at = _deepest(patch, depth)
-    outline = outline_at(patch, depth, 0.5 * float(depth[at]), at)
+    outline = outline_at(patch, depth, 0.5 * float(depth[at]), at, patch.crossing_sd(0.0))
     if outline is None or depth[outline.cells].max() > _SHOULDER * depth[at]:
         return None
     radii = 0.5 * outline.length, 0.5 * outline.width, outline.angle
     bottom = bottom_of(patch, outline.cells, at, radii)
     if bottom is None:
         return None
-    smoothed = patch.smoothed(0.5 * float(np.sqrt(outline.length * outline.width)))
-    outline = outline_at(patch, smoothed, 0.5 * bottom.depth, at) or outline
+    radius = 0.5 * float(np.sqrt(outline.length * outline.width))
+    outline = outline_at(patch, patch.smoothed(radius), 0.5 * bottom.depth, at, patch.crossing_sd(radius)) or outline
     x, y = (np.array([c]) for c in patch.reference.frame.local(patch.frame.rig([bottom.x, bottom.y, 0.0]))[:2])
     by_reference = float(patch.reference.variance(x, y)[0])
     window = region.rows, region.columns
@@ -194,7 +194,8 @@ def _with_extents(
     share = found.depth_sd / bottom.depth
     grid = _GRID * patch.step_mm
     length_u95, width_u95 = (
-        COVERAGE_95 * float(np.hypot(_BY_LEVEL * share * extent, grid)) for extent in (outline.length, outline.width)
+        COVERAGE_95 * float(np.linalg.norm([_BY_LEVEL * share * extent, grid, sd]))
+        for extent, sd in ((outline.length, outline.length_sd), (outline.width, outline.width_sd))
     )
     away = distances(outline, patch.frame, of_type(sighted.features, Rivet), of_type(sighted.features, SeamStation))
     direction, major, minor = _in_image(found, sighted)
@@ -234,7 +235,7 @@ def _with_shape(
     radius = 0.5 * float(np.sqrt(outline.length * outline.width))
     depth = patch.smoothed(radius)
     level = max(_FOOT * bottom.depth, _FOOT_SDS * found.depth_sd)
-    foot = outline_at(patch, depth, level, _deepest(patch, depth))
+    foot = outline_at(patch, depth, level, _deepest(patch, depth), patch.crossing_sd(radius))
     if foot is not None:
         volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * patch.sign
         row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)

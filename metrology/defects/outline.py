@@ -14,7 +14,10 @@ from metrology.jit import kernel
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_HARMONICS = 4  # of a closed outline in the frame in which its moments are a circle's
+_HARMONICS = 14  # of a closed outline in the frame in which its moments are a circle's
+_CORNER, _LOW = 1.0, 0.1  # how large they usually are over the radius: over the square of their order, and at most
+_LEAST_NOISE = 0.01  # of a crossing over the radius: the grid's own
+_DEEPER = 1.2  # times the level, up to where the slope at an outline is taken
 _POINTS = 180
 _STAR = 0.15  # scatter of an outline about its harmonics, of its radius: beyond it the outline is no simple one
 _FEWEST = 12
@@ -33,7 +36,10 @@ class Outline:
     """(rows, columns): grid cells of the patch within it."""
     length: float
     width: float
-    """length, width: its greatest extent, and that at 90° to it, mm."""
+    """length, width: its extent where it is longest, and that at 90° to it, mm."""
+    length_sd: float
+    width_sd: float
+    """length_sd, width_sd: standard deviations of these by noise where the level is crossed, mm."""
     angle: float
     """Direction of the length in the frame, radians."""
     area: float
@@ -43,8 +49,10 @@ class Outline:
     """cut_by_view, cut_by_seam: shares of its border at which the view, or the plate at a seam, ends."""
 
 
-def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]) -> Outline | None:
+def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int], noise: float = 0.0) -> Outline | None:
     """The outline of what is deeper than a level round a grid cell; None where hardly a cell is.
+
+    At the ridge to another defect it is closed as the rest of it tells.
 
     Parameters
     ----------
@@ -53,8 +61,10 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
     level : float
         mm.
     inside : (row, column)
+    noise : float
+        Standard deviation of the depth at a crossing, as if crossings were independent, mm.
     """
-    deep = (depth > level) & patch.plate
+    deep = (depth > level) & patch.plate & ~patch.others
     _, labels = cv2.connectedComponents(deep.astype(np.uint8), connectivity=4)
     if labels[inside] == 0:
         return None
@@ -62,13 +72,15 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
     x, y, cut_by_view, cut_by_seam = _crossings(patch, depth, level, cells)
     if len(x) < _FEWEST:
         return None
-    around, simple = _closed(patch, cells, x, y)
-    cx, cy = around if simple else (x, y)
+    deeper = np.sqrt((depth[cells] > _DEEPER * level).mean())
+    curve = _closed(patch, cells, x, y, noise * (1 - deeper) / ((_DEEPER - 1) * level))
+    cx, cy = (curve.x, curve.y) if curve.simple else (x, y)
     length, width, angle = _extents(cx, cy)
+    length_sd, width_sd = (curve.extent_sd(turn) for turn in (angle, angle + 0.5 * np.pi))
     if length > _LINE * width:
         length, width, angle = _of_line(x, y, angle)
-    area = _polygon_area(*around) if simple else float(cells.sum()) * patch.cell_mm2
-    return Outline(*around, cells, length, width, angle, area, cut_by_view, cut_by_seam)
+    area = _polygon_area(cx, cy) if curve.simple else float(cells.sum()) * patch.cell_mm2
+    return Outline(curve.x, curve.y, cells, length, width, length_sd, width_sd, angle, area, cut_by_view, cut_by_seam)
 
 
 def _crossings(patch: Patch, depth: Array, level: float, cells: Mask) -> tuple[Array, Array, float, float]:
@@ -125,10 +137,34 @@ def crossings(depth, level, cells, plate, view, x, y, at_x, at_y):  # type: igno
     return on_plate, by_view, by_seam
 
 
-def _closed(patch: Patch, cells: Mask, x: Array, y: Array) -> tuple[tuple[Array, Array], bool]:
-    """A smooth closed curve through crossings, and whether it follows them.
+@dataclass(frozen=True)
+class _Curve:
+    """A smooth closed curve through crossings."""
 
-    Harmonics of the radius against the direction, in the frame in which the cells' second moments are a circle's.
+    x: Array
+    y: Array
+    """x, y: (n,): mm."""
+    moved: Array
+    """(2, n, k): by how much a place moves with each of its harmonics, mm."""
+    covariance: Array
+    """(k, k): of the harmonics, by noise."""
+    simple: bool
+    """Whether it follows the crossings."""
+
+    def extent_sd(self, turn: float) -> float:
+        """Standard deviation of its extent in a direction, mm."""
+        way = np.array([np.cos(turn), np.sin(turn)])
+        along = way[0] * self.x + way[1] * self.y
+        change = way @ (self.moved[:, along.argmax()] - self.moved[:, along.argmin()])
+        return float(np.sqrt(change @ self.covariance @ change))
+
+
+def _closed(patch: Patch, cells: Mask, x: Array, y: Array, noise: float) -> _Curve:
+    """A smooth closed curve through crossings.
+
+    Harmonics of the radius against the direction, in the frame in which the cells' second moments are a circle's. What
+    they usually are beforehand, and the noise (standard deviation of a crossing, over the radius) tell how closely the
+    crossings are followed: a corner is one where noise leaves it, and noise makes no corner.
     """
     own = np.stack([patch.x[cells], patch.y[cells]], axis=1)
     centre = own.mean(axis=0)
@@ -137,15 +173,17 @@ def _closed(patch: Patch, cells: Mask, x: Array, y: Array) -> tuple[tuple[Array,
     scale = 2 * np.sqrt(spread)
     white = ((np.stack([x, y], axis=1) - centre) @ axes) / scale
     radius, turn = np.hypot(*white.T), np.arctan2(white[:, 1], white[:, 0])
-    fit = np.linalg.lstsq(
-        np.vstack([_harmonics(turn), 1e-2 * np.sqrt(len(turn)) * np.eye(2 * _HARMONICS + 1)[1:]]),
-        np.concatenate([radius, np.zeros(2 * _HARMONICS)]), rcond=None,
-    )[0]  # fmt: skip
-    scatter = float(np.sqrt(np.mean((radius - _harmonics(turn) @ fit) ** 2)))
+    orders = np.arange(1, _HARMONICS + 1)
+    usual = np.tile(np.minimum(_CORNER / orders**2, _LOW), 2)
+    design, variance = _harmonics(turn), max(noise, _LEAST_NOISE) ** 2
+    covariance = np.linalg.inv(design.T @ design / variance + np.diag([1e-6, *usual**-2.0]))
+    fit = covariance @ (design.T @ radius) / variance
+    scatter = float(np.sqrt(np.mean((radius - design @ fit) ** 2)))
     around = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
-    r = _harmonics(around) @ fit
-    curve = (r[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1) * scale) @ axes.T + centre
-    return (curve[:, 0], curve[:, 1]), scatter < _STAR
+    design = _harmonics(around)
+    ways = axes @ (scale[:, None] * np.stack([np.cos(around), np.sin(around)]))
+    px, py = ways * (design @ fit) + centre[:, None]
+    return _Curve(px, py, ways[:, :, None] * design, np.asarray(covariance), scatter < _STAR)
 
 
 def _harmonics(turn: Array) -> Array:
@@ -154,12 +192,16 @@ def _harmonics(turn: Array) -> Array:
 
 
 def _extents(x: Array, y: Array) -> tuple[float, float, float]:
-    """Greatest extent of a curve, that at 90° to it, and the direction of the first."""
-    turn = np.linspace(0, np.pi, _POINTS, endpoint=False)
-    along = np.outer(np.cos(turn), x) + np.outer(np.sin(turn), y)
-    extent = np.ptp(along, axis=1)
-    k = int(extent.argmax())
-    return float(extent[k]), float(extent[(k + _POINTS // 2) % _POINTS]), float(turn[k])
+    """Extents of a curve along its length and at 90° to it, and the length's direction.
+
+    That is the direction in which it is longest on the whole: the greatest of all extents is one that noise has chosen.
+    """
+    turns = np.linspace(0, np.pi, _POINTS, endpoint=False)
+    extent = np.ptp(np.outer(np.cos(turns), x) + np.outer(np.sin(turns), y), axis=1)
+    turn = 0.5 * float(np.angle(extent @ np.exp(2j * turns))) % np.pi
+    c, s = np.cos(turn), np.sin(turn)
+    length, width = float(np.ptp(c * x + s * y)), float(np.ptp(c * y - s * x))
+    return (length, width, turn) if length >= width else (width, length, (turn + 0.5 * np.pi) % np.pi)
 
 
 def _of_line(x: Array, y: Array, angle: float) -> tuple[float, float, float]:

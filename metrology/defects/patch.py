@@ -21,12 +21,14 @@ _MARGIN = 0.4  # of the region's size round it
 _MARGIN_CELLS = 6
 _SPIKE, _SPIKE_SHARE = 8.0, 0.15  # standard deviations of a point, and share of the depth
 _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
-_OUTLINE_SMOOTH = 0.08  # of a defect's radius: what noise is smoothed over, within the bounds below
-_SMOOTH_PX = (2.4, 8.0)
+_OUTLINE_SMOOTH = 0.11  # of a defect's radius: what noise is smoothed over, within the bounds below
+_SMOOTH_PX = (3.2, 11.0)
 _BRIDGED = 0.02  # weight of a cell without sound skin beside those with it: the ground of a scratch has gaps
 _NARROW = 2.5  # times as large is the radius of an area as its greatest inner one: it is a line
 _FINEST_CELLS = 400_000  # of a grid of single pixels
 _FWHM = 2.355  # of a Gaussian, standard deviations
+_TWICE_FWHM = 2.03  # of a mean with the mean of what it left put back: 2 g − g ∗ g
+_TWICE_SD = 0.382  # of it on white noise, over that of a cell and the smoothing's standard deviation in cells
 _ENOUGH = 1000  # points that tell how pixels map onto the skin
 SUPPORT_PX = 1.4
 """Standard deviation of the area that a point is a mean of."""
@@ -52,6 +54,8 @@ class Patch:
     """(rows, columns): standard deviation of it if pixels were independent, mm."""
     own: Mask
     """(rows, columns): the region's."""
+    others: Mask
+    """(rows, columns): of other defects on the plate to the same side, which it runs into."""
     skin: Mask
     """(rows, columns): sound skin."""
     plate: Mask
@@ -74,7 +78,8 @@ class Patch:
     def true_pixels(self, width_mm: float) -> float:
         """Pixels that a narrow line is wide, less what smoothing has added to its outline."""
         pixels = width_mm / self.step_mm * self.step_px
-        return float(np.sqrt(max(pixels**2 - (_FWHM * np.hypot(_SMOOTH_PX[0], SUPPORT_PX)) ** 2, 0.0)))
+        added = np.hypot(_TWICE_FWHM * _SMOOTH_PX[0], _FWHM * SUPPORT_PX)
+        return float(np.sqrt(max(pixels**2 - added**2, 0.0)))
 
     def grid_of(self, pixels: Array) -> Array:
         """(n, 2) column and row of pixels (n, 2) of the left image."""
@@ -84,14 +89,24 @@ class Patch:
         """Depth as its outline is taken from."""
         weight = np.where(self.skin, 1.0, _BRIDGED) * self.plate
         both = np.dstack([np.where(self.plate, self.depth, 0.0) * weight, weight])
-        total = cv2.GaussianBlur(both, (0, 0), self._smoothing(radius_mm), borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(total[..., 0] / np.maximum(total[..., 1], 1e-4))
+        sigma = self._smoothing(radius_mm)
+        total, weights = cv2.split(cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT))
+        weights = np.maximum(weights, 1e-4)
+        once = total / weights
+        # What the mean has flattened, and gaps have shifted, is put back.
+        rest = cv2.GaussianBlur(both[..., 0] - once * weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(once + rest / weights)
 
     def smoothed_sd(self, radius_mm: float) -> float:
         """Standard deviation of that by noise, mm."""
-        return (
-            float(np.nanmedian(self.sigma)) * self.reference.noise / (np.sqrt(4 * np.pi) * self._smoothing(radius_mm))
-        )
+        return float(np.nanmedian(self.sigma)) * self.reference.noise * _TWICE_SD / self._smoothing(radius_mm)
+
+    def crossing_sd(self, radius_mm: float) -> float:
+        """Standard deviation of `smoothed` at a crossing of an outline, as if crossings were independent, mm.
+
+        4/π of them lie on a grid step, and what is smoothed over s of these is correlated over 2 √π s.
+        """
+        return self.smoothed_sd(radius_mm) * float(np.sqrt(8 / np.sqrt(np.pi) * self._smoothing(radius_mm)))
 
     def _smoothing(self, radius_mm: float) -> float:
         """Standard deviation of the smoothing, grid cells."""
@@ -104,9 +119,12 @@ def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> 
     cells = skin.cells
     rows, columns = _window(region, cells.plate.shape)
     depth = region.sign * skin.smoothed[rows, columns]
-    own = np.zeros(cells.plate.shape, bool)
+    own, others = np.zeros((2, *cells.plate.shape), bool)
     own[region.rows, region.columns] = region.cells
-    own = own[rows, columns]
+    for other in skin.regions:
+        if other.plate == region.plate and other.sign == region.sign:
+            others[other.rows, other.columns] |= other.cells
+    own, others = own[rows, columns], (others & ~own)[rows, columns]
     peak = float(np.where(own, depth, -np.inf).max())
     core = (own & (depth > 0.5 * peak)).astype(np.uint8)
     radius = float(np.sqrt(core.sum() / np.pi))
@@ -114,7 +132,7 @@ def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> 
     step = _step(inner if radius > _NARROW * inner else radius)
     if step == 1 and core.size * SIZE**2 > _FINEST_CELLS:
         step = 2
-    return _patch(region, own, skin, reconstruction, (rows, columns), step)
+    return _patch(region, (own, others), skin, reconstruction, (rows, columns), step)
 
 
 def _step(radius: float) -> int:
@@ -133,7 +151,7 @@ def _window(region: Region, shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 def _patch(
     region: Region,
-    own: Mask,
+    masks: tuple[Mask, Mask],
     skin: SkinMap,
     reconstruction: Reconstruction,
     window: tuple[slice, slice],
@@ -173,7 +191,8 @@ def _patch(
         y=y,
         depth=depth,
         sigma=sigma,
-        own=np.asarray(finer(own), bool),
+        own=np.asarray(finer(masks[0]), bool),
+        others=np.asarray(finer(masks[1]), bool),
         skin=known,
         plate=plate,
         covered=covered,

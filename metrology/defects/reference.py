@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.legendre import leg2poly, legvander
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
-from metrology.defects.ruled import BIN_MM, Ruled, bent_along, ruled_profiles
+from metrology.defects.ruled import BIN_MM, Ruled, bent_along, medians_along, turned
+from metrology.defects.ruled_kernel import add_polylines, stiffest
 from metrology.defects.surface_kernel import depths, surface_heights
 from metrology.robust import MAD, TUKEY, median, tukey
 from metrology.surfaces import Frame
@@ -31,7 +34,8 @@ _BEND_SD = 0.3  # of half the plate's extent over the diameter
 _WAVE_SD_MM = 0.02  # of the polynomial's terms before the plate itself tells
 _WAVE_RANGE_MM = (2e-4, 0.2)
 _FIT_CELLS = 2000  # of a plate are enough for its surface
-_UNTOLD = 25.0  # times the variance that is usual of it: hardly a cell tells a profile there
+_STIFFEST_MM = 1e-5  # standard deviation of a profile's second differences at least; at most ten thousand times that
+_PROFILE_SD_MM = 1.0  # of a profile's heights beforehand: what they share with the surface is the surface's
 _LEAST_CELLS = 100
 _THINNEST = 0.02  # of its extent: narrower strips tell no surface
 
@@ -48,8 +52,8 @@ class Reference:
     """(m, 2) of int: degrees in x and y of the polynomial's terms."""
     coefficients: Array
     covariance: Array
-    """coefficients, covariance: (7 + m,), (…, …): of `design`, over the larger extent; for noise as the residuals show
-    it."""
+    """coefficients, covariance: (7 + m,), (7 + m + nodes, …): of `design`, and of the heights of `ruled` behind it,
+    over the larger extent; for noise as the residuals show it."""
     ruled: tuple[Ruled, ...] = ()
     noise: float = 1.0
     """Residuals over the cells' own standard deviation."""
@@ -82,9 +86,15 @@ class Reference:
 
     def variance(self, x: Array, y: Array) -> Array:
         """Of `height`, mm², by noise of the cells and waves of the skin."""
-        design = self.design(x, y, self.smooth(x, y))
-        by_surface = ((design @ self.covariance) * design).sum(axis=-1) * self.extent**2 * self.together
-        return np.asarray(sum((profile.variance_at(x, y) for profile in self.ruled), by_surface))
+        design = np.zeros((len(x), len(self.covariance)))
+        first = len(self.coefficients)
+        design[:, :first] = self.design(x, y, self.smooth(x, y))
+        every = np.arange(len(x))
+        for profile in self.ruled:
+            low, share = profile.nodes(x, y)
+            design[every, first + low], design[every, first + low + 1] = 1 - share, share
+            first += len(profile.heights)
+        return np.asarray(((design @ self.covariance) * design).sum(axis=-1) * self.extent**2 * self.together)
 
     def depths(self, points: Array, member: NDArray[np.bool_], out: Array) -> None:
         """Write how far points (rows, columns, 3) of the rig frame lie below it along its normal, mm, for members."""
@@ -106,11 +116,6 @@ class Reference:
         legendre[tuple(self.waves.T)] = c[_PLAIN:]
         by_power = _legendre_powers(most)
         return np.asarray(powers + by_power.T @ legendre @ by_power)
-
-    def told(self, x: Array, y: Array) -> NDArray[np.bool_]:
-        """(n,) where its cells tell every profile."""
-        variances = [(profile.variance_at(x, y), float(np.median(profile.variance))) for profile in self.ruled]
-        return np.all([at < _UNTOLD * usual for at, usual in variances], axis=0) if variances else np.ones(len(x), bool)
 
     def tangent(self, point: Array) -> Frame:
         """Frame of its tangent plane at the foot of a point (3,) of the rig frame; profiles and waves are flat."""
@@ -167,6 +172,7 @@ def fit_reference(
     seams: Sequence[tuple[Array, Array]],
     largest_mm: float,
     like: Reference | None = None,
+    dents_known: bool = True,
 ) -> Reference | None:
     """The reference of a plate; None where its cells lie too unevenly.
 
@@ -181,34 +187,33 @@ def fit_reference(
     largest_mm : float
         Length of the largest defect of interest.
     like : Reference
-        Of more of the plate's cells: its frame, its terms and how large they are, and its profiles are this one's, too.
+        Of much the same cells: its frame, its terms, and how large they are where it says so, and its lines are this
+        one's.
+    dents_known : bool
+        Whether dents are left out. Before, only what is bent along a seam in all of its parts is taken for bent.
     """
     if len(points) < _LEAST_CELLS:
         return None
     part = slice(None, None, max(1, len(points) // _FIT_CELLS))
-    shape = replace(like, ruled=()) if like else _shape(points[part], largest_mm)
+    shape = like or _shape(points[part], largest_mm)
     if shape is None:
         return None
     x, y, h = np.ascontiguousarray(shape.frame.local(points[part]).T)
     sd = shape.frame.height_sigma(points[part], sigma[part])
-    # The paraboloid and the profiles first: waves would take part of the profiles.
-    plain = replace(shape, waves=shape.waves[:0])
-    fitted = _fitted(plain, x, y, h, sd)
     if like:
-        directions = [profile.direction for profile in like.ruled]
-    else:
-        courses = [np.diff(shape.frame.local(np.stack(seam)), axis=0)[0, :2] for seam in seams]
-        directions = bent_along(h - fitted.smooth(x, y), sd, x, y, courses)
+        return _fitted(like, x, y, h, sd)
+    # The paraboloid and the profiles first: waves would take part of the profiles.
+    fitted = _fitted(replace(shape, waves=shape.waves[:0]), x, y, h, sd)
+    rest = h - fitted.smooth(x, y)
+    directions = [np.diff(shape.frame.local(np.stack(seam)), axis=0)[0, :2] for seam in seams]
+    if not dents_known:
+        directions = bent_along(rest, sd, x, y, directions)
     if not directions:
         return _fitted(shape, x, y, h, sd)
-    for form in (plain, plain, shape):
-        ruled = ruled_profiles(h - fitted.smooth(x, y), sd, x, y, directions)
-        directions = [profile.direction for profile in ruled]
-        form = replace(form, ruled=ruled)
-        fitted = _fitted(form, x, y, h - form.ruled_height(x, y), sd)
-    x, y, h = np.ascontiguousarray(shape.frame.local(points).T)
-    sd = shape.frame.height_sigma(points, sigma)
-    return replace(fitted, ruled=ruled_profiles(h - fitted.smooth(x, y), sd, x, y, directions))
+    fitted = _fitted(replace(fitted, ruled=medians_along(rest, x, y, directions)), x, y, h, sd)
+    rest = h - fitted.height(x, y)
+    ruled = tuple(turned(profile, rest, x, y) for profile in fitted.ruled)
+    return _fitted(replace(shape, ruled=ruled, coefficients=fitted.coefficients), x, y, h, sd)
 
 
 def fit_contour(points: Array, sigma: Array) -> Reference | None:
@@ -244,29 +249,98 @@ def _shape(points: Array, largest_mm: float) -> Reference | None:
     return Reference(centred, extents, terms, np.zeros(0), np.zeros((0, 0)), density=density)
 
 
+@dataclass(frozen=True)
+class _Polylines:
+    """Profiles as columns behind the surface's in normal equations."""
+
+    low: NDArray[np.int64]
+    share: Array
+    """low, share: (p, n): column of the node before each cell, and share of the way to the next."""
+    lever: Array
+    """(n,): by which a height over the extent counts in a cell."""
+    parts: list[slice]
+    """Columns of each profile."""
+
+    @classmethod
+    def of(cls, shape: Reference, x: Array, y: Array, lever: Array) -> _Polylines:
+        """Those of a plate's profiles."""
+        ends = _PLAIN + len(shape.waves) + np.cumsum([0, *(len(profile.heights) for profile in shape.ruled)])
+        nodes = [profile.nodes(x, y) for profile in shape.ruled]
+        low = np.array([before + first for (before, _), first in zip(nodes, ends, strict=False)], np.int64)
+        share = np.array([part for _, part in nodes])
+        parts = [slice(*pair) for pair in pairwise(ends)]
+        return cls(low.reshape(-1, len(x)), share.reshape(-1, len(x)), lever, parts)
+
+    def at(self, solution: Array) -> Array:
+        """(n,) their sum at the cells."""
+        values = solution[self.low] * (1 - self.share) + solution[self.low + 1] * self.share
+        return np.asarray(self.lever * values.sum(axis=0))
+
+    def hold(self, normal: Array, right: Array, solution: Array, noise: float, extent: float) -> None:
+        """Add to symmetric normal equations how stiff each profile is, which its own values tell."""
+        rest = right - normal @ solution
+        for part in self.parts:
+            block = normal[part, part]
+            own, shared = block.diagonal().copy(), np.append(block.diagonal(1), 0.0)
+            told = rest[part] + block @ solution[part]
+            own += (noise * extent / _PROFILE_SD_MM) ** 2
+            stiffness = stiffest(own, shared, told, noise, _STIFFEST_MM / extent)
+            block += stiffness * _bending(len(block)) + np.diag(own - block.diagonal())
+
+
+@cache
+def _bending(count: int) -> Array:
+    """(count, count) of the sum of squared second differences."""
+    bends = np.diff(np.eye(count), 2, axis=0)
+    return np.asarray(bends.T @ bends)
+
+
 def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Reference:
-    """Reweighted least squares with Tukey's weights; how much the polynomial waves, the plate itself tells."""
-    e = shape.extent
+    """Reweighted least squares with Tukey's weights, of the surface and the profiles at once.
+
+    How much the polynomial waves, and how stiff the profiles are, the plate itself tells. Coefficients and profiles
+    that the shape has are near already.
+    """
+    e, terms = shape.extent, _PLAIN + len(shape.waves)
+    lines = _Polylines.of(shape, x, y, e / sd)
     design = shape.design(x, y, h) * (e / sd[:, None])
     target = h / sd
-    wave_sd = shape.wave_sd or _WAVE_SD_MM
-    weights = np.ones(len(x))
-    noise, solution = 1.0, np.zeros(design.shape[1])
+    solution = np.zeros(lines.parts[-1].stop if lines.parts else terms)
+    weights, noise, wave_sd = np.ones(len(x)), 1.0, shape.wave_sd or _WAVE_SD_MM
+    if len(shape.coefficients):
+        solution[: len(shape.coefficients)] = shape.coefficients
+        solution[terms:] = np.concatenate([np.zeros(0), *(profile.heights for profile in shape.ruled)]) / e
+        residual = np.abs(target - design @ solution[:terms] - lines.at(solution))
+        noise = MAD * median(residual) + 1e-9
+        weights = tukey(residual / (TUKEY * noise))
+    predicted = np.zeros(len(x))
     for number in range(_ROUNDS):
         waves = np.full(len(shape.waves), (wave_sd / e) ** -2)
         prior = np.concatenate([np.zeros(_PLAIN - 1), [_BEND_SD**-2], waves])
-        normal = design.T @ (design * weights[:, None]) + np.diag(prior * noise**2)
-        inverse = np.linalg.inv(normal)
-        updated = inverse @ (design.T @ (weights * target))
-        change = np.abs(design @ (updated - solution)).max()
-        solution = updated
-        residual = np.abs(target - design @ solution)
+        normal, right = np.zeros((len(solution), len(solution))), np.zeros(len(solution))
+        normal[:terms, :terms] = design.T @ (design * weights[:, None]) + np.diag(prior * noise**2)
+        right[:terms] = design.T @ (weights * target)
+        if lines.parts:
+            add_polylines(lines.low, lines.share, lines.lever, design, weights, target, normal, right)
+            normal = np.triu(normal) + np.triu(normal, 1).T
+            lines.hold(normal, right, solution, noise, e)
+        factor = cho_factor(normal, check_finite=False)
+        solution = cho_solve(factor, right, check_finite=False)
+        before, predicted = predicted, design @ solution[:terms] + lines.at(solution)
+        residual = np.abs(target - predicted)
         noise = MAD * median(residual) + 1e-9
         weights = tukey(residual / (TUKEY * noise))
-        if number > 1 and change < _CONVERGED * noise:
+        if number > 1 and np.abs(predicted - before).max() < _CONVERGED * noise:
             break
         if number > 0 and len(waves) and not shape.wave_sd:
-            second = solution[_PLAIN:] ** 2 + noise**2 * np.diag(inverse)[_PLAIN:]
+            columns = np.eye(len(normal), terms)
+            variance = noise**2 * np.diag(cho_solve(factor, columns, check_finite=False))
+            second = solution[_PLAIN:terms] ** 2 + variance[_PLAIN:]
             wave_sd = float(np.clip(e * np.sqrt(second.mean()), *_WAVE_RANGE_MM))
-    covariance = np.asarray(inverse * noise**2, float)
-    return replace(shape, coefficients=solution, covariance=covariance, noise=noise, wave_sd=wave_sd)
+    ruled = tuple(
+        replace(profile, heights=solution[part] * e) for profile, part in zip(shape.ruled, lines.parts, strict=True)
+    )
+    covariance = noise**2 * cho_solve(factor, np.eye(len(normal)), check_finite=False)
+    return replace(
+        shape, coefficients=solution[:terms], ruled=ruled, covariance=covariance, noise=noise, wave_sd=wave_sd
+    )

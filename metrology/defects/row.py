@@ -30,7 +30,7 @@ class Defect(Feature):
         "what hides a part of it, so that depth, length and width are at least these: view (it runs out of it), "
         "fastener, seam, points (none where it is deepest); NULL where all of it was seen",
     ] = None
-    length_mm: Annotated[float | None, "greatest extent of its outline at half depth, mm"] = None
+    length_mm: Annotated[float | None, "extent of its outline at half depth where it is longest, mm"] = None
     length_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of length_mm, mm"] = None
     width_mm: Annotated[float | None, "extent of that outline at 90° to its length, mm"] = None
     width_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of width_mm, mm"] = None
@@ -39,7 +39,9 @@ class Defect(Feature):
     )
     major_px: Annotated[float | None, "extent of its outline at half depth along direction_deg, left image, px"] = None
     minor_px: Annotated[float | None, "extent of that outline at 90° to it, left image, px"] = None
-    foot_length_mm: Annotated[float | None, "greatest extent of its outline at a tenth of its depth, mm"] = None
+    foot_length_mm: Annotated[float | None, "extent of its outline at a tenth of its depth where it is longest, mm"] = (
+        None
+    )
     foot_width_mm: Annotated[float | None, "extent of that outline at 90° to its length, mm"] = None
     straight_edge_depth_mm: Annotated[
         float | None,

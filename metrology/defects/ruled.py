@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.defects.ruled_kernel import bin_medians, robust_polyline
+from metrology.defects.ruled_kernel import bin_medians
 from metrology.robust import MAD, median
 
 Array = NDArray[np.float64]
@@ -17,7 +17,6 @@ BIN_MM = 2.0
 _PER_BIN = 20  # points that a median needs
 _COARSE_MM = 6.0  # of bins that tell whether there is anything
 _BORNE_OUT = 2.0  # times what noise makes of it must a profile vary
-_HELD = 1e-3  # of a full bin: its neighbours tell where no cell does
 _MOST_TURN = 0.05  # rad, from the seam's chord as it was seen
 
 
@@ -30,8 +29,6 @@ class Ruled:
     start: float
     heights: Array
     """start, heights: float, (n,): mm; `BIN_MM` apart, linear between."""
-    variance: Array
-    """(n,): of the heights, mm²."""
 
     def places(self, x: Array, y: Array) -> Array:
         """Where points lie, in bins."""
@@ -42,18 +39,20 @@ class Ruled:
         """Heights at points, mm."""
         return np.asarray(np.interp(self.places(x, y), np.arange(len(self.heights)), self.heights))
 
-    def variance_at(self, x: Array, y: Array) -> Array:
-        """Variance of the heights at points, mm²."""
-        return np.asarray(self.variance[np.rint(self.places(x, y)).astype(int)])
+    def nodes(self, x: Array, y: Array) -> tuple[NDArray[np.int64], Array]:
+        """(n,) number of the node before each point, and the share of the way from there to the next."""
+        place = self.places(x, y)
+        low = place.astype(np.int64)
+        return low, place - low
 
 
-def ruled_profiles(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[Array]) -> tuple[Ruled, ...]:
-    """What heights over a smooth surface have in common across each seam.
+def medians_along(rest: Array, x: Array, y: Array, directions: Sequence[Array]) -> tuple[Ruled, ...]:
+    """A start that dents on a line do not lift: medians of what heights over a smooth surface have in common.
 
     Parameters
     ----------
-    rest, sd : (n,) ndarray
-        Heights over the surface and their standard deviation for independent pixels, mm.
+    rest : (n,) ndarray
+        Heights over the surface, mm.
     x, y : (n,) ndarray
         mm.
     directions : sequence of (2,) ndarray
@@ -61,16 +60,24 @@ def ruled_profiles(rest: Array, sd: Array, x: Array, y: Array, directions: Seque
     """
     found: list[Ruled] = []
     for direction in directions:
-        left = rest - sum((profile.at(x, y) for profile in found), np.zeros_like(x))
-        profile = _profile(left, sd, x, y, direction / np.linalg.norm(direction))
-        found.append(_turned(profile, left, x, y))
+        direction = direction / np.linalg.norm(direction)
+        s = x * direction[0] + y * direction[1]
+        start = float(s.min())
+        place = (s - start) / BIN_MM
+        count = max(int(place.max()) + 2, 3)
+        part = slice(None, None, max(1, len(rest) // (_PER_BIN * count)))
+        medians = bin_medians(place.astype(int)[part], rest[part], count)
+        heights = 0.5 * (medians + np.roll(medians, 1))  # medians stand between two nodes
+        heights[0] = medians[0]
+        found.append(Ruled(direction, start, heights))
+        rest = rest - found[-1].at(x, y)
     return tuple(found)
 
 
 def bent_along(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[Array]) -> list[Array]:
-    """Those of the seams along which heights change alike in the near half of a plate and in the far one.
+    """Those of the seams along which heights change alike in the nearest third of a plate and in the farthest.
 
-    A dent lies in one of the halves, or in neither for the most part. Parameters as of `ruled_profiles`.
+    A dent hardly reaches both. Parameters as of `ruled_profiles`.
     """
     bent = []
     for direction in directions:
@@ -79,33 +86,19 @@ def bent_along(rest: Array, sd: Array, x: Array, y: Array, directions: Sequence[
         across = x * direction[1] - y * direction[0]
         low = ((s - s.min()) / _COARSE_MM).astype(int)
         count = int(low.max()) + 1
-        far = across > median(across)
-        near_heights, far_heights = (bin_medians(low[half], rest[half], count) for half in (~far, far))
+        near, far = np.quantile(across, [1 / 3, 2 / 3])
+        near_heights, far_heights = (
+            bin_medians(low[part], rest[part], count) for part in (across < near, across > far)
+        )
         alike = np.where(near_heights * far_heights > 0, np.minimum(np.abs(near_heights), np.abs(far_heights)), 0.0)
         noise = MAD * median(np.abs(rest - bin_medians(low, rest, count)[low]))
-        variance = np.pi * noise**2 / max(len(rest) / count, 1.0)
+        variance = 1.5 * np.pi * noise**2 / max(len(rest) / count, 1.0)
         if np.mean(alike**2) > _BORNE_OUT**2 * variance:
             bent.append(direction)
     return bent
 
 
-def _profile(rest: Array, sd: Array, x: Array, y: Array, direction: Array) -> Ruled:
-    """Robust means of heights over lines across a seam, linear between bins."""
-    s = x * direction[0] + y * direction[1]
-    start = float(s.min())
-    place = (s - start) / BIN_MM
-    count = int(place.max()) + 2
-    low = place.astype(int)
-    # A start that dents on a line do not lift; medians stand between two nodes.
-    part = slice(None, None, max(1, len(rest) // (_PER_BIN * count)))
-    medians = bin_medians(low[part], rest[part], count)
-    heights = 0.5 * (medians + np.roll(medians, 1))
-    heights[0] = medians[0]
-    variance = robust_polyline(low, place - low, rest, sd, _HELD, heights)
-    return Ruled(direction, start, heights, variance)
-
-
-def _turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:
+def turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:
     """The profile turned so that its lines fit the heights far from its seam too: one step of Gauss-Newton."""
     place = profile.places(x, y)
     slope = np.gradient(profile.heights, BIN_MM)[np.rint(place).astype(int)]
@@ -118,4 +111,4 @@ def _turned(profile: Ruled, rest: Array, x: Array, y: Array) -> Ruled:
     c, s = np.cos(turn), np.sin(turn)
     direction = np.array([[c, -s], [s, c]]) @ profile.direction
     start = profile.start + float(across.mean() * turn)
-    return Ruled(direction, start, profile.heights, profile.variance)
+    return Ruled(direction, start, profile.heights)

@@ -1,13 +1,12 @@
-"""Compiled means of heights over lines across a seam (see `ruled`)."""
+"""Compiled parts of how heights along a seam are told (see `ruled`)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from metrology.jit import kernel
-from metrology.robust import MAD, TUKEY
 
-_ROUNDS = 4  # of which the first tells the weights of the start alone
+_STIFFNESSES = 9  # of which each bends √10 times as much as the one before
 
 
 @kernel
@@ -33,66 +32,101 @@ def bin_medians(low, values, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def robust_polyline(low, share, values, sd, held, heights):  # type: ignore[no-untyped-def]
-    """Polyline with nodes at every bin through values, by Tukey's weights.
+def add_polylines(low, share, lever, design, weights, target, normal, right):  # type: ignore[no-untyped-def]
+    """Add what polylines, as columns behind those of a design, contribute to normal equations.
 
     Parameters
     ----------
-    low : (n,) int64
-        Node before each value.
-    share : (n,) float64
+    low : (p, n) int64
+        Column of the node before each of n values on each of p polylines.
+    share : (p, n) float64
         Of the way from there to the next.
-    values, sd : (n,) float64
-    held : float
-        Of a full bin, with which a node is held to its neighbours.
-    heights : (count,) float64, input and output
-        At the nodes; at first a start that is near.
-
-    Returns
-    -------
-    variance : (count,) float64
-        Of the heights.
+    lever : (n,) float64
+        By which a height counts in a value.
+    design : (n, k) float64
+    weights, target : (n,) float64
+    normal : (k + m, k + m) float64, input and output
+        Above its diagonal.
+    right : (k + m,) float64, input and output
     """
-    size, count = low.shape[0], heights.shape[0]
-    w, residual = np.empty(size), np.empty(size)
-    own, shared, right = np.empty(count), np.empty(count), np.empty(count)
-    scale = 0.0
-    for turn in range(_ROUNDS):
-        if turn:
-            own[:], shared[:], right[:] = 0.0, 0.0, 0.0
-            for k in range(size):
-                i, s = low[k], share[k]
-                near, far = w[k] * (1.0 - s), w[k] * s
-                own[i] += near * (1.0 - s)
-                own[i + 1] += far * s
-                shared[i] += near * s
-                right[i] += near * values[k]
-                right[i + 1] += far * values[k]
-            _solve(own, shared, right, held * own.max(), heights)
-        for k in range(size):
-            line = (1.0 - share[k]) * heights[low[k]] + share[k] * heights[low[k] + 1]
-            residual[k] = abs(values[k] - line) / sd[k]
-        scale = MAD * np.partition(residual, size // 2)[size // 2] + 1e-12
-        for k in range(size):
-            t = (residual[k] / (TUKEY * scale)) ** 2
-            w[k] = (1.0 - t) ** 2 / sd[k] ** 2 if t < 1.0 else 0.0
-    own[:] = 0.0
-    for k in range(size):
-        own[low[k]] += (1.0 - share[k]) * w[k]
-        own[low[k] + 1] += share[k] * w[k]
-    return scale**2 / np.maximum(own, held * own.max())
+    for n in range(low.shape[1]):
+        for p in range(low.shape[0]):
+            for after in range(2):
+                i = low[p, n] + after
+                value = weights[n] * lever[n] * (share[p, n] if after else 1.0 - share[p, n])
+                right[i] += value * target[n]
+                for a in range(design.shape[1]):
+                    normal[a, i] += value * design[n, a]
+                for q in range(p, low.shape[0]):
+                    for next_after in range(2):
+                        j = low[q, n] + next_after
+                        if j >= i:
+                            normal[i, j] += value * lever[n] * (share[q, n] if next_after else 1.0 - share[q, n])
 
 
 @kernel
-def _solve(own, shared, right, held, x):  # type: ignore[no-untyped-def]
-    """Three diagonals, each node held to its neighbours: Thomas's elimination; `own` and `right` are used up."""
+def stiffest(own, shared, right, scale, least):  # type: ignore[no-untyped-def]
+    """The weight of squared second differences of a polyline that its values make most probable (greatest evidence).
+
+    Parameters
+    ----------
+    own, shared : (count,) float64
+        Of its normal equations: the diagonal, and beside it.
+    right : (count,) float64
+    scale : float
+        Standard deviation of the values over the one that their weights tell.
+    least : float
+        Standard deviation of second differences in the stiffest one.
+    """
     count = own.shape[0]
+    best, found = -np.inf, 1.0
+    for turn in range(_STIFFNESSES):
+        bend = least * 10.0 ** (0.5 * turn)
+        stiffness = (scale / bend) ** 2
+        diagonal, first, second = _factors(own, shared, stiffness)
+        solution = _solved(diagonal, first, second, right)
+        evidence = (count - 2) * np.log(stiffness) - np.log(diagonal).sum() + (right * solution).sum() / scale**2
+        if evidence > best:
+            best, found = evidence, stiffness
+    return found
+
+
+@kernel
+def _factors(own, shared, stiffness):  # type: ignore[no-untyped-def]
+    """L D Lᵀ of three diagonals and the squares of second differences: D, and the two diagonals below 1 of L."""
+    count = own.shape[0]
+    diagonal, first, second = own.copy(), shared.copy(), np.zeros(count)
+    for k in range(count - 2):
+        diagonal[k] += stiffness
+        diagonal[k + 1] += 4.0 * stiffness
+        diagonal[k + 2] += stiffness
+        first[k] -= 2.0 * stiffness
+        first[k + 1] -= 2.0 * stiffness
+        second[k] += stiffness
     for i in range(count):
-        own[i] += held if i in (0, count - 1) else 2.0 * held
-    for i in range(1, count):
-        factor = (shared[i - 1] - held) / own[i - 1]
-        own[i] -= factor * (shared[i - 1] - held)
-        right[i] -= factor * right[i - 1]
-    x[count - 1] = right[count - 1] / own[count - 1]
+        below, beyond = first[i] / diagonal[i], second[i] / diagonal[i]
+        if i + 1 < count:
+            diagonal[i + 1] -= below * first[i]
+            first[i + 1] -= below * second[i]
+        if i + 2 < count:
+            diagonal[i + 2] -= beyond * second[i]
+        first[i], second[i] = below, beyond
+    return diagonal, first, second
+
+
+@kernel
+def _solved(diagonal, first, second, right):  # type: ignore[no-untyped-def]
+    """The solution by `_factors`."""
+    count = right.shape[0]
+    x = right.copy()
+    for i in range(count):
+        if i + 1 < count:
+            x[i + 1] -= first[i] * x[i]
+        if i + 2 < count:
+            x[i + 2] -= second[i] * x[i]
+    x /= diagonal
     for i in range(count - 2, -1, -1):
-        x[i] = (right[i] - (shared[i] - held) * x[i + 1]) / own[i]
+        x[i] -= first[i] * x[i + 1]
+        if i + 2 < count:
+            x[i] -= second[i] * x[i + 2]
+    return x

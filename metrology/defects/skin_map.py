@@ -31,6 +31,7 @@ _START, _GO_ON = 5.0, 2.5  # standard deviations of the smoothed depth
 _LEAST_CELLS = 8
 _MARGIN = 0.25  # of a defect's radius round it is not taken for skin
 _WIDE_MARGIN = 0.5  # of it left out to see how well the rest tells the skin under it
+_FEW = 50  # places of a bottom tell how well the skin under it is known
 _NEAR = 0.05  # of a Gaussian's weight must be known
 
 
@@ -47,7 +48,7 @@ class Region:
     cells: Mask
     """(…): its cells in the window."""
     doubt: float = 0.0
-    """By how much its depth changes if more round it is not taken for skin, mm: how well the rest tells the skin."""
+    """By how much more than noise makes it its depth changes if more round it is not taken for skin, mm."""
     bend: float = 0.0
     """By how much the skin under it is then bent otherwise, mm: what may look like a defect, and be none."""
 
@@ -91,17 +92,22 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
         for plate in due:
             on_plate = (cells.plate == plate) & sound
             depth[on_plate] = np.nan
-            references.pop(plate, None)
-            reference = _reference(cells, plate, covered, seams, settings)
+            before = references.pop(plate, None)
+            like = replace(before, wave_sd=0.0) if before and number > 1 else None
+            reference = _reference(cells, plate, covered, seams, settings, like, dents_known=number > 0)
             if reference is not None:
                 reference.depths(cells.points, on_plate, depth)
                 references[plate] = reference
         smoothed, sd, waves = _smoothed(depth, cells, covered)
         regions = _regions(smoothed, sd, cells, settings)
         left_out = _undisputed(regions, smoothed, cells, references) if number < _DOUBTFUL_ROUNDS else regions
-        before, covered = covered, _footprints(left_out, covered.shape, _MARGIN)
-        changed = (before != covered) & cells.free
-        due = [p for p in cells.plates if changed[cells.plate == p].sum() > _UNCHANGED * (cells.plate == p).sum()]
+        added = _footprints(left_out, covered.shape, _MARGIN) & ~covered
+        changed, covered = added & cells.free, covered | added
+        areas = {p: cells.plate == p for p in cells.plates}
+        due = [p for p, area in areas.items() if changed[area].sum() > _UNCHANGED * area.sum()]
+        if not number:  # At first only what is bent plainly was taken for bent, and the rest of it may hide a defect.
+            hide = {p for p, wave in waves.items() if _START * wave > settings.least_depth_mm}
+            due = sorted(hide | {region.plate for region in regions})
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
@@ -133,18 +139,20 @@ def _reference(
     seams: list[tuple[Array, Array]],
     settings: DefectSettings,
     like: Reference | None = None,
+    dents_known: bool = True,
 ) -> Reference | None:
     """The skin of a plate by its bare cells."""
     use = np.flatnonzero((cells.plate == plate) & cells.free & ~covered)
     use = use[:: max(1, len(use) // _ENOUGH)]
     points, sigma = cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use]
-    return fit_reference(points, sigma, seams, settings.largest_mm, like)
+    return fit_reference(points, sigma, seams, settings.largest_mm, like, dents_known)
 
 
 def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other: Reference | None) -> Region:
-    """A region with what another reference makes of it.
+    """A region with what a reference of fewer cells makes of it.
 
-    On lines across a seam of which nothing is left, the other one's profile tells nothing: its surface alone counts.
+    Of two estimates, one of a part of the other's values, the difference has by noise alone the difference of their
+    variances: what is beyond it is a reference that the defect has bent.
     """
     here = np.where(region.cells, depth[region.rows, region.columns], np.nan)
     known = np.isfinite(here)
@@ -153,18 +161,15 @@ def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other
     again = np.full(here.shape, np.nan)
     points = cells.points[region.rows, region.columns]
     other.depths(points, known, again)
-    x, y = other.frame.local(points[known])[:, :2].T
-    told = other.told(x, y)
-    if not told.all():
-        untold = known.copy()
-        untold[known] = ~told
-        replace(other, ruled=own.ruled).depths(points, untold, again)
     off = again - here
     middle = np.abs(here) > 0.7 * np.abs(here[known]).max()
     row, column = np.nonzero(known)
     plane = np.column_stack([np.ones(len(row)), row, column])
     bent = off[known] - plane @ np.linalg.lstsq(plane, off[known], rcond=None)[0]
-    return replace(region, doubt=float(np.abs(off[middle]).mean()), bend=float(np.sqrt(np.mean(bent**2))))
+    x, y = other.frame.local(points[middle])[:: max(1, int(middle.sum()) // _FEW), :2].T
+    noise = float((other.variance(x, y) - own.variance(x, y)).mean())
+    doubt = np.sqrt(max(float(np.abs(off[middle]).mean()) ** 2 - max(noise, 0.0), 0.0))
+    return replace(region, doubt=float(doubt), bend=float(np.sqrt(np.mean(bent**2))))
 
 
 def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from metrology.jit import kernel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LEVELS = 16
-_APART = 0.5  # of its depth must a bottom rise on the way to any deeper one: outlines at half depth then part
+_APART = 0.7  # of its depth must a bottom rise to, on the way to any deeper one: less may be a rough bottom
 
 
 def bottoms(depth: Array, member: Mask, sure: Array, least_cells: int) -> list[Mask]:
-    """Parts of a region, one for each bottom that has an outline at half depth of its own.
+    """Parts of a region, one for each bottom.
 
     Parameters
     ----------
@@ -23,22 +23,71 @@ def bottoms(depth: Array, member: Mask, sure: Array, least_cells: int) -> list[M
     member : (rows, columns) bool
         The region's cells.
     sure : (rows, columns) ndarray
-        Depth that a cell must reach to be off the skin for certain, mm.
+        By how much a bottom must be deeper than the ridge beside it to be one for certain, mm.
     least_cells : int
-        Of a part at half depth.
+        Of a part above its ridge.
     """
-    inside = np.where(member, depth, 0.0)
-    cores = np.zeros(member.shape, np.uint8)
-    # From the deepest level up: a part that holds no core yet, and is deep enough over its level, is one.
-    for level in np.geomspace(max(float(inside.max()), 1e-9), max(float(inside[member].min()), 1e-4), _LEVELS)[1:]:
-        count, labels = cv2.connectedComponents((inside > level).astype(np.uint8), connectivity=4)
-        held = np.unique(labels[cores > 0])
-        for k in np.setdiff1d(np.arange(1, count), held):
-            part = labels == k
-            if part.sum() >= least_cells and level <= _APART * inside[part].max() and (inside > sure)[part].any():
-                cores[part & (inside > _APART * inside[part].max())] = 1
-    count, labels = cv2.connectedComponents(cores, connectivity=4)
-    if count <= 2:
-        return [member]
-    _, nearest = cv2.distanceTransformWithLabels(1 - cores, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_CCOMP)
-    return [member & (nearest == k) for k in np.unique(nearest[cores > 0])]
+    basins = np.zeros(member.shape, np.int64)
+    order = np.flatnonzero(member)
+    order = order[np.argsort(-depth.ravel()[order], kind="stable")]
+    flood(np.ascontiguousarray(depth, float), order, np.ascontiguousarray(sure, float), _APART, least_cells, basins)
+    return [basins == k for k in np.unique(basins[member])]
+
+
+@kernel
+def flood(depth, order, sure, apart, least_cells, basins):  # type: ignore[no-untyped-def]
+    """Basins of a depth map, filled from the deepest cell up; of two that meet the shallower is one if it stands out.
+
+    Parameters
+    ----------
+    depth, sure : (rows, columns) float64
+    order : (n,) int64
+        Places of the cells, the deepest first.
+    apart : float
+        Of its depth must a basin rise to.
+    least_cells : int
+        That it must have by then.
+    basins : (rows, columns) int64, input and output
+        0; at last 1 … of each cell.
+    """
+    rows, columns = basins.shape
+    parent = np.zeros(order.shape[0] + 1, np.int64)
+    peak, size, place = np.zeros(len(parent)), np.zeros(len(parent), np.int64), np.zeros(len(parent), np.int64)
+    met = np.zeros(4, np.int64)
+    count = 0
+    for at in order:
+        i, j = at // columns, at % columns
+        level, beside, deepest = depth[i, j], 0, 0
+        for k in range(4):
+            m, n = i + (k == 0) - (k == 1), j + (k == 2) - (k == 3)
+            if m < 0 or n < 0 or m >= rows or n >= columns or basins[m, n] == 0:
+                continue
+            root = basins[m, n]
+            while parent[root] != root:
+                root = parent[root]
+            met[beside] = root
+            beside += 1
+            if deepest == 0 or peak[root] > peak[deepest]:
+                deepest = root
+        if deepest == 0:
+            count += 1
+            parent[count], peak[count], place[count] = count, level, at
+            deepest = count
+        own = deepest
+        for k in range(beside):
+            root = met[k]
+            if root == deepest:
+                continue
+            stands_out = peak[root] - level > sure[place[root] // columns, place[root] % columns]
+            if stands_out and level <= apart * peak[root] and size[root] >= least_cells:
+                own = root
+            else:
+                parent[root] = deepest
+                size[deepest] += size[root]
+        basins[i, j] = own
+        size[own] += 1
+    for at in order:
+        root = basins[at // columns, at % columns]
+        while parent[root] != root:
+            root = parent[root]
+        basins[at // columns, at % columns] = root

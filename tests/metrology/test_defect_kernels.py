@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
-from scipy.linalg import solveh_banded
 
 from metrology.defects.outline import crossings
 from metrology.defects.reference import Reference
-from metrology.defects.ruled_kernel import bin_medians, robust_polyline
-from metrology.robust import MAD, TUKEY, tukey
+from metrology.defects.ruled_kernel import add_polylines, bin_medians, stiffest
+from metrology.defects.split import bottoms
 from metrology.surfaces import Frame
 
 
@@ -25,33 +25,46 @@ def test_medians_of_bins(rng: np.random.Generator) -> None:
     assert found[11] == found[10]
 
 
-def test_robust_polyline_is_weighted_least_squares(rng: np.random.Generator) -> None:
-    count, held = 9, 1e-3
-    place = rng.uniform(0, count - 1.01, 400)
-    low = place.astype(int)
-    share = place - low
-    sd = rng.uniform(0.5, 2.0, 400)
-    values = np.sin(place) + 0.02 * sd * rng.normal(size=400)
-    values[:30] += 3.0
-    start = np.sin(np.arange(count))
-    heights = start.copy()
-    variance = robust_polyline(low, share, values, sd, held, heights)
+def polyline(low: np.ndarray, share: np.ndarray, count: int) -> np.ndarray:
+    """Columns of a polyline, plainly."""
+    every, columns = np.arange(len(low)), np.zeros((len(low), count))
+    columns[every, low], columns[every, low + 1] = 1 - share, share
+    return columns
 
-    design = np.zeros((400, count))
-    design[np.arange(400), low], design[np.arange(400), low + 1] = 1 - share, share
-    own, w = start, np.ones(400)
-    for number in range(4):
-        if number:
-            normal = design.T @ (design * w[:, None])
-            hold = held * np.diag(normal).max() * (np.diff(np.eye(count), axis=0).T @ np.diff(np.eye(count), axis=0))
-            banded = np.array([np.diag(normal + hold), [*np.diag(normal + hold, 1), 0.0]])
-            own = solveh_banded(banded, design.T @ (w * values), lower=True)
-        residual = np.abs(values - design @ own) / sd
-        scale = MAD * np.sort(residual)[200]
-        w = tukey(residual / (TUKEY * scale)) / sd**2
-    assert heights == pytest.approx(own, abs=1e-9)
-    assert variance == pytest.approx(scale**2 / (design.T @ w), rel=1e-6)
-    assert heights == pytest.approx(np.sin(np.arange(count)), abs=0.08)
+
+def test_polylines_are_columns_of_normal_equations(rng: np.random.Generator) -> None:
+    design, weights, target, lever = rng.normal(size=(300, 3)), *rng.uniform(0.5, 2.0, (3, 300))
+    place = rng.uniform(0, [[5.0], [3.0]], (2, 300))
+    low, share = place.astype(int), place % 1
+    lines = [lever[:, None] * polyline(low[k], share[k], count) for k, count in enumerate((6, 4))]
+    whole = np.hstack([design, *lines])
+    normal, right = np.zeros((13, 13)), np.zeros(13)
+    normal[:3, :3], right[:3] = design.T @ (design * weights[:, None]), design.T @ (weights * target)
+    add_polylines(low + np.array([[3], [9]]), share, lever, design, weights, target, normal, right)
+    assert np.triu(normal) == pytest.approx(np.triu(whole.T @ (whole * weights[:, None])))
+    assert right == pytest.approx(whole.T @ (weights * target))
+
+
+@pytest.mark.parametrize("bend", [1e-4, 1e-2])
+def test_values_tell_how_stiff_a_polyline_is(rng: np.random.Generator, bend: float) -> None:
+    """Heights drawn with second differences of a known size; the evidence is that of the plain Gaussian model."""
+    count, scale, least = 120, 0.004, 1e-5
+    heights = np.cumsum(np.cumsum(bend * rng.normal(size=count)))
+    place = rng.uniform(0, count - 1.01, 2400)
+    columns = polyline(place.astype(int), place % 1, count)
+    values = columns @ heights + scale * rng.normal(size=2400)
+    normal, right = columns.T @ columns, columns.T @ values
+    found = stiffest(np.diag(normal).copy(), np.append(np.diag(normal, 1), 0.0), right, scale, least)
+    assert scale / np.sqrt(found) == pytest.approx(bend, rel=0.9)
+
+    def evidence(stiffness: float) -> float:
+        bends = np.diff(np.eye(count), 2, axis=0)
+        whole = normal + stiffness * bends.T @ bends
+        best = right @ np.linalg.solve(whole, right) / scale**2
+        return float((count - 2) * np.log(stiffness) - np.linalg.slogdet(whole)[1] + best)
+
+    tried = [(scale / least) ** 2 / 10.0**k for k in range(9)]
+    assert found == pytest.approx(max(tried, key=evidence))
 
 
 def test_a_references_height_solves_its_equation(rng: np.random.Generator) -> None:
@@ -86,3 +99,20 @@ def test_crossings_of_a_level() -> None:
     whole = crossings(*(np.ascontiguousarray(a[part]) if np.ndim(a) else a for a in (depth, 0.5, cells, plate)),
                       *(np.ascontiguousarray(a[part]) for a in (x < 0, x, y)), *at)  # fmt: skip
     assert whole[1] == by_view + cells[:, 8].sum()
+
+
+def test_basins_are_filled_up_to_their_ridges(rng: np.random.Generator) -> None:
+    """Each part holds, as one piece, what a level just above the ridge to the next one leaves round its bottom."""
+    y, x = np.mgrid[0:40, 0:60]
+    middles = ((12.0, 20.0, 1.0), (33.0, 20.0, 0.6), (33.0, 36.0, 0.05))
+    bumps = [d * np.exp(-0.5 * ((x - u) ** 2 + (y - v) ** 2) / 36.0) for u, v, d in middles]
+    depth = np.sum(bumps, axis=0) + 1e-4 * rng.normal(size=x.shape)
+    member = depth > 0.02
+    parts = bottoms(depth, member, np.full(depth.shape, 0.03), 8)
+    assert (np.sum(parts, axis=0) == member).all()
+    assert len(parts) == 2  # the third does not stand out
+    ridge = float(depth[20, 12:34].min())
+    _, labels = cv2.connectedComponents((depth > ridge + 1e-3).astype(np.uint8), connectivity=4)
+    for u in (12, 33):
+        (part,) = (p for p in parts if p[20, u])
+        assert part[labels == labels[20, u]].all()

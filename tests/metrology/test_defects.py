@@ -116,6 +116,8 @@ def test_a_pointed_bottom_is_as_deep_as_it_is(rng: np.random.Generator, fold: bo
     assert found.depth_mm == pytest.approx(0.25, abs=0.0075)
     assert abs((found.depth_mm or 0.0) - 0.25) < (found.depth_u95_mm or 0.0) < 0.02
     assert (found.bottom_radius_mm or 0.0) < 30.0
+    assert found.length_mm == pytest.approx(22.0, rel=0.035)  # a fold's outline has corners where it is longest
+    assert found.width_mm == pytest.approx(13.0, rel=0.035)
 
 
 @pytest.mark.parametrize("depth", [0.15, 0.3])
@@ -146,6 +148,26 @@ def test_two_defects_whose_feet_meet_are_two(rng: np.random.Generator) -> None:
     found = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, large, small), FLAT))
     depths = sorted(defect.depth_mm or 0.0 for defect in found)
     assert depths == pytest.approx([0.1, 0.4], abs=0.01)
+
+
+@pytest.mark.parametrize(("deep", "shallow", "apart"), [(0.4, 0.1, 23.0), (0.3, 0.2, 20.0)])
+def test_a_shallow_defect_within_the_foot_of_a_deeper_one_is_one_of_its_own(
+    rng: np.random.Generator, deep: float, shallow: float, apart: float
+) -> None:
+    """Depth is what both have made of the skin, and the outline of the shallower one ends at the ridge between them."""
+    both = bowl(-12.0, 0.0, deep, 20.0, 20.0), bowl(apart - 12.0, 4.0, shallow, 10.0, 9.0)
+    found = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, *both), FLAT))
+    small, large = sorted(found, key=lambda defect: defect.depth_mm or 0.0)
+    assert large.depth_mm == pytest.approx(deep, abs=0.005)
+    assert large.length_mm == pytest.approx(20.0, rel=0.03)
+    assert shallow - 0.005 < (small.depth_mm or 0.0) < 1.1 * shallow
+    assert 8.0 < (small.width_mm or 0.0) <= (small.length_mm or 0.0) < 15.0
+
+
+def test_a_rough_bottom_is_one(rng: np.random.Generator) -> None:
+    large, small = bowl(0.0, 0.0, 0.3, 30.0, 26.0), [bowl(x, 0.0, 0.04, 4.0, 4.0) for x in (-8.0, 8.0)]
+    (found,) = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, large, *small), FLAT))
+    assert found.length_mm == pytest.approx(30.0, rel=0.04)
 
 
 def test_a_raised_edge_is_a_bump_at_a_seam(rng: np.random.Generator) -> None:

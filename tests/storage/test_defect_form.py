@@ -65,10 +65,15 @@ def test_a_report_and_a_page_draw_it(tmp_path: Path, depth: float) -> None:
     drawn = defect_forms([vars(row) for row in reversed(rows)], read_fits(tmp_path / "fits.parquet"))
     assert [("D01," in figure, "D02," in figure) for figure in drawn] == [(True, False), (False, True)]
     assert ("straight-edge" in drawn[0]) == (depth > 0)
-    assert f"{depth:+.3f} ± 0.004 mm" in drawn[0]
+    label = f"{depth:+.3f} ± 0.004 mm</text>"
+    last = next(line for line in reversed(drawn[0].splitlines()) if label in line)
+    assert "stroke" not in last  # drawn over its halo: printed pages know no paint-order
     sections = defect_sections(form(), depth, 0.004, Locale())
     assert ("straight-edge" in {trace.name for trace in sections.data}) == (depth > 0)
-    assert len(defect_map(form(), Locale()).data) == 4
+    (arrow, _) = sections.layout.shapes
+    assert arrow.y0 - arrow.y1 == pytest.approx(depth)
+    named = [trace.name for trace in defect_map(form(), Locale()).data if trace.showlegend is not False and trace.name]
+    assert named == ["outline at half depth", "section along", "section across"]
 
 
 def test_the_page_of_a_scene_shows_it(tmp_path: Path) -> None:
