@@ -52,13 +52,13 @@ def frame_doubts(
     views: Sequence[DecodedView], checked: Sequence[CheckedFrames], size: int, blur_radius_px: float
 ) -> list[FrameDoubt]:
     """What the frames of the cameras make doubtful, the first of its kind."""
-    both = list(zip(views, checked, strict=True))
+    both, bent = list(zip(views, checked, strict=True)), len(checked) == 2 and _shapes(checked) is not None
     found = (
         (_blurred(view, frames, size, _BLURRED * blur_radius_px) for view, frames in both),
         (_rounded(view, frames) for view, frames in both),
         (_clipped(view, frames) for view, frames in both),
         (_cut_off(frames) for frames in checked),
-        (_processed(frames.camera, frames.texture) for frames in checked),
+        (_processed(frames.camera, frames.texture, bent) for frames in checked),
     )
     return [doubt for kind in found if (doubt := next(filter(None, kind), None))]
 
@@ -187,14 +187,14 @@ def _cut_off(frames: CheckedFrames) -> FrameDoubt | None:
     )
 
 
-def _processed(camera: str, texture: NoiseTexture | None) -> FrameDoubt | None:
-    """Pictures that are not as the sensor gave them, by their noise."""
+def _processed(camera: str, texture: NoiseTexture | None, bent: bool) -> FrameDoubt | None:
+    """Pictures that are not as the sensor gave them, by their noise; a `bent` shape of fringes shows in columns too."""
     if texture is None:
         return None
     smoothed = texture.neighbours > (_SMOOTHED if texture.grain <= _COARSE else _SMOOTHED / 3)
     far, columns, scatter = abs(texture.waves), texture.columns, max(texture.grain, texture.columns)
     striped = _STRIPED * max(texture.grain, 1) * (1 + _PER_HARMONIC * float(np.abs(texture.harmonics).max()))
-    if columns > striped or (
+    if (columns > striped and not bent) or (
         far > (_REACHES * texture.neighbours if smoothed else _WAVES) or (texture.grain > _COARSE and not smoothed)
     ):
         return FrameDoubt(
