@@ -22,7 +22,6 @@ from metrology.rivets.geometry import lay_on_plane, nearby_plane
 from metrology.rivets.relief import HeadRelief, head_relief
 from metrology.rivets.rim_step import RimStep, rim_step
 from metrology.rivets.settings import RivetSettings
-from metrology.robust import MAD
 
 Array = NDArray[np.float64]
 
@@ -36,9 +35,7 @@ _CLEAN, _STROKE = 0.25, 0.15
 _OF_GRAIN = 2.0
 _STEPS = 3.0  # standard deviations of a step or tilt that is one
 _STROKE_STEPS = 6.0  # the same where the line is a stroke: its edges pass for steps, up to five deviations
-# Wider than the lines of a scan's other fasteners by so many of their standard deviations is a painted line: by so many
-# px at least (dirt, gaps of other widths), and by no more than that and a share of their own width.
-_WIDER, _WIDER_PX, _WIDER_SHARE = 4.0, 0.15, 0.25
+_WIDER, _WIDER_PX = 1.25, 0.15  # than the line of a scan's other fasteners, times and px beyond, is a painted line
 _BULGE = 0.05  # of the diameter: a slope of 11° at the border of what is round
 _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
 _CLEAREST = 0.9  # quantile of the contrasts of a scan's gaps: dirt in a single one tells little
@@ -138,7 +135,7 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     found = []
     for s in shown:
         if s.stands:
-            doubt = _drop(s, certain, reconstruction) or _chip(s, placed, reconstruction) or _hardly_steps(s, certain)
+            doubt = _drop(s, reconstruction) or _chip(s, placed, reconstruction) or _hardly_steps(s, certain)
             found.append(Confirmed(s.ring, doubt))
         elif s.clear:
             found.append(Confirmed(s.ring, _doubt(s.ring, placed, reconstruction)))
@@ -186,11 +183,9 @@ def _doubt(ring: Ring, placed: Sequence[tuple[_Shown, _Place | None]], reconstru
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
 
 
-def _drop(one: _Shown, certain: Sequence[_Shown], reconstruction: Reconstruction) -> str | None:
-    """What speaks against a ring that is no clear line, or is wider than gaps, round what bulges: a drop's border."""
-    others = [s.ring for s in certain if s is not one]
-    gap = one.clear and (len(others) < _FEW or not _wider(one.ring, others))
-    if gap or steps_up(one.relief.step_mm, one.step) or (place := _Place.of(one.ring, reconstruction)) is None:
+def _drop(one: _Shown, reconstruction: Reconstruction) -> str | None:
+    """What speaks against a ring that is no clear line, round something that bulges: a drop has no edge."""
+    if one.clear or steps_up(one.relief.step_mm, one.step) or (place := _Place.of(one.ring, reconstruction)) is None:
         return None
     bulges = one.relief.step_mm > _BULGE * place.diameter and one.relief.significance >= _STROKE_STEPS
     return "it bulges, and its border is no gap: a drop may lie there" if bulges else None
@@ -238,11 +233,8 @@ def _painted(ring: Ring, certain: Sequence[Ring]) -> bool:
 
 def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:
     """Whether a line is wider than gaps are here: one camera sees all of a scan through one blur."""
-    widths = np.array([other.fit.sigma_px for other in certain])
-    usual = float(np.median(widths))
-    scatter = MAD * float(np.median(np.abs(widths - usual)))
-    most = usual * _WIDER_SHARE + _WIDER_PX
-    return ring.fit.sigma_px > usual + min(max(_WIDER * scatter, _WIDER_PX), most)
+    usual = float(np.median([other.fit.sigma_px for other in certain]))
+    return ring.fit.sigma_px > _WIDER * usual + _WIDER_PX
 
 
 def _like_others(ring: Ring, place: _Place, certain: Sequence[Ring], others: Sequence[_Place]) -> bool:

@@ -72,17 +72,6 @@ def test_a_painted_ring_of_the_usual_size_is_told_by_its_line(
     assert len(doubtful) == 1
 
 
-def test_a_painted_line_somewhat_wider_than_gaps_that_are_all_alike_is_told(rng: np.random.Generator) -> None:
-    """A third wider, where the gaps' widths differ by a hundredth: less than would be asked where they differ more."""
-    ring, skin = replace(ROWS[0], x=0.0, y=0.0), Skin()
-    detections = detect_rivets(painted(scan(skin, ROWS, rng), ring, skin, 0.16))
-    gaps = [d.rim_sigma_px or 0.0 for d in detections if not d.doubt]
-    (line,) = (d for d in detections if d.doubt)
-    assert len(gaps) == len(ROWS)
-    assert 1.3 < (line.rim_sigma_px or 0.0) / float(np.median(gaps)) < 1.45
-    assert "unlike the gaps" in (line.doubt or "")
-
-
 def test_a_step_that_paint_pretends_confirms_no_line_unlike_the_gaps(rng: np.random.Generator) -> None:
     skin = Skin()
     for contrast, sure in ((110.0, 0), (40.0, 1)):
@@ -99,11 +88,10 @@ def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:
     assert len(detections) == len(ROWS) + 1
 
 
-@pytest.mark.parametrize("width_mm", [0.5, 0.2])
-def test_a_drop_in_a_row_is_in_doubt(rng: np.random.Generator, width_mm: float) -> None:
-    """It is round and stands out of the skin, most in its middle, with a dark border, blurred or wider than gaps."""
+def test_a_drop_in_a_row_is_in_doubt(rng: np.random.Generator) -> None:
+    """It is round and stands out of the skin, most in its middle, with a blurred dark border."""
     skin, drop = Skin(), Head(-15, -20, diameter=4.8, contrast=30.0)
-    reconstruction = painted(scan(skin, ROWS, rng), drop, skin, width_mm)
+    reconstruction = painted(scan(skin, ROWS, rng), drop, skin, width_mm=0.5)
     local = skin.frame.local(reconstruction.points.astype(float))
     away = np.hypot(local[..., 0] - drop.x, local[..., 1] - drop.y)
     local[..., 2] += 0.4 * np.clip(1 - (away / 2.4) ** 3, 0, None)
