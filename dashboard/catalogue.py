@@ -39,6 +39,7 @@ _OTHERS = (
     "bump",
     "crease",
     "dent",
+    "deposit",
     "raised edge",
     "scratch",
     "signed off",

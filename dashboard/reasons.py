@@ -40,6 +40,19 @@ PATTERNS = (
     "temporary fastener: it stands {height} mm proud",
     "flushness is not measured",
     "open hole of {diameter} mm where no limit asks for one",
+    "missing fastener {fastener}: {reason}",
+    "missing: {reason}",
+    "no head found where the pattern has one",
+    "the skin was not measured there",
+    "{reason} ({hole})",
+    "open hole of {diameter} mm",
+    "filled hole of {diameter} mm",
+    "open hole",
+    "filled hole",
+    "filled hole of {diameter} mm: what belongs there is to be decided",
+    "filled hole: what belongs there is to be decided",
+    "something lies on the skin: remove it and scan again",
+    "no circle follows its rim",
     "{defect} without a limit that judges it: to be decided",
     "line without measurable depth: its points leave ±{depth} mm",
     *CLAUSES,
@@ -60,7 +73,7 @@ _QUANTITIES = "|".join(
 )
 _PLACES = {
     "quantity": _QUANTITIES, "reason": ".+", "said": "(?:at most|no stretch|mean) .+?", "rule": r"[\w.-]+",
-    "group": r"[\w.-]+", "n": r"[\d.]+", "station": r"\S+",
+    "group": r"[\w.-]+", "n": r"[\d.]+", "hole": r"H\d+", "station": r"\S+",
 }  # fmt: skip
 """What may stand in a place, where not anything may."""
 SEPARATOR = " · "

@@ -1,4 +1,4 @@
-"""Fasteners and what is left where they are not: rivet heads and open holes of a scan, found together."""
+"""Fasteners and what is left where they are not: rivet heads and holes of a scan, found together."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 from metrology.cloud import Reconstruction
 from metrology.holes import Opening, find_openings
+from metrology.holes.filled import filled_openings
 from metrology.results import RivetDetection
 from metrology.rivets.ground import ground_of
+from metrology.rivets.patch import ellipse_of
 from metrology.rivets.rivet_detection import detect_rivets
 from metrology.rivets.settings import RivetSettings
 
@@ -22,7 +24,7 @@ class Fasteners:
 
 
 def detect_fasteners(reconstruction: Reconstruction, settings: RivetSettings | None = None) -> Fasteners:
-    """Find the rivet heads and the open holes of a scan."""
+    """Find the rivet heads and the holes of a scan, open and filled."""
     settings = settings or RivetSettings()
     ground = ground_of(reconstruction, settings)
     if ground is None:
@@ -30,7 +32,10 @@ def detect_fasteners(reconstruction: Reconstruction, settings: RivetSettings | N
     openings = find_openings(reconstruction, ground.relief, ground.shapes, ground.pixels_per_mm, settings.max_sunk_mm)
     rivets = detect_rivets(reconstruction, settings, ground, [o.ellipse for o in openings])
     # A hole in the middle of a head is its recess.
-    return Fasteners(rivets, [o for o in openings if not any(_lies_in(o, head) for head in rivets)])
+    openings = [o for o in openings if not any(_lies_in(o, head) for head in rivets)]
+    taken = [*(o.ellipse for o in openings), *map(ellipse_of, rivets)]
+    openings += filled_openings(reconstruction, ground.discs, taken)
+    return Fasteners(rivets, sorted(openings, key=lambda o: (o.ellipse.v, o.ellipse.u)))
 
 
 def _lies_in(opening: Opening, head: RivetDetection) -> bool:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Severity = Literal["green", "blue", "red"]
 Decision = Literal["pass", "conditional pass", "conditional fail", "fail", "not measured", "unconfirmed", "no limit"]
 FoundBy = Literal["image", "relief"]
-HoleKind = Literal["open hole", "missing fastener", "temporary fastener"]
+HoleKind = Literal["open hole", "filled hole", "missing fastener", "temporary fastener"]
 # A gap between two sheets, open or filled with sealant; or the edge of one sheet on another: a step without a gap.
 Joint = Literal["butt", "butt sealed", "lap"]
 
@@ -168,7 +168,10 @@ class Hole(Feature):
 
     hole_id: Annotated[str, "name of the hole in its scene, from the top of the left image down"]
     _: KW_ONLY
-    kind: Annotated[HoleKind, "open hole, missing fastener (the panel's pattern has one here), temporary fastener"]
+    kind: Annotated[
+        HoleKind,
+        "open hole, filled hole (sealant), missing fastener (the panel's pattern has one here), temporary fastener",
+    ]
     diameter_mm: Annotated[float | None, "diameter of the hole; below a countersink, where it ends, mm"] = None
     diameter_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of diameter_mm, mm"] = None
     depth_mm: Annotated[float | None, "how far what is seen inside lies below the skin, mm; NULL where nothing is"] = (

@@ -1,7 +1,10 @@
-"""What a defect is: dent, bump, crease, scratch or raised edge."""
+"""What a defect is: dent, bump, crease, scratch, raised edge, or a deposit, which is none of the skin's."""
 
 from __future__ import annotations
 
+import math
+
+import cv2
 import numpy as np
 
 from metrology.defects.bottom import Bottom
@@ -16,12 +19,16 @@ _SHARP = 0.79  # of its depth left half way to its outline: 0.85 in a smooth sec
 _HALF_WAY = (0.4, 0.6)
 _BESIDE = 0.2  # of its radius to either side
 _AT_SEAM = 0.04  # share of an outline that a raised edge has at a seam
+_BORDER_PX = 3  # to either side of an outline: as far as an edge of the picture or of depth spoils points
+_EDGED = 0.5  # share of that border that is one
 
 
 def nature_of(patch: Patch, bottom: Bottom, outline: Outline, sign: int, settings: DefectSettings) -> DefectKind:
     """The kind of a defect that lies below (sign 1) or above (−1) the skin."""
     if sign < 0:
-        return "raised edge" if outline.cut_by_seam > _AT_SEAM else "bump"
+        if outline.cut_by_seam > _AT_SEAM:
+            return "raised edge"
+        return "deposit" if _has_border(patch, outline) else "bump"
     long = outline.length / max(outline.width, 1e-6)
     if outline.width < settings.scratch_width_mm and long > _LONG:
         return "scratch"
@@ -29,6 +36,15 @@ def nature_of(patch: Patch, bottom: Bottom, outline: Outline, sign: int, setting
         return "dent"
     across = _left_half_way(patch, bottom, outline, outline.angle + 0.5 * np.pi, outline.width, outline.length)
     return "crease" if long > _FOLD and across < _SHARP else "dent"
+
+
+def _has_border(patch: Patch, outline: Outline) -> bool:
+    """Whether it lies on the skin: a sheet bulges smoothly, and chips, drops and stickers end at an edge all round."""
+    reach = math.ceil(_BORDER_PX / patch.step_px)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    cells = outline.cells.astype(np.uint8)
+    border = (cv2.dilate(cells, disc) != cv2.erode(cells, disc)) & patch.plate & ~patch.covered
+    return bool(border.any() and (~patch.skin[border]).mean() > _EDGED)
 
 
 def _left_half_way(patch: Patch, bottom: Bottom, outline: Outline, turn: float, extent: float, beside: float) -> float:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from metrology.results import Feature
 
-DefectKind = Literal["dent", "bump", "crease", "scratch", "raised edge"]
+DefectKind = Literal["dent", "bump", "crease", "scratch", "raised edge", "deposit"]
 
 HiddenBy = Literal["view", "fastener", "seam", "points"]
 
@@ -19,7 +19,9 @@ class Defect(Feature):
     defect_id: Annotated[str, "name of the defect in its scene, from the top of the left image down"]
     _: KW_ONLY
     kind: Annotated[
-        DefectKind, "dent, bump, crease (a fold with a sharp bottom), scratch (narrow), raised edge (a bump at a seam)"
+        DefectKind,
+        "dent, bump, crease (a fold with a sharp bottom), scratch (narrow), raised edge (a bump at a seam), deposit (a "
+        "chip, a drop or a sticker on the skin)",
     ]
     depth_mm: Annotated[
         float | None, "depth along the normal, mm: below the skin as it would be without it, negative above"

@@ -8,11 +8,13 @@ from metrology.verdicts import Verdict
 
 def defect_note(defect: Defect) -> str:
     """What the projector writes beside a defect."""
-    return f"{'AT LEAST ' if defect.hidden_by else ''}{defect.kind.upper()}"
+    return f"{'AT LEAST ' if defect.hidden_by and defect.kind != 'deposit' else ''}{defect.kind.upper()}"
 
 
 def defect_finding(defect: Defect) -> Verdict | None:
-    """What was not seen whole, or not measured, passes no limit; None where nothing is missing."""
+    """What lies on the skin is to be removed; what was not seen whole, or not measured, passes no limit; else None."""
+    if defect.kind == "deposit":
+        return Verdict("blue", "conditional fail", "something lies on the skin: remove it and scan again")
     if defect.depth_mm is None or defect.hidden_by:
         return Verdict(None, "not measured", defect.reason)
     return None

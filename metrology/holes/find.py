@@ -43,6 +43,8 @@ class Opening:
     """About where it is in the left image."""
     inside_mm: float | None
     """Median height over the skin of what is seen inside; None where hardly anything is."""
+    filled: bool = False
+    """Whether sealant fills it."""
 
 
 def find_openings(

@@ -13,7 +13,17 @@ from metrology.cloud import Reconstruction
 from metrology.holes.bore import bore_circle
 from metrology.holes.countersink import Countersink, countersink
 from metrology.holes.find import Opening, brightness
-from metrology.holes.rim import CLOUD_SD_PX, DIRECTIONS, Edges, RimCircle, View, cloud_edges, picture_edges, rim_circle
+from metrology.holes.rim import (
+    CLOUD_SD_PX,
+    DIRECTIONS,
+    FALL_MM,
+    Edges,
+    RimCircle,
+    View,
+    cloud_edges,
+    picture_edges,
+    rim_circle,
+)
 from metrology.results import COVERAGE_95, Hole, HoleKind, RivetDetection, SeamLine
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, point_sets
@@ -77,6 +87,8 @@ def _of_a_gap(ellipse: Ellipse, seams: Sequence[SeamLine]) -> bool:
 
 def _kind(opening: Opening) -> HoleKind:
     """What stands far out of the skin holds two sheets together for a while."""
+    if opening.filled:
+        return "filled hole"
     return "temporary fastener" if opening.inside_mm is not None and opening.inside_mm > 0 else "open hole"
 
 
@@ -96,6 +108,9 @@ def _measured(
     pixel_mm, within = patch.guard / patch.guard_px, _SIZE * patch.radius
     views = tuple((device, view.texture) for device, view in reconstruction.cameras.values())
     edges = picture_edges(patch, skin, views, pixel_mm, within + _PROFILE_PX * pixel_mm, within + 2 * pixel_mm)
+    if opening.filled and opening.inside_mm is not None:
+        rim = _rim(edges, patch, height, pixel_mm, -0.5 * opening.inside_mm)
+        return _filled(placed, rim, patch, skin, reconstruction, opening.inside_mm)
     rim = _rim(edges, patch, height, pixel_mm)
     cone, axis = _cone(rim, patch, height, pixel_mm, within)
     if cone is not None and rim is not None and _smeared(cone, rim, pixel_mm):
@@ -115,6 +130,18 @@ def _measured(
         reason = f"nothing was measured inside, yet it is {share:.0%} as bright as the skin: a hole or black paint"
         return replace(row, decision="unconfirmed", reason=reason)
     return replace(row, depth_mm=None if opening.inside_mm is None else -opening.inside_mm)
+
+
+def _filled(
+    placed: Hole, rim: RimCircle | None, patch: Patch, skin: Polynomial, reconstruction: Reconstruction,
+    inside_mm: float,
+) -> Hole:  # fmt: skip
+    """The row of a hole with sealant in it."""
+    row = replace(placed, depth_mm=-inside_mm)
+    if rim is None or rim.radius < _LEAST_MM or rim.deeper > 0:
+        return replace(row, decision="not measured", reason="no circle follows its rim")
+    row = _at(row, patch.frame.rig([rim.x, rim.y, float(skin.height(rim.x, rim.y))]), reconstruction)
+    return replace(row, diameter_mm=2 * rim.radius, diameter_u95_mm=2 * COVERAGE_95 * rim.radius_sd)
 
 
 def _at(row: Hole, point: Array, reconstruction: Reconstruction) -> Hole:
@@ -147,10 +174,10 @@ def _narrow(cone: Countersink, pixel_mm: float) -> bool:
     return cone.diameter_mm - cone.lower_diameter_mm < 4 * _SMEAR_PX * pixel_mm
 
 
-def _rim(edges: Edges, patch: Patch, height: Array, pixel_mm: float) -> RimCircle | None:
-    """Where the skin ends: in the pictures, else in the cloud."""
+def _rim(edges: Edges, patch: Patch, height: Array, pixel_mm: float, fall_mm: float = FALL_MM) -> RimCircle | None:
+    """Where the skin ends: in the pictures, else in the cloud, where it has fallen so far."""
     rim = rim_circle(edges, pixel_mm) if edges.directions >= _ENOUGH * DIRECTIONS else None
-    return rim or rim_circle(cloud_edges(patch, height, pixel_mm, _SIZE * patch.radius), pixel_mm)
+    return rim or rim_circle(cloud_edges(patch, height, pixel_mm, _SIZE * patch.radius, fall_mm), pixel_mm)
 
 
 def _below(

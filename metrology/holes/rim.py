@@ -28,7 +28,8 @@ _PLATEAU_PX = 1.5  # behind an edge that must stay as dark, or blur moves its mi
 _PLATEAU = 0.7
 _QUARTER = 0.674  # standard deviations from a quarter of a blurred step to its half
 _MOST_BLUR_PX = 1.25  # of a camera that sees sharply; a wider edge is a wall's shade
-_FALL_MM = 0.25  # below the skin: over the rim
+FALL_MM = 0.25
+"""Below the skin: over the rim."""
 EDGE_SD_PX = 0.08  # systematic: what the blur of a curved edge and a wall's shine move it by
 CLOUD_SD_PX = 0.5
 _SCATTER_PX = 0.2  # of a radius by its edges' scatter: they follow no one circle
@@ -167,14 +168,14 @@ def _edge(departure: Array) -> tuple[float, float] | None:
     return at, (at - before) * _SPACING_PX / _QUARTER
 
 
-def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float) -> Edges:
+def cloud_edges(patch: Patch, height: Array, pixel_mm: float, within: float, fall_mm: float = FALL_MM) -> Edges:
     """Edges where the cloud leaves the skin: half a pixel beyond the last point on it, by direction."""
     r, turn = np.hypot(patch.x, patch.y), np.arctan2(patch.y, patch.x)
     sector = ((turn + np.pi) / (2 * np.pi) * DIRECTIONS).astype(int) % DIRECTIONS
     x, y, directions = [], [], []
     for k in range(DIRECTIONS):
         here = (sector == k) & (r < within + 6 * pixel_mm) & (r > 0.3 * within)
-        off, on = here & (height < -_FALL_MM), here & (np.abs(height) < _FALL_MM)
+        off, on = here & (height < -fall_mm), here & (np.abs(height) < fall_mm)
         if not on.any():
             continue
         inner = float(r[on].min())

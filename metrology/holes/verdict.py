@@ -10,13 +10,18 @@ def hole_note(hole: Hole) -> str:
     """What the projector writes beside a hole."""
     if hole.kind == "temporary fastener":
         return "TEMPORARY"
-    return f"{MISSING.upper()} {hole.fastener_id}" if hole.kind == "missing fastener" else "HOLE"
+    if hole.kind == "missing fastener":
+        return f"{MISSING.upper()} {hole.fastener_id}"
+    return "FILLED" if hole.kind == "filled hole" else "HOLE"
 
 
 def hole_finding(hole: Hole) -> Verdict | None:
-    """A missing fastener fails; a temporary one, and a hole of unknown size, are not measured; else None."""
+    """A missing fastener fails, a filled hole is to be decided; what is of unknown size is not measured; else None."""
     if hole.kind == "missing fastener":
         return Verdict("red", "fail", hole.reason)
+    if hole.kind == "filled hole":
+        size = "" if hole.diameter_mm is None else f" of {hole.diameter_mm:.1f} mm"
+        return Verdict("blue", "conditional fail", f"filled hole{size}: what belongs there is to be decided")
     return Verdict(None, "not measured", hole.reason) if hole.diameter_mm is None else None
 
 

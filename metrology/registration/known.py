@@ -10,7 +10,7 @@ import numpy as np
 from metrology.arrays import Array
 from metrology.defects.row import Defect
 
-_RAISED = ("bump", "raised edge")
+_RAISED = ("bump", "raised edge", "deposit")
 
 
 def with_known_names(rows: Sequence[Defect], earlier: Sequence[Defect]) -> list[Defect]:

@@ -1,4 +1,4 @@
-"""Open holes in a panel's pattern: one where the pattern has a rivet is a missing fastener."""
+"""Holes in a panel's pattern: one where the pattern has a rivet, open or filled, is a missing fastener."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def missing_fasteners(holes: Sequence[Hole], missing: Sequence[NominalRivet]) ->
 
 
 def _named(hole: Hole, missing: Sequence[NominalRivet]) -> Hole:
-    if hole.kind != "open hole" or hole.x_panel_mm is None or not missing:
+    if hole.kind not in ("open hole", "filled hole") or hole.x_panel_mm is None or not missing:
         return hole
     here = np.array([hole.x_panel_mm, hole.y_panel_mm, hole.z_panel_mm], float)
     nearest = min(missing, key=lambda nominal: float(np.linalg.norm(here - nominal.position)))
@@ -44,7 +44,10 @@ def _named(hole: Hole, missing: Sequence[NominalRivet]) -> Hole:
 
 
 def _said(hole: Hole) -> str:
-    return "open hole" if hole.diameter_mm is None else f"open hole of {hole.diameter_mm:.1f} mm"
+    """What is there, as `missing_fasteners` found or named it."""
+    if hole.kind == "missing fastener":
+        return (hole.reason or "").split(": ", 1)[-1]
+    return hole.kind if hole.diameter_mm is None else f"{hole.kind} of {hole.diameter_mm:.1f} mm"
 
 
 def explained(rivets: Sequence[Rivet], holes: Sequence[Hole]) -> list[Rivet]:

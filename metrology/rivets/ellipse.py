@@ -62,6 +62,10 @@ class Ellipse:
         c, s = np.cos(self.angle), np.sin(self.angle)
         return np.asarray(np.hypot((c * du + s * dv) / self.a, (c * dv - s * du) / self.b))
 
+    def meets(self, other: Ellipse) -> bool:
+        """Whether two ellipses are nearer than their lesser semi-axes together."""
+        return math.hypot(self.u - other.u, self.v - other.v) < self.b + other.b
+
 
 def ellipse_of_shape(u: float, v: float, shape: ArrayLike) -> Ellipse:
     """The ellipse about (u, v) whose matrix Σ (see `Ellipse.shape`) is given."""

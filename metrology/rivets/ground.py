@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
 from metrology.rivets.geometry import circle_shapes
-from metrology.rivets.relief import ReliefMap, relief_map
+from metrology.rivets.relief import Disc, ReliefMap, discs, relief_map
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import CircleShapes
 
@@ -26,6 +26,8 @@ class Ground:
     """(least, most): of the heads looked for, px."""
     relief: ReliefMap
     """Heights over it."""
+    discs: list[Disc]
+    """What lies above or below it there, round and flat."""
 
 
 def ground_of(reconstruction: Reconstruction, settings: RivetSettings) -> Ground | None:
@@ -35,4 +37,5 @@ def ground_of(reconstruction: Reconstruction, settings: RivetSettings) -> Ground
         return None
     least = max(0.5 * settings.min_diameter_mm * scale.min(), 0.5 * settings.min_diameter_px)
     most = 0.5 * settings.max_diameter_mm * scale.max()
-    return Ground(shapes, scale, (least, most), relief_map(reconstruction, most))
+    relief = relief_map(reconstruction, most)
+    return Ground(shapes, scale, (least, most), relief, discs(relief, shapes, (least, most)))

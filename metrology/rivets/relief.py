@@ -54,8 +54,8 @@ class ReliefMap:
 
 
 @dataclass(frozen=True)
-class PlainHead:
-    """A disc that stands out of the skin without a rim that can be seen."""
+class Disc:
+    """A disc that lies above or below the skin: a head, or the ground of a hole."""
 
     ellipse: Ellipse
     height_mm: float
@@ -169,7 +169,7 @@ def _linear_smooth(values: Float32, mask: NDArray[np.bool_], sigma: float) -> ND
     return np.asarray(cv2.resize(smooth, (columns, rows), interpolation=cv2.INTER_LINEAR) + middle, float)
 
 
-def discs(relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]) -> list[PlainHead]:
+def discs(relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]) -> list[Disc]:
     """Discs of the size and shape of heads in the height map, whatever the texture shows there.
 
     Parameters
@@ -190,13 +190,13 @@ def discs(relief: ReliefMap, shapes: CircleShapes, radii: tuple[float, float]) -
             head = _disc(height[window], labels[window] == k, (u0, v0), shapes)
             if head is not None and head[1] >= limit and radii[0] <= head[0].radius <= radii[1]:
                 ellipse, level = head
-                found.append(PlainHead(ellipse, sign * level, level / relief.noise))
+                found.append(Disc(ellipse, sign * level, level / relief.noise))
     return _outermost(found)
 
 
-def _outermost(heads: Sequence[PlainHead]) -> list[PlainHead]:
+def _outermost(heads: Sequence[Disc]) -> list[Disc]:
     """The heads that lie in no larger one: a recess is no head."""
-    kept: list[PlainHead] = []
+    kept: list[Disc] = []
     for head in sorted(heads, key=lambda h: -h.ellipse.radius):
         e = head.ellipse
         if all(np.hypot(e.u - k.ellipse.u, e.v - k.ellipse.v) > k.ellipse.b for k in kept):
@@ -256,13 +256,7 @@ def _flat(u: Array, v: Array, height: Array) -> float:
     return level if np.quantile(off, _MOST_CELLS) < _UNEVEN * level else 0.0
 
 
-def plain_heads(reconstruction: Reconstruction, heads: Sequence[PlainHead]) -> list[PlainHead]:
-    """The discs on skin whose border does not show in the texture."""
-    on_skin = [h for h in heads if _on_skin(reconstruction, h.ellipse)]
-    return [h for h in on_skin if not _shows_in_texture(reconstruction.left.texture, h.ellipse)]
-
-
-def _on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
+def on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
     """Whether points surround a disc and lie inside its border: borders of panels, holes and shadows are steps too.
 
     Lines of paint across it may take some; most must lie clear of edges.
@@ -282,7 +276,7 @@ def _on_skin(reconstruction: Reconstruction, ellipse: Ellipse) -> bool:
     return all(good[side].mean() > _GOOD_SHARE and clear[side].mean() > _CLEAR_SHARE for side in sides)
 
 
-def _shows_in_texture(texture: Float32, ellipse: Ellipse) -> bool:
+def shows_in_texture(texture: Float32, ellipse: Ellipse) -> bool:
     """Whether the disc is brighter or darker than what surrounds it: then it is a sticker or a hole."""
     reach = int(1.5 * ellipse.a) + 2
     u0, v0 = max(0, int(ellipse.u) - reach), max(0, int(ellipse.v) - reach)

@@ -15,7 +15,7 @@ from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import nearby_plane
 from metrology.rivets.ground import Ground, ground_of
 from metrology.rivets.recess import is_recess
-from metrology.rivets.relief import PlainHead, discs, plain_heads
+from metrology.rivets.relief import Disc, on_skin, shows_in_texture
 from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
@@ -52,24 +52,23 @@ def detect_rivets(
     if ground is None:
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
         return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
-    heads = discs(ground.relief, ground.shapes, ground.radii) if settings.plain_heads else []
+    heads = ground.discs if settings.plain_heads else []
     rings = detect_ellipses(texture, settings, ground.shapes, ground.radii, [h.ellipse for h in heads])
-    rings = [
-        r for r in rings if all(not _overlap(r.ellipse, h) or is_recess(h, r.ellipse, reconstruction) for h in holes)
-    ]
+    rings = [r for r in rings if all(not r.ellipse.meets(h) or is_recess(h, r.ellipse, reconstruction) for h in holes)]
     confirmed = confirm_rings(rings, reconstruction, settings)
     found = [_detection(c.ring, reconstruction, c.doubt) for c in confirmed]
     if settings.plain_heads:
         taken = [*holes, *(c.ring.ellipse for c in confirmed)]
-        free = [h for h in heads if not any(_overlap(h.ellipse, other) for other in taken)]
-        free = plain_heads(reconstruction, free)
-        free = [h for h in free if steps_up(h.height_mm, rim_step(reconstruction, h.ellipse))]
-        found += [_plain_detection(head, reconstruction) for head in free]
+        free = [h for h in heads if not any(h.ellipse.meets(other) for other in taken)]
+        found += [_plain_detection(head, reconstruction) for head in free if _is_plain(head, reconstruction)]
     return _in_reading_order(found)
 
 
-def _overlap(one: Ellipse, other: Ellipse) -> bool:
-    return bool(np.hypot(one.u - other.u, one.v - other.v) < one.b + other.b)
+def _is_plain(disc: Disc, reconstruction: Reconstruction) -> bool:
+    """Whether a disc is a head under paint: its border steps and does not show in the picture."""
+    if not on_skin(reconstruction, disc.ellipse) or shows_in_texture(reconstruction.left.texture, disc.ellipse):
+        return False
+    return steps_up(disc.height_mm, rim_step(reconstruction, disc.ellipse))
 
 
 def _in_reading_order(detections: list[RivetDetection]) -> list[RivetDetection]:
@@ -108,7 +107,7 @@ def _detection(ring: Ring, reconstruction: Reconstruction, doubt: str | None = N
     )
 
 
-def _plain_detection(head: PlainHead, reconstruction: Reconstruction) -> RivetDetection:
+def _plain_detection(head: Disc, reconstruction: Reconstruction) -> RivetDetection:
     """A head seen in the height map only, where its place is good to about a pixel."""
     e = head.ellipse
     right = _in_right_camera(e, reconstruction)
