@@ -3,16 +3,18 @@
     python benchmarks/make_large_store.py STORE
     python benchmarks/bench_dashboard.py STORE
 
-Starts a server and opens the SQL page in headless Chromium, then every other one through the menu; nothing of the store
-is in the server's caches. First content: a number, table or figure of the page is visible; complete: the page is at
-rest. Then changes a filter of the pages that have one, from the click on its value until the page is at rest again. The
-SQL page's own figures are those of loading the whole application by its address. Needs chromium and the extra `test`.
+Starts a server, and when it has read ahead (`dashboard/warming.py`) opens the SQL page in headless Chromium, then every
+other one through the menu. With --cold it does not read ahead: nothing of the store is in the server's caches. First
+content: a number, table or figure of the page is visible; complete: the page is at rest. Then changes a filter of the
+pages that have one, from the click on its value until the page is at rest again. The SQL page's own figures are those
+of loading the whole application by its address. Needs chromium and the extra `test`.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -23,6 +25,7 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from dashboard.warming import OFF_VARIABLE
 from tests.support.browser import browser, new_page, served
 
 START = "SQL"
@@ -57,19 +60,31 @@ def processor_seconds() -> float:
     return total
 
 
+def wait_for_rest() -> None:
+    """Wait until server and browser do nothing."""
+    before, after = -1.0, processor_seconds()
+    while after - before > 0.1:
+        time.sleep(2)
+        before, after = after, processor_seconds()
+
+
 def main() -> None:
     """Time every page and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("store", type=Path)
     parser.add_argument("--rounds", type=int, default=3, help="servers started, each with cold caches")
     parser.add_argument("--cpu", action="store_true", help="seconds of processors, for machines that others use")
+    parser.add_argument("--cold", action="store_true", help="do not let the server read ahead")
     arguments = parser.parse_args()
+    if arguments.cold:
+        os.environ[OFF_VARIABLE] = "1"
     now = processor_seconds if arguments.cpu else time.perf_counter
     names = (START, *PAGES[:1], WORK, *PAGES[1:])
     figures: dict[str, list[tuple[float, float, float | None]]] = {name: [] for name in names}
     with browser() as chromium:
         for _ in range(arguments.rounds):
             with served(arguments.store.resolve()) as address:
+                wait_for_rest()
                 for name in PAGES:
                     page = new_page(chromium, apart=True)
                     loading = time_loading(page, address, now)

@@ -26,7 +26,7 @@ from storage.archive.decisions import shown_finding
 from storage.archive.known_defects import Accepted, accepted_before
 from storage.archive.older import cover
 from storage.archive.store import Store
-from storage.archive.work import Standing, reviewed_features, signed_scenes, standings
+from storage.archive.work import Standing, noticed_sql, reviewed_features, signed_scenes, standings
 from storage.cloud import StoredCloud
 from storage.documents import read_json
 from storage.fits import StoredFits, read_fits
@@ -35,6 +35,12 @@ from storage.review import Feature, Review, ReviewLog, ShownFinding
 
 _CACHED_QUERIES, _CACHED_FINDINGS, _CACHED_GENERATIONS = 200, 2000, 1
 _CACHED_CLOUDS, _CACHED_SPECIFICATIONS = 2, 500
+NOTICED = "noticed"
+"""What needs attention on the newest scans, as a table of queries that may use what people decided."""
+Name = tuple[str, str, str]
+"""A finding: scene, kind and id."""
+Margin = tuple[float, str, float]
+"""Distance to the limit (negative: beyond it), its unit, and as a share of what the limits leave."""
 
 
 class Archive:
@@ -67,6 +73,16 @@ class Archive:
     def shared_rows(self, sql: str) -> pd.DataFrame:
         """Rows of a query of ours that are many and that nobody changes: all who ask get the same ones."""
         return _shared_rows(str(self.root), self.generation, sql)
+
+    def rows_about(self, sql: str, wanted: pd.DataFrame) -> pd.DataFrame:
+        """Rows of a query of ours about those of a frame, which it knows as `wanted`; asked anew each time."""
+        cursor = _cursor(str(self.root), self.generation)
+        cursor.register("wanted", wanted)
+        return _fetch(cursor, sql, ())
+
+    def margins(self) -> dict[Name, Margin]:
+        """What is known of how far findings lie from their limits; whoever finds out more adds it."""
+        return _margins(str(self.root), self.generation)
 
     def review(self) -> Review:
         """What people decided so far."""
@@ -154,9 +170,26 @@ def _rows_with_review(
     root: str, generation: str, version: tuple[int, ...], sql: str, parameters: tuple[Any, ...]
 ) -> pd.DataFrame:
     cursor = _cursor(root, generation)
+    if NOTICED in sql:
+        cursor.register(NOTICED, _noticed(root, generation))
     cursor.register("reviewed", _reviewed(root, generation, version))
     cursor.register("signed", signed_scenes(_review(root, version)))
     return _fetch(cursor, sql, parameters)
+
+
+@st.cache_resource(max_entries=_CACHED_GENERATIONS, show_spinner=False)
+def _margins(root: str, generation: str) -> dict[Name, Margin]:
+    return {}
+
+
+@st.cache_resource(max_entries=_CACHED_GENERATIONS, show_spinner=False)
+def _noticed(root: str, generation: str) -> pa.Table:
+    """Rows of `noticed_sql`: few of all, and the same whatever people decide and look for."""
+    cursor = _cursor(root, generation)
+    try:
+        return cursor.sql(noticed_sql()).to_arrow_table()
+    finally:
+        cursor.close()
 
 
 @st.cache_resource(max_entries=4, show_spinner=False)

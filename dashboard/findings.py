@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from dashboard.data import Archive
+from dashboard.data import NOTICED, Archive
 from dashboard.locale import Locale
 from dashboard.palette import OPEN_DECISIONS
 from dashboard.words import N_, _
@@ -119,13 +119,13 @@ def _candidates(wanted: Wanted) -> tuple[str, list[Any]]:
     every = set(decisions) == set(OPEN_DECISIONS)
     worked, worked_decisions = ("true", list[str]()) if every else (_among("decision", of_rows), of_rows)
     kinds = [BY_NAME[name] for name in wanted.kinds]
-    sql = findings_sql(kinds, _among("decision", of_rows), worked, near, scenes)
-    of_kind = [*of_rows, *near_selected, *near_selected, *worked_decisions, *of_rows]
+    sql = findings_sql(kinds, _among("decision", of_rows), worked, near, scenes, noticed=NOTICED)
+    of_features = [*of_rows, *near_selected, *near_selected, *worked_decisions, *of_rows]
     states = {OPEN: UNRESOLVED, ALL: ()}.get(wanted.state, (wanted.state,))
     chosen: list[tuple[str, Sequence[str]]] = [("state", states)] if states else []
     chosen += [] if every else [("decision", decisions)]
     conditions = " AND ".join(_among(name, values) for name, values in chosen) or "true"
-    parameters = [*selected, *of_kind * len(kinds), *(value for __, values in chosen for value in values)]
+    parameters = [*selected, *of_features, *(value for __, values in chosen for value in values)]
     return f"FROM ({sql}) WHERE {conditions}", parameters
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dashboard.data import Archive
+from dashboard.data import Archive, Margin, Name
 from dashboard.scenes import required_by
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
@@ -15,28 +15,30 @@ from metrology.tolerance import Limit, PanelSpec
 from storage.archive.schema import OF_KIND
 from storage.review import Feature
 
+_UNKNOWN: Margin = (float("nan"), "", float("nan"))
+
 
 def with_margins(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
     """Findings with `margin` (negative: beyond the limit), its `margin_unit`, and `margin_share` of the tolerance.
 
     Of several quantities it is the one that lies farthest beyond, as a share of what its limits leave.
     """
-    found: dict[tuple[str, str, str], tuple[float, str, float]] = {}
-    for (bundle, kind_name), part in _bundles(archive, rows).groupby(["bundle_path", "feature_kind"], sort=False):
+    known = archive.margins()
+    keys = list(zip(rows["scene_id"], rows["feature_kind"], rows["feature_id"], strict=True))
+    new = rows[[key not in known for key in keys]]
+    parts = _bundles(archive, new).groupby(["bundle_path", "feature_kind"], sort=False) if len(new) else ()
+    for (bundle, kind_name), part in parts:
         spec = _specification(archive, bundle)
+        known |= dict.fromkeys(zip(part["scene_id"], part["feature_kind"], part["feature_id"], strict=True), _UNKNOWN)
         if spec is not None:
-            found |= _of_findings(archive, str(kind_name), part, spec)
-    keys = zip(rows["scene_id"], rows["feature_kind"], rows["feature_id"], strict=True)
-    margins = [found.get(key, (float("nan"), "", float("nan"))) for key in keys]
+            known |= _of_findings(archive, str(kind_name), part, spec)
+    margins = [known.get(key, _UNKNOWN) for key in keys]
     return rows.assign(**dict(zip(("margin", "margin_unit", "margin_share"), zip(*margins, strict=True), strict=True)))
 
 
 def _bundles(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
-    scenes = sorted(set(rows["scene_id"].astype(str)))
-    bundles = archive.rows(
-        f"SELECT scene_id, bundle_path FROM scenes WHERE scene_id IN ({', '.join('?' * len(scenes))})", scenes
-    )
-    return rows[["scene_id", "captured_at", "feature_kind", "feature_id"]].merge(bundles, on="scene_id")
+    scenes = rows[["scene_id", "captured_at", "feature_kind", "feature_id"]]
+    return archive.rows_about("SELECT wanted.*, bundle_path FROM wanted JOIN scenes USING (scene_id)", scenes)
 
 
 def _specification(archive: Archive, bundle: object) -> PanelSpec | None:
@@ -46,26 +48,19 @@ def _specification(archive: Archive, bundle: object) -> PanelSpec | None:
         return None
 
 
-def _of_findings(
-    archive: Archive, kind_name: str, findings: pd.DataFrame, spec: PanelSpec
-) -> dict[tuple[str, str, str], tuple[float, str, float]]:
+def _of_findings(archive: Archive, kind_name: str, findings: pd.DataFrame, spec: PanelSpec) -> dict[Name, Margin]:
     """Margins of findings of one kind; of a stretch that of the position that pages show it by (see `find_feature`)."""
     kind = BY_NAME[kind_name]
     columns = ", ".join(column.name for column in OF_KIND[kind_name].columns)
     same = "named = feature_id OR named = stretch" if kind.is_course else "named = feature_id"
     worst = "PARTITION BY scene_id, named ORDER BY beyond_mm DESC NULLS LAST"
     # By the time first: comparing it costs a tenth of comparing names, and leaves little to compare.
-    rows = archive.rows(
-        f"WITH wanted(scene_id, captured_at, named) AS (VALUES {', '.join(['(?, ?, ?)'] * len(findings))}) "
+    rows = archive.rows_about(
         f"SELECT {columns}, feature_id, named "
         f"FROM (SELECT *, {kind.id_sql} AS feature_id FROM {kind.table} SEMI JOIN wanted USING (captured_at)) "
-        f"JOIN (SELECT scene_id, named FROM wanted) USING (scene_id) WHERE {same}"
+        f"JOIN (SELECT scene_id, feature_id AS named FROM wanted) USING (scene_id) WHERE {same}"
         + (f" QUALIFY row_number() OVER ({worst}) = 1" if kind.is_course else ""),
-        [
-            value
-            for row in findings.itertuples()
-            for value in (str(row.scene_id), row.captured_at.to_pydatetime(), str(row.feature_id))
-        ],
+        findings,
     )
     margins = {
         (row.scene_id, kind_name, row.named): _worst(required_by(Feature(kind_name, row.feature_id), row, spec))
@@ -74,12 +69,12 @@ def _of_findings(
     return {key: margin for key, margin in margins.items() if margin is not None}
 
 
-def _worst(required: Sequence[Requirement]) -> tuple[float, str, float] | None:
+def _worst(required: Sequence[Requirement]) -> Margin | None:
     margins = [_margin(r, r.limit) for r in required if r.limit is not None and r.value is not None]
     return min(margins, key=lambda margin: margin[2], default=None)
 
 
-def _margin(required: Requirement, limit: Limit) -> tuple[float, str, float]:
+def _margin(required: Requirement, limit: Limit) -> Margin:
     margin = limit.margin(float(required.value or 0.0))
     _, reach = limit.scaling or (0.0, 1.0)
     return margin, required.unit, margin / reach

@@ -17,8 +17,10 @@ def preload() -> None:
     caches.disabled = True  # it warns of every cache that is declared before the server runs
     import dashboard.app  # noqa: F401
     import storage.review_database  # noqa: F401  what the review log is kept in
+    from dashboard.reasons import worded
 
     caches.disabled = False
+    worded("")  # compiles what stored reasons are recognised by
 
     go.Figure(go.Scatter(x=[0], y=[0])).to_json()
     pd.DataFrame({"x": [0.0]}).style.format("{:.1f}").to_html()
@@ -29,6 +31,9 @@ def main() -> None:
     from streamlit.web.cli import main as streamlit
 
     preload()
+    from dashboard.warming import keep_warm
+
+    keep_warm()
     streamlit(prog_name="streamlit")
 
 

@@ -13,7 +13,6 @@ from dashboard.words import _
 from metrology.tolerance import Limit
 
 _MOST_POINTS = 3000
-_LIMIT_BAR_REACH = 2.0  # a scale's half-width, in outermost limits
 
 
 def rivet_map(closeup: RivetCloseUp, locale: Locale, height: int = 300) -> go.Figure:
@@ -239,64 +238,3 @@ def _range(values: list[float]) -> tuple[float, float]:
     low, high = float(np.min(values)), float(np.max(values))
     air = max(0.01, 0.12 * (high - low))
     return low - air, high + air
-
-
-def limit_bar(value: float | None, u95: float | None, limit: Limit | None, unit: str, locale: Locale) -> go.Figure:
-    """A value with its uncertainty on a scale with the zones of its limits.
-
-    A value far outside is an arrow at the scale's end, so that the limits stay legible.
-    """
-    fig = figure(locale, 62, showlegend=False)
-    names = ("lower", "upper", "serious_lower", "serious_upper")
-    marks = {n: mark for n, mark in zip(names, limit.bounds if limit else (), strict=False) if mark is not None}
-    spread = u95 if u95 is not None and np.isfinite(u95) else 0.0
-    places = [0.0, *marks.values()]
-    reach = _LIMIT_BAR_REACH * max((abs(place) for place in places), default=0.0) or np.inf
-    known = value is not None and bool(np.isfinite(value))
-    shown = float(np.clip(value, -reach, reach)) if value is not None and known else 0.0
-    if known:
-        places += [np.clip(shown - 1.3 * spread, -reach, reach), np.clip(shown + 1.3 * spread, -reach, reach)]
-    low, high = _range(places)
-    serious = "serious_lower" in marks or "serious_upper" in marks
-    _zone(fig, low, high, RED if serious else BLUE)
-    if serious:
-        _zone(fig, marks.get("serious_lower", low), marks.get("serious_upper", high), BLUE)
-    if "lower" in marks or "upper" in marks:
-        _zone(fig, marks.get("lower", low), marks.get("upper", high), GREEN)
-    if known:
-        beyond = shown != value
-        fig.add_scatter(
-            x=[shown],
-            y=[0.5],
-            mode="markers",
-            error_x={"type": "data", "array": [0.0 if beyond else spread], "thickness": 2.5, "width": 7, "color": INK},
-            marker={
-                "size": 13,
-                "symbol": ("triangle-right" if shown > 0 else "triangle-left") if beyond else "diamond",
-                "color": "#FFFFFF",
-                "line": {"width": 2.5, "color": "#222222"},
-            },
-            hovertemplate=f"{locale.measured(value, u95, unit)}<extra></extra>",
-        )
-    fig.update_xaxes(
-        range=[low, high],
-        tickvals=sorted(value for name, value in marks.items() if not name.startswith("serious")),
-        tickformat="+.2f",
-        tickangle=0,
-    )
-    fig.update_yaxes(visible=False, range=[0, 1], fixedrange=True)
-    fig.update_layout(margin={"l": 4, "r": 4, "t": 0, "b": 24})
-    return fig
-
-
-def _zone(fig: go.Figure, low: float, high: float, colour: str) -> None:
-    fig.add_shape(
-        type="rect",
-        x0=low,
-        x1=high,
-        y0=0.1,
-        y1=0.9,
-        fillcolor=colour,
-        line_width=0,
-        layer="below",
-    )

@@ -7,7 +7,8 @@ from typing import Any
 import streamlit as st
 
 from dashboard.closeup import RivetCloseUp, SeamSection, rivet_close_up, seam_section
-from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
+from dashboard.figures.closeup import rivet_map, rivet_section, seam_figure
+from dashboard.figures.limits import limit_bar
 from dashboard.figures.scene import SceneFeatures
 from dashboard.findings import feature_parameter, feature_words
 from dashboard.frame import PageContext, link, plain
@@ -107,11 +108,7 @@ def _values(context: PageContext, row: Any, measured: Any, chosen: Feature) -> N
                 if wanted.limit is None:
                     st.caption(_("no limit"))
                     continue
-                st.plotly_chart(
-                    limit_bar(wanted.value, wanted.u95, wanted.limit, wanted.unit, locale),
-                    key=f"bar-{wanted.name}-{wanted.limit}",
-                    config={"displayModeBar": False, "staticPlot": True},
-                )
+                st.html(limit_bar(wanted.value, wanted.u95, wanted.limit, wanted.unit, locale))
 
 
 def _diameter(context: PageContext, measured: Any) -> None:

@@ -9,6 +9,7 @@ import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
+from dashboard.data import NOTICED
 from dashboard.figures.overview import decision_bar, panel_matrix
 from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import Selection
@@ -60,13 +61,14 @@ def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
         for what, prefix in (("count(*)", ""), ("sum(n_positions)", _OF_FEATURES))
     )
     of_features = [f"{_OF_FEATURES}{column}" for column in _COLUMNS.values()]
+    found = findings_sql(near=condition, scenes=condition, noticed=NOTICED)
     sql = f"""
 WITH s AS (
     SELECT scene_id, aircraft_serial, panel, captured_at, first_stored_at, processed_at, rig_verdict,
         {features} AS features
     FROM latest_scenes WHERE {condition}
 ), f AS (
-    SELECT *, scene_id IN (SELECT scene_id FROM s) AS newest FROM ({findings_sql(near=condition, scenes=condition)})
+    SELECT *, scene_id IN (SELECT scene_id FROM s) AS newest FROM ({found})
 ), per_panel AS (
     SELECT aircraft_serial, panel,
         {by_decision},
@@ -84,7 +86,7 @@ SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.value
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """
-    return context.archive.rows_with_review(sql, [*selected, *selected, *selected * (2 * len(KINDS))])
+    return context.archive.rows_with_review(sql, selected * 4)
 
 
 def _rows(kind: Kind) -> str:

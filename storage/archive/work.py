@@ -129,6 +129,16 @@ def _of_scenes(kind: Kind, scenes: str) -> str:
     return f"{kind.table} SEMI JOIN {scenes} USING (scene_id)"
 
 
+def noticed_sql() -> str:
+    """A query of what needs attention on the newest scans, which `findings_sql` can read in place of the tables."""
+    return f"FROM ({_of_kinds(KINDS, ATTENTION)}) SEMI JOIN latest_scenes USING (scene_id)"
+
+
+def _of_kinds(kinds: Sequence[Kind], condition: str, scenes: str | None = None) -> str:
+    parts = [features_sql(kind, condition, scenes and _of_scenes(kind, scenes)) for kind in kinds]
+    return " UNION ALL ".join(parts or [features_sql(KINDS[0], "false")])
+
+
 def findings_sql(
     kinds: Sequence[Kind] = KINDS,
     attention: str = ATTENTION,
@@ -136,6 +146,7 @@ def findings_sql(
     near: str = "true",
     scenes: str = "true",
     newest: str = NEWEST,
+    noticed: str | None = None,
 ) -> str:
     """A query of findings with how they stand; the connection must know `reviewed` and `signed` (see `register`).
 
@@ -148,23 +159,22 @@ def findings_sql(
     attention, worked : str
         Conditions on what is listed of the newest scans, and on what is listed for its open work.
     near : str
-        A condition on a feature's key. Where conditions have parameters, they stand in this order: `scenes`, then for
-        each kind `attention`, `near`, `near`, `worked`, `attention`.
+        A condition on a feature's key. Where conditions have parameters, they stand in this order: `scenes`,
+        `attention`, `near`, `near`, `worked`, `attention`.
     scenes : str
         A condition on its scene, which stands first.
     newest : str
         Which scans' findings are listed, whether worked on or not.
+    noticed : str, optional
+        A table that has the rows of `noticed_sql`; with it `newest` stays as it is.
     """
-    parts = [
-        part
-        for kind in kinds
-        for part in (
-            features_sql(kind, f"{attention} AND {near} AND {newest}"),
-            f"SELECT * FROM ({features_sql(kind, near, _of_scenes(kind, 'open_scenes'))}) "
-            "SEMI JOIN worked USING (scene_id, feature_kind, feature_id) "
-            f"WHERE {worked} AND NOT ({attention} AND {newest})",
-        )
-    ] or [features_sql(KINDS[0], "false")]
+    among = ", ".join(f"'{kind.name}'" for kind in kinds) or "NULL"
+    rows = f"FROM {noticed} WHERE feature_kind IN ({among})" if noticed else _of_kinds(kinds, newest)
+    parts = (
+        f"FROM ({rows}) WHERE {attention} AND {near}",
+        f"FROM ({_of_kinds(kinds, 'true', 'open_scenes')}) SEMI JOIN worked USING (scene_id, feature_kind, feature_id) "
+        f"WHERE {near} AND {worked} AND NOT ({attention} AND {newest})",
+    )
     decided = f"""any_value(run_id) AS run_id, any_value(panel_spec) AS panel_spec,
     any_value(software_version) AS software_version, arg_max({_struct(_DECIDED)}, decided_at) AS last,
     any_value(signed_by) AS signed_by, any_value(signed_at) AS signed_at, CASE WHEN bool_or(state = '{WAITING}')
@@ -271,7 +281,7 @@ def standings(connection: duckdb.DuckDBPyConnection, review: Review, scene_id: s
     sql = findings_sql(near="scene_id = ?", scenes="scene_id = ?", newest="true")
     rows = connection.execute(
         f"SELECT feature_kind, feature_id, state FROM ({sql}) ORDER BY feature_kind, feature_id",
-        [scene_id] * (1 + 2 * len(KINDS)),
+        [scene_id] * 3,
     ).fetchall()
     return tuple(Standing(Feature(kind, name), state) for kind, name, state in rows)
 

@@ -18,7 +18,8 @@ from dashboard.access import role_of
 from dashboard.closeup import rivet_close_up, seam_section
 from dashboard.data import Archive
 from dashboard.deviation import field_deviation
-from dashboard.figures.closeup import limit_bar, rivet_map, rivet_section, seam_figure
+from dashboard.figures.closeup import rivet_map, rivet_section, seam_figure
+from dashboard.figures.limits import limit_bar, limit_scale
 from dashboard.figures.scene import cloud_figure, scene_figure
 from dashboard.filters import newest_scan
 from dashboard.findings import Selection, Wanted, feature_from_parameter, feature_parameter, findings
@@ -250,33 +251,45 @@ def test_close_up_figures_draw(archive: Archive) -> None:
     assert f"W {station.width_mm:.3f}".replace(".", ",") in said
 
 
-@pytest.mark.parametrize("limit", [None, Limit(upper=1.0), Limit(-0.1, 0.1, -0.2, 0.2)])
+@pytest.mark.parametrize("limit", [Limit(upper=1.0), Limit(lower=0.0), Limit(-0.1, 0.1, -0.2, 0.2)])
 @pytest.mark.parametrize("value", [None, 0.05, float("nan"), 1e6])
-def test_limit_bar_takes_any_limit_and_value(limit: Limit | None, value: float | None) -> None:
-    bar = limit_bar(value, None, limit, "mm", Locale())
-    low, high = bar.layout.xaxis.range
-    assert np.isfinite([low, high]).all()
-    assert low < high
-    marks = [mark for mark in (limit.bounds if limit else ()) if mark is not None]
-    assert all(low < mark < high for mark in marks)
-    shown = [x for trace in bar.data for x in trace.x]
-    assert len(shown) == (value is not None and np.isfinite(value))
-    assert all(low <= x <= high for x in shown)
+def test_limit_bar_takes_any_limit_and_value(limit: Limit, value: float | None) -> None:
+    scale = limit_scale(value, None, limit)
+    assert np.isfinite([scale.low, scale.high]).all()
+    marks = [mark for mark in limit.bounds if mark is not None]
+    assert all(scale.low < mark < scale.high for mark in marks)
+    assert (scale.value is not None) == (value is not None and np.isfinite(value))
+    assert scale.value is None or scale.low <= scale.value <= scale.high
+    drawn = limit_bar(value, None, limit, "mm", Locale())
+    assert any(sign in drawn for sign in "◆▶◀") == (scale.value is not None)
 
 
 def test_limits_stay_legible_beside_a_value_far_outside() -> None:
-    bar = limit_bar(5.0, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Locale())
-    low, high = bar.layout.xaxis.range
-    assert high - low < 1.0
-    assert bar.data[0].marker.symbol == "triangle-right"
-    assert low < bar.data[0].x[0] < high
-    assert {shape.fillcolor for shape in bar.layout.shapes} == {RED, BLUE, GREEN}
+    scale = limit_scale(5.0, 0.003, Limit(-0.1, 0.1, -0.2, 0.2))
+    assert scale.high - scale.low < 1.0
+    assert scale.beyond
+    assert scale.value is not None
+    assert scale.low < scale.value < scale.high
+    assert [colour for _, _, colour in scale.zones] == [RED, BLUE, GREEN]
+    assert scale.zones[1:] == ((-0.2, 0.2, BLUE), (-0.1, 0.1, GREEN))
     # Without a serious limit nothing is seriously outside.
-    plain_limit = limit_bar(5.0, 0.003, Limit(-0.1, 0.1), "mm", Locale())
-    assert {shape.fillcolor for shape in plain_limit.layout.shapes} == {BLUE, GREEN}
-    inside = limit_bar(-0.25, 0.003, Limit(-0.1, 0.1, -0.2, 0.2), "mm", Locale())
-    assert inside.data[0].marker.symbol == "diamond"
-    assert inside.data[0].x[0] == -0.25
+    assert [colour for _, _, colour in limit_scale(5.0, 0.003, Limit(-0.1, 0.1)).zones] == [BLUE, GREEN]
+    inside = limit_scale(-0.25, 0.003, Limit(-0.1, 0.1, -0.2, 0.2))
+    assert (inside.value, inside.beyond, inside.spread) == (-0.25, False, 0.003)
+
+
+def test_a_limit_bar_draws_the_value_where_it_lies_between_the_limits() -> None:
+    # The scale reaches 12 % of what it must show beyond the limits.
+    drawn = limit_bar(0.1, 0.05, Limit(-0.2, 0.2), "mm", Locale("de"))
+    low, high = -0.2 - 0.048, 0.2 + 0.048
+    at, tick = (100 * (place - low) / (high - low) for place in (0.1, -0.2))
+    lefts = [float(found) for found in re.findall(r"left:([\d.]+)%;transform", drawn)]
+    assert lefts == pytest.approx([tick, 100 - tick, at], abs=0.01)
+    [(left, width)] = re.findall(r"height:2px;left:([\d.]+)%;width:([\d.]+)%", drawn)
+    whole = 100 * 2 * 0.05 / (high - low)
+    assert (float(left), float(width)) == pytest.approx((at - whole / 2, whole), abs=0.02)
+    assert "−0,20" in drawn
+    assert "+0,100 ± 0,050" in drawn
 
 
 # -- findings and exports
