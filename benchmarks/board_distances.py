@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.one_camera import triangulate_one
 from metrology.reconstruct import coordinate_size, decode, reconstruct
@@ -23,8 +24,6 @@ from metrology.rig import Rig
 from metrology.robust import MAD
 from storage.rig import load_rig
 from storage.scene import load_scene
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 5
 _BAR = 0.002

@@ -18,14 +18,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.gray import stripe_numbers
 from metrology.reconstruct import reconstruct
 from metrology.rig import Rig
 from metrology.robust import MAD
 from storage.rig import load_rig
 from storage.scene import Scene, load_scene
-
-Array = NDArray[np.float64]
 
 _LEAST_MODULATION = 5.0 / 255  # of the range
 _HALF = 4  # px: half-size of the window whose quadric neighbours are compared with

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from dashboard.palette import quantity_words
 from dashboard.words import N_, _
+from metrology.arrays import Array, Mask
 from metrology.cloud import MISSING, PixelFlag
 from metrology.fits import HeadFit, SectionFit
 from metrology.surfaces import monomials, tangent_rows
 from storage.cloud import StoredCloud
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Place = tuple[float, float]
 
 _AIR = 1.15  # of what is drawn beyond the points that were used

@@ -8,10 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.surfaces import Frame, fit_surface, monomials
 from storage.cloud import StoredCloud
-
-Array = NDArray[np.float64]
 
 _ORDER: Literal[2] = 2
 _FIT_POINTS = 20_000

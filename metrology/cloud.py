@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from metrology.arrays import Float32
 from metrology.errors import RigError
 from metrology.frame_doubts import FrameDoubt
 from metrology.noise import NoiseModel
 from metrology.rig import Device, Rig
-
-Float32 = NDArray[np.float32]
 
 
 class PixelFlag(IntFlag):

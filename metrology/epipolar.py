@@ -11,11 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from metrology.errors import RigError
 from metrology.fringe import Axis
 from metrology.rig import Device, Rig
-
-Float32 = NDArray[np.float32]
 
 # Share of the phase gradient that must lie along the epipolar lines for a rig and a fringe axis to fit.
 _LEAST_SHARE_ALONG = 0.1

@@ -16,16 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.cloud import PixelFlag
-from metrology.frame_sample import (
-    Array,
-    Float32,
-    FrameSample,
-    SinusoidFit,
-    agreement,
-    coarse_positions,
-    fit_sinusoids,
-)
+from metrology.frame_sample import FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
 from metrology.fringe import FringeCode
 
 # A frame deviates if it is this much brighter or darker than the others say (flicker of 3 % leaves 0.05), …

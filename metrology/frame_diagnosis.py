@@ -15,19 +15,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.frame_consistency import DRIFT, FrameConsistency, largest_deviation, unclipped
 from metrology.frame_faults import Finer, FrameFault, describe_frame
 from metrology.frame_orders import FrameOrder, frame_orders
-from metrology.frame_sample import (
-    FAINT_COUNT,
-    Array,
-    Float32,
-    FrameSample,
-    SinusoidFit,
-    agreement,
-    coarse_positions,
-    fit_sinusoids,
-)
+from metrology.frame_sample import FAINT_COUNT, FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
 
 # Pixels that hypotheses are tried on.
 _PIXELS = 600

@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.frame_consistency import frame_deviations, unclipped
-from metrology.frame_sample import Array, FrameSample, SinusoidFit, fit_sinusoids
+from metrology.frame_sample import FrameSample, SinusoidFit, fit_sinusoids
 
 Look = Literal["same", "like", "dark", "flat", "brighter", "darker", "other"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrology.frame_sample import Array
+from metrology.arrays import Array
 from metrology.fringe import Axis
 from metrology.rig import Device
 

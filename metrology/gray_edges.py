@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from metrology.cloud import DecodedView, PixelFlag
 from metrology.fringe import FringeCode, GrayCode
 from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
@@ -20,8 +21,6 @@ from metrology.jit import kernel
 from metrology.noise import stripe_noise
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.robust import MAD
-
-Float32 = NDArray[np.float32]
 
 _LIT_SIGMAS = 5.0  # of a sample's noise: what half the difference of dark and bright must exceed
 _EVEN = 12.0**-0.5  # standard deviation of an even spread over one stripe

@@ -11,11 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from metrology.cloud import DecodedView
 from metrology.gray import runs_along_rows
 from metrology.robust import MAD
-
-Float32 = NDArray[np.float32]
 
 # Stripes: places so far apart share no border. Several distances, since borders may err in turn: over one distance
 # alone, what recurs after twice as many stripes would count three times, and what recurs after as many not at all.

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from metrology.rig import Device
 from simulator.relief import Floats
 from simulator.require import require
 from simulator.shading import Light
-from simulator.trace import Float32, Hits, four
+from simulator.trace import Hits, four
 
 _OFF_MM = 1e-4
 _BAND = 64  # rows at once

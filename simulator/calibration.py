@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Float32
 from metrology.errors import SpecError
 from metrology.fringe import FringeCode
 from metrology.rig import Device, Rig
@@ -21,7 +22,6 @@ from simulator.rig import aim_frame
 from simulator.scene import make_rig
 from simulator.sensor import Sensor
 from simulator.spec import CalibrationSpec, SimulationSpec
-from simulator.trace import Float32
 from simulator.truth import Pose
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]

@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from simulator.clutter import Patch, Scratch
 from simulator.marks import Stencil, Stroke, letter_coverage, letters_reach
 from simulator.overlay import COAT_TEXEL_MM
 from simulator.panel import Panel
 from simulator.relief import Floats
-from simulator.trace import Float32, ReflectanceMap
+from simulator.trace import ReflectanceMap
 
 TEXEL_MM = COAT_TEXEL_MM  # about half a camera pixel
 

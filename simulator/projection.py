@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
+from metrology.arrays import Float32
 from metrology.errors import SpecError
 from metrology.fringe import FringeCode
 from simulator.compiled import entry
 from simulator.relief import Floats
-from simulator.trace import Float32, Hits
+from simulator.trace import Hits
 
 _FINE = 32  # table entries per projector pixel, stripes
 _COARSE = 4  # the same for images

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Float32
 from metrology.fringe import FringeCode
 from metrology.moments import moment_of
 from metrology.rig import Rig
@@ -23,7 +24,7 @@ from simulator.relief import Relief
 from simulator.rig import aim_frame, virtual_rig, warmed
 from simulator.shading import Light
 from simulator.spec import Placement, SimulationSpec
-from simulator.trace import Float32, Hits, ReflectanceMap, trace
+from simulator.trace import Hits, ReflectanceMap, trace
 from simulator.truth import Pose, Truth, truth
 from simulator.vibration import moved_texture, sway_of
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrology.arrays import Ints
 from simulator.cast import MAX_BORDERS, lit
 from simulator.compiled import entry
-from simulator.relief import Floats, Ints, Relief, plate_height, sides_of
+from simulator.relief import Floats, Relief, plate_height, sides_of
 
 
 @entry

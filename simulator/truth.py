@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Ints
 from metrology.rig import Rig
 from simulator import relief as r
 from simulator.clutter import Cleco
 from simulator.pack import evaluate, head_pose
 from simulator.panel import Hole, Panel, Rivet, Seam
-from simulator.relief import Floats, Ints, Relief
+from simulator.relief import Floats, Relief
 from simulator.survey import plate_heights, plate_normals, seen, sides_at, survey
 from simulator.true_dents import TrueDent, true_dents
 

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metrology.arrays import Float32
 from metrology.rig import Rig
 from simulator.relief import Floats
 from simulator.rig import aim_frame
-from simulator.trace import Float32, Hits
+from simulator.trace import Hits
 from simulator.truth import Pose
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.board import Board
 from metrology.calibration.frames import CameraName
 from metrology.calibration.observations import Sighting
@@ -18,8 +18,6 @@ from metrology.errors import CalibrationError
 from storage.calibration_documents import flat, numbers, read_document
 from storage.frames import Frame, read_as_grey
 from storage.scene_names import cameras_of, matching, natural
-
-Array = NDArray[np.float64]
 
 _COLUMNS = ("pose", "x_mm", "y_mm", "left_u", "left_v", "right_u", "right_v")
 _NAMES = {

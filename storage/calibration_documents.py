@@ -18,13 +18,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import RigError
 from storage.documents import check_regular_file
 from storage.pickled import read_npy, read_pickle
-
-Array = NDArray[np.float64]
 
 _LARGEST_BYTES = 64 * 2**20
 _HDF5 = b"\x89HDF"

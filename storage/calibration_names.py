@@ -12,11 +12,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from storage.calibration_documents import numbers
 
-Array = NDArray[np.float64]
 Found = dict[str, Array]
 
 NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size3")

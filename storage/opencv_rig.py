@@ -11,8 +11,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import RigError
 from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
 from metrology.rig_plausibility import check_rig
@@ -23,7 +23,6 @@ from storage.calibration_names import first_number, from_names, side_of_file
 from storage.lens_names import check_lens_names
 from storage.projection_matrices import from_projections
 
-Array = NDArray[np.float64]
 Size = tuple[int, int]
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}

@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import RigError
 from storage.calibration_documents import flat
 from storage.calibration_names import side_of_file, turned
 
-Array = NDArray[np.float64]
 Found = dict[str, Array]
 
 _MM_PER_METRE = np.array(1000.0)

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from storage.calibration_documents import numbers
 from storage.calibration_names import side_of_file
-
-Array = NDArray[np.float64]
 
 _LEAST_DETERMINANT = 1e-12
 _NO_SKEW = 1e-4  # of the focal length: what rounding of printed numbers leaves

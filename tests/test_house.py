@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -91,3 +92,14 @@ def test_nothing_is_there_for_tests_alone() -> None:
                 used.add(node.value.rpartition(":")[2])  # "module:name", loaded where it is used
     unused = {f"{module}: {name}" for module, name in defined if name not in used and not name.startswith("__")}
     assert unused - FOR_PROGRAMS == set()
+
+
+def test_usual_arrays_are_named_in_one_place() -> None:
+    own = [
+        f"{file.relative_to(ROOT)}: {name}"
+        for file in sorted(ROOT.glob("*/**/*.py"))
+        if file != ROOT / "metrology/arrays.py" and ".venv" not in file.parts
+        for name in ("Array", "Mask")
+        if re.search(rf"^{name} = NDArray", file.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    assert own == []

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from flows.study.series import real_rig
+from metrology.arrays import Float32
 from simulator.scene import Frames, Stage, expose, fringe_light, set_up
 from simulator.spec import SimulationSpec
-from simulator.trace import Float32
 
 
 class Renderer:

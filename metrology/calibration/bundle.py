@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.lens import INTRINSICS, left_jacobian, project, skew
 from metrology.calibration.levenberg import minimise
 from metrology.calibration.observations import DeviceName, Sighting
 from metrology.errors import CalibrationError, RigError
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 _POSE_TERMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 _ROBUST_AT = 3.0  # standard deviations at which the loss turns from square to linear

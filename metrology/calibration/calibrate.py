@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.board import Board
 from metrology.calibration.bundle import Adjusted, State, adjust, predict
 from metrology.calibration.detect import Detection
@@ -24,7 +25,6 @@ from metrology.errors import CalibrationError
 from metrology.rig import Rig
 from metrology.rig_plausibility import stands_left
 
-Array = NDArray[np.float64]
 Terms = dict[DeviceName, tuple[str, ...]]
 
 _LEAST_SIGMA_PX = 1e-3

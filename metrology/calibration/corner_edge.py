@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
 
 _START_BLUR_PX = 1.0
 _LEAST_BLUR_PX = 0.25

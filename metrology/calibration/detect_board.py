@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.blobs import printed_blobs
 from metrology.calibration.board import Board
 from metrology.calibration.corner_edge import fit_corner
@@ -19,8 +20,6 @@ from metrology.calibration.homography import apply_homography, fit_homography, u
 from metrology.calibration.lattice import Labels, diagonal_to_grid, label_lattice
 from metrology.calibration.placing import LEAST_PART, Placement, place, upright
 from metrology.errors import CalibrationError
-
-Array = NDArray[np.float64]
 
 # Of a ChArUco board: which squares bear the markers. Boards with an odd number of rows are alike in both.
 Layout = Literal["new", "old"]

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.blobs import Contour, elliptic_outlines
 from metrology.calibration.dot_edge import DotFit, fit_dot
 from metrology.calibration.frames import BoardFrames
@@ -19,8 +20,6 @@ from metrology.calibration.homography import fit_homography, inside_gate, unit_a
 from metrology.calibration.lattice import Labels, diagonal_to_grid, label_lattice, turned
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.errors import CalibrationError
-
-Array = NDArray[np.float64]
 
 _LIT = 0.3  # of the brightest level: darker is print, or not the board
 _GUARD_PX = 3  # kept off the edge of the print, where the blur of the two frames differs

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
 
 _START_BLUR_PX = 1.0
 _LEAST_BLUR_PX = 0.25  # sharper than the pixel itself: only the fit going astray

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.calibrate import Calibration
 from metrology.calibration.initial import to_board
 from metrology.texture_offset import epipolar_directions
-
-Array = NDArray[np.float64]
 
 
 def epipolar_residuals(calibration: Calibration) -> tuple[Array, Array]:

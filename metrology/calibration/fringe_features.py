@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.board import Board
 from metrology.calibration.detect_board import BoardView
 from metrology.calibration.eccentricity import eccentricity
 from metrology.calibration.homography import apply_homography, fit_homography, unit_area
 from metrology.errors import CalibrationError
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
 
 _LEAST_PIXELS = 60
 _TRIM_SIGMAS = 3.5

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.errors import CalibrationError
-
-Array = NDArray[np.float64]
 
 # Well above the lens distortion over a board, well below the distance between dots.
 _GATE_PX = 12.0

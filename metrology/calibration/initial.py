@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.bundle import State
 from metrology.calibration.observations import DeviceName, Sighting
 from metrology.errors import CalibrationError
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 LEAST_POSES = 3  # as many planes as a pinhole device needs; what fewer than six leave uncertain is said
 _CAMERAS: tuple[DeviceName, ...] = ("left", "right")

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
+
 Labels = NDArray[np.int64]
 
 _NEAR = 0.25  # a neighbour is taken where it lies within this part of a step from its predicted place

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import rq
 
+from metrology.arrays import Array
 from metrology.errors import CalibrationError
 from metrology.fringe import Axis
 from metrology.rig import Device
-
-Array = NDArray[np.float64]
 
 _MOST_POINTS = 4000
 _FLAT = 1e-5  # second smallest over largest singular value: below, the points lie on one plane

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
 
 DeviceName = Literal["left", "right", "projector"]
 SightingKind = Literal["board", "dots"]

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.board import Board
 from metrology.calibration.lattice import Labels, turned
 from metrology.errors import CalibrationError
-
-Array = NDArray[np.float64]
 
 LEAST_PART = 0.75  # of the features: with fewer the board is only half in view
 _STRAY = 2  # blobs that fit the lattice by chance

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.bundle import Adjusted, lens_vector
 from metrology.calibration.lens import INTRINSICS
 from metrology.calibration.observations import DeviceName
 from metrology.rig import Device
 from metrology.texture_offset import epipolar_directions
 
-Array = NDArray[np.float64]
 Devices = Mapping[DeviceName, Device]
 
 _GRID = (9, 7)  # columns and rows of places over the left image

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from metrology.arrays import Array
 from metrology.calibration.bundle import lens_vector
 from metrology.calibration.distortion_model import PINHOLE, Evidence, choose_terms
 from metrology.calibration.lens import INTRINSICS, project
@@ -25,8 +26,6 @@ from metrology.errors import CalibrationError, RigError
 from metrology.fringe import Axis
 from metrology.rig import Device
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
 
 _POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 _BLOCKS_ACROSS = 40

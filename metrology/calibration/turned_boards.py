@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.board import Board
 from metrology.calibration.detect import Detection
 from metrology.calibration.initial import LEAST_POSES, PlaneView, SingleDevice, same_place, single_cameras, turn_deg
@@ -20,7 +21,6 @@ from metrology.calibration.observations import DeviceName
 from metrology.calibration.placing import symmetries
 from metrology.errors import CalibrationError
 
-Array = NDArray[np.float64]
 Motion = tuple[Array, Array]
 
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.defects.bottom_fit import Form, Points, Vertex, fitted
 from metrology.defects.patch import SUPPORT_PX, Patch
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _REACH = 0.75  # of the radii at half depth: points that far from the deepest one tell its shape
 _LEAST_STEPS, _LEAST_PX = 3.0, 6.0

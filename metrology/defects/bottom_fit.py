@@ -16,9 +16,9 @@ from math import comb
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
+
 Form = Literal["smooth", "point", "fold"]
 
 # Exponents of p and q, mean and standard deviation of the coefficients over the depth. A cos² bowl has −0.62 p² and

@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import PixelFlag
 from metrology.jit import kernel
 from metrology.results import RivetDetection, SeamLine
 from metrology.rivets.ellipse import Ellipse
 from metrology.sighted import Sighted
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SIZE = 4
 """Pixels along a cell's side."""

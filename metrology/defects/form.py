@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.defects.bottom import Bottom
 from metrology.defects.outline import Outline
 from metrology.defects.patch import Patch
 from metrology.fits import DefectForm, DefectSection
-
-Array = NDArray[np.float64]
 
 _MOST_CELLS = 96  # of a map along its longer side
 

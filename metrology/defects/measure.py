@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.defects.bottom import Bottom, bottom_of
 from metrology.defects.cells import STEEPEST
 from metrology.defects.form import form_of
@@ -21,8 +21,6 @@ from metrology.defects.surroundings import distances, is_pull_in, pull_in
 from metrology.fits import FittedDefect
 from metrology.results import COVERAGE_95, Rivet, SeamStation, of_type
 from metrology.sighted import Sighted
-
-Array = NDArray[np.float64]
 
 _SURE = 2.5  # U95 of the skin that a defect must be deep: five standard deviations
 _SURE_AT_END = 7.5  # where it deepens up to the end of the view: beyond the skin's last points nothing holds it

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.defects.patch import Patch
 from metrology.jit import kernel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _HARMONICS = 14  # of a closed outline in the frame in which its moments are a circle's
 _CORNER, _LOW = 1.0, 0.1  # how large they usually are over the radius: over the square of their order, and at most

@@ -8,14 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.defects.cells import BAD, SIZE, means
 from metrology.defects.reference import Reference
 from metrology.defects.skin_map import Region, SkinMap
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _MARGIN = 0.4  # of the region's size round it
 _MARGIN_CELLS = 6

@@ -17,13 +17,12 @@ from numpy.polynomial.legendre import leg2poly, legvander
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from metrology.arrays import Array
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, medians_along, turned
 from metrology.defects.ruled_kernel import add_polylines, stiffest
 from metrology.defects.surface_kernel import depths, surface_heights
 from metrology.robust import MAD, TUKEY, median, tukey
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
 
 _PLAIN = 7  # terms of the paraboloid with h²: 1, x, y, x², xy, y², h²
 _SQUARES = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))  # powers of x and y of those without h²

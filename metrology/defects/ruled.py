@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.defects.ruled_kernel import bin_medians
 from metrology.robust import MAD, median
-
-Array = NDArray[np.float64]
 
 BIN_MM = 2.0
 _PER_BIN = 20  # points that a median needs

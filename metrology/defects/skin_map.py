@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.defects.cells import CellMap, cell_map
 from metrology.defects.reference import Reference, fit_reference
 from metrology.defects.settings import DefectSettings
@@ -17,9 +18,6 @@ from metrology.registration.rows import has_position, positions
 from metrology.results import SeamStation, of_type
 from metrology.robust import MAD, median
 from metrology.sighted import Sighted
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ROUNDS = 4  # of finding what lies off the skin, and fitting the skin to the rest
 _DOUBTFUL_ROUNDS = 2  # at first, in which a dent may have bent the reference beside it

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.jit import kernel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _APART = 0.7  # of its depth must a bottom rise to, on the way to any deeper one: less may be a rough bottom
 

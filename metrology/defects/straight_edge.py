@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.defects.cells import SIZE
 from metrology.defects.patch import Patch
 from metrology.defects.skin_map import SkinMap
 from metrology.fits import DefectSection
 from metrology.jit import kernel
-
-Array = NDArray[np.float64]
 
 _STEP_MM = 0.5
 

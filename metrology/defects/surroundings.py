@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.defects.cells import SIZE
 from metrology.defects.outline import Outline
 from metrology.defects.patch import Patch
@@ -15,8 +15,6 @@ from metrology.defects.skin_map import SkinMap
 from metrology.registration.rows import has_position, positions
 from metrology.results import Feature, Rivet, SeamStation
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
 
 _RING = (1.3, 2.0)  # radii of a head between which the skin shows its pull-in
 _SAME_MIDDLE = 0.6  # head diameters between the middles of a fastener and of the dent that it has made itself

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from metrology.arrays import Array
 from metrology.holes.countersink import Countersink
 from metrology.holes.rim import DIRECTIONS, EDGE_SD_PX, Edges, RimCircle, View, leans, rim_circle
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
 from metrology.surfaces import Polynomial
-
-Array = NDArray[np.float64]
 
 _SPACING_PX = 0.25
 _CLEAR_PX = 1.5  # of the countersink's border

@@ -8,13 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.relief import ReliefMap
 from metrology.rivets.shapes import CircleShapes, log_shape
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _STRIDE = 2  # pixels between those that are looked at
 _OFF_MM = 0.5  # from the skin: no head within any limit, and far beyond noise

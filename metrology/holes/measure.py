@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.holes.bore import bore_circle
 from metrology.holes.countersink import Countersink, countersink
@@ -33,7 +33,6 @@ from metrology.surfaces import Polynomial
 if TYPE_CHECKING:
     from metrology.sighted import Sighted
 
-Array = NDArray[np.float64]
 
 _ENOUGH = 0.25  # of all directions in which pictures must show a rim; below it the cloud tells
 _LEAST_MM = 0.5

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.patch import Patch
 from metrology.robust import fit_circle, from_scratch
 from metrology.surfaces import Polynomial
 
-Array = NDArray[np.float64]
 View = tuple[Device, NDArray[np.float32]]
 
 DIRECTIONS = 72

@@ -13,15 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.jit import kernel
 from metrology.ridges import gaussian_derivatives
 from metrology.rivets.arcs import curvature_noise
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.shapes import CircleShapes
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _SCALE_PX = 1.7  # of the ridges: the line's blur, and what a centre and a radius may be off
 _SMALLEST_PX = 7.0  # radius below which a ring is hardly more than its line's width

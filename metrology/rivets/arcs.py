@@ -14,12 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.jit import kernel
 from metrology.ridges import Derivatives, gaussian_derivatives
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.fastener import HALF_STEP
 from metrology.rivets.bilinear import sample_image
@@ -22,8 +22,6 @@ from metrology.rivets.geometry import lay_on_plane, nearby_plane
 from metrology.rivets.relief import HeadRelief, head_relief
 from metrology.rivets.rim_step import RimStep, rim_step
 from metrology.rivets.settings import RivetSettings
-
-Array = NDArray[np.float64]
 
 _SURROUNDED = 0.9  # of the pixels round a weak ring must have points
 _CLOSED = 0.8  # of a rim's directions in which it shows; a glint or a scratch hides the rest

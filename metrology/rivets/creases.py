@@ -11,13 +11,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.rivets.fits import Fits
 from metrology.rivets.inflation import Inflation
 from metrology.surfaces import Polynomial, monomials
-
-Array = NDArray[np.float64]
 
 _DIRECTIONS = 24  # of half a turn
 _OFFSETS = np.linspace(-0.85, 0.85, 15)  # of a crease from the head's centre, shares of the annulus' radius

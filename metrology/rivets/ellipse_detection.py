@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.rivets.alike import rings_alike
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import distinction, ring_steps, settle
@@ -16,9 +16,6 @@ from metrology.rivets.ring import RingFit, fit_ring
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import SHAPE_TOLERANCE, CircleShapes, log_shape, shapes_of
 from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, Traces, levels_for, suspects, trace
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
 _APART = 0.85  # of the sum of two rings' radii, at least, between their centres

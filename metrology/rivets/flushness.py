@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.surfaces import Polynomial, monomials, tangent_rows
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.rig import Device
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.shapes import CircleShapes, log_shape
 from metrology.robust import MAD, median
 from metrology.surfaces import Frame, monomials
-
-Array = NDArray[np.float64]
 
 _STRIDE = 8  # pixels between the points that a normal is taken from
 _STEP = 3  # of those between the ends of a difference

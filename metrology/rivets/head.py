@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Mask
 from metrology.rivets.patch import Patch
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
-
-Mask = NDArray[np.bool_]
 
 # Points this many standard deviations off a surface do not belong to it: one in 2 million by noise.
 _OFF = 5.0

@@ -13,11 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.rivets.fits import Fits
-
-Array = NDArray[np.float64]
 
 _BLOCK_PX = 12  # wider than the correlation reaches
 _FULL = 0.6  # of a block's pixels that must be there

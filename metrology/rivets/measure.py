@@ -26,8 +26,6 @@ from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
 
-Array = NDArray[np.float64]
-
 _DIRECTIONS = 12
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
 from metrology.rivets.ellipse import Ellipse
@@ -16,9 +17,6 @@ from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.settings import RivetSettings
 from metrology.robust import MAD
 from metrology.surfaces import Frame, Polynomial, fit_surface
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _LEAST_POINTS = 50
 _FRAME_POINTS = 400  # are enough for a frame

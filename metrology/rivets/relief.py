@@ -13,14 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.shapes import CircleShapes, log_shape
 from metrology.robust import MAD, from_scratch
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 _REDUCTION = 4  # pixels per cell of the height map
 _PLATEAU = 0.7  # area above half the height over area above a fifth of it: 1 for a disc, 0.43 for a Gaussian bump

@@ -19,15 +19,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.rig import Device
 from metrology.rivets.bilinear import sample_image
 from metrology.rivets.rim_kernel import BREAK, FLOOR, GAP, RADIUS, SHIFT, UNKNOWNS, fit_rim_kernel
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
 
 _DIRECTIONS = 40
 _SPACING_PX = 0.5

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rivets.ellipse import Ellipse
 from metrology.robust import from_scratch
-
-Array = NDArray[np.float64]
 
 _REACH = 1.9  # radii of the skin round the ring that is looked at
 _CLEAR_PX = 3.0  # from the ring, where phase is mixed

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.rivets.ring_kernel import fit_ring_kernel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection
 from metrology.rivets.confirm import confirm_rings, steps_up
@@ -19,8 +19,6 @@ from metrology.rivets.relief import Disc, on_skin, shows_in_texture
 from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
-
-Array = NDArray[np.float64]
 
 
 def detect_rivets(

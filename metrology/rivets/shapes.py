@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
 
 SHAPE_TOLERANCE = 0.15  # of an elongation: five standard deviations of what is expected (see `ring.fit_ring`)
 

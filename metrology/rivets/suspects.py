@@ -6,17 +6,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.rivets.arc_fit import fit_candidates, strike_repeats
 from metrology.rivets.arcs import Arcs, RidgeField, trace_arcs, vote_centres
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.evidence import ring_evidence
 from metrology.rivets.settings import RivetSettings
 from metrology.rivets.shapes import CircleShapes
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 # Scales of the ridges, px of the level: full resolution sees the whole blur, lower ones have averaged over pixels.
 _FULL_SCALE, _REDUCED_SCALE = 1.4, 1.0

@@ -12,11 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.jit import kernel
-
-Array = NDArray[np.float64]
 
 _NODES_PER_PIXEL = 24
 _TAIL_SIGMAS = 4.5

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.fits import FittedStation, SectionFit
 from metrology.plausibility import plausible_station
@@ -22,9 +22,6 @@ from metrology.seams.skins.other_seams import coarse_course, gap_mask
 from metrology.seams.skins.sections import Section, section_at, usable_points
 from metrology.seams.skins.step import step_height, step_u95, with_unresolved_bends
 from metrology.seams.skins.track import Track, lay_on_skin
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # "Under … mm" says something of a gap up to here.
 _WIDEST_BOUND_MM = 1.0

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Mask
 from metrology.results import RivetDetection
-
-Mask = NDArray[np.bool_]
 
 # The panel is outlined in cells of so many px. Holes in its points up to this size are part of it: gaps, highlights,
 # shadows. A band this near to its outline has no room for skin on its other side.

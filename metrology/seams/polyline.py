@@ -6,13 +6,12 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from metrology.arrays import Array, Mask
 
 # An entry of no weight still holds the curve where nothing else does: between far nodes, beyond the last.
 _LEAST_WEIGHT = 1e-4

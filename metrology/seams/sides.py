@@ -7,9 +7,8 @@ whole decides, by the chord from one end to the other; along it the sides stay t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
 
 
 def is_upright(course_px: Array) -> bool:

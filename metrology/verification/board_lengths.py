@@ -6,15 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.calibration.board import Board
 from metrology.calibration.detect_board import BoardView
 from metrology.calibration.eccentricity import eccentricity
 from metrology.errors import CalibrationError
 from metrology.rig import Device, Rig
 
-Array = NDArray[np.float64]
 _LEAST = 12
 _ROUNDS = 2  # of removing the discs' eccentricity, which needs the board's pose
 

@@ -7,12 +7,10 @@ from itertools import permutations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.robust import MAD
 from metrology.verification.form import Form, form, inflation
-
-Array = NDArray[np.float64]
 
 _STEEPEST = np.cos(np.radians(60.0))  # least cosine between a surface's normal and the ray it is seen by
 _SMOOTH_PX = 5  # window of the normals

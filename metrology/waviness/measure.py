@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.defects.cells import SIZE, CellMap, cell_map
 from metrology.defects.reference import Reference, fit_contour
 from metrology.defects.row import Defect
@@ -21,9 +22,6 @@ from metrology.robust import MAD, median
 from metrology.sighted import Sighted
 from metrology.waviness.row import Direction, Waviness, WavinessSettings
 from metrology.waviness.sliding import sliding_gap
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _STEP_MM = 2.0  # of the map of heights
 _SMOOTH_MM = 3.0

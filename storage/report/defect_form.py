@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.fits import DefectForm, DefectSection
 from storage.fits import StoredFits
 from storage.report.drawings import ticks
@@ -18,7 +18,6 @@ from storage.report.verdicts import needs_attention
 from storage.templates import data_uri, part
 
 Row = Mapping[str, Any]
-Array = NDArray[np.float64]
 
 MOST = 12
 """Close-ups in a report: of a hail field the gravest."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from metrology.acceptance import judge_rules, panel_verdict, unruled
+from metrology.arrays import Array
 from metrology.errors import SpecError
 from metrology.kinds import RIVET, SEAM_STATION
 from metrology.limits import Limit, PanelSpec
@@ -19,7 +19,6 @@ from metrology.stretches import stretches
 from metrology.tolerance import as_measured, judge
 from tests.support.rows import rivet_at, station_at
 
-Array = NDArray[np.float64]
 LIMIT = 0.1
 SPEC = PanelSpec(
     "P", "1",

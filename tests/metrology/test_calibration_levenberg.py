@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from metrology.arrays import Array
 from metrology.calibration.levenberg import minimise
 from metrology.errors import CalibrationError
-
-Array = NDArray[np.float64]
 
 
 def rosenbrock(x: Array) -> Array:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.seams.gap import descent, solver
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.prior import WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
 from tests.support.gap_render import Gap, profiles
-
-Array = NDArray[np.float64]
 
 
 def step_in_numpy(state: State, damping: float) -> tuple[Array, Array]:

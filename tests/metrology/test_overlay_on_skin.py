@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Array
 from metrology.calibration.calibrate import calibrate_sightings
 from metrology.calibration.observations import Sighting
 from metrology.cloud import DecodedView, Reconstruction
@@ -28,8 +28,6 @@ from simulator.spec import Camera, Placement, RigSpec, SceneKeys, SimulationSpec
 from simulator.survey import plate_heights, plate_normals
 from tests.support.rows import rivet_at
 from tests.support.shown_image import look_at_image
-
-Array = NDArray[np.float64]
 
 DESIGN = RigDesign(camera_width=609, camera_height=463, camera_focal_px=1365.0)
 SPOTS = [(x, y) for x in (-105.0, -35.0, 35.0, 105.0) for y in (-60.0, 0.0, 60.0)]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.assemble import Assembly, assembled
 from metrology.assembly.coverage import coverage
 from metrology.assembly.panel import PanelFeatures, panel_features
@@ -17,7 +17,6 @@ from metrology.limits import PanelSpec
 from metrology.panel import Placement
 from tests.support.panel_scans import SimulatedPanel, facing, rigid_rms
 
-Array = NDArray[np.float64]
 SPEC = PanelSpec("P", "1")
 ROWS = (-62.0, 74.0)
 STATIONS = (-220.0, 0.0, 220.0)

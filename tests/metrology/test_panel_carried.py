@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.assemble import Assembly, assembled
 from metrology.assembly.carried import Former, Known, places_of, remembered, with_frames
 from metrology.assembly.panel import PanelFeatures, panel_features
@@ -18,7 +18,6 @@ from metrology.limits import PanelSpec
 from metrology.panel import PanelLayout, Placement
 from tests.support.panel_scans import SimulatedPanel, facing
 
-Array = NDArray[np.float64]
 STATIONS = (-220.0, 0.0, 220.0)
 NOTHING = PanelLayout()
 

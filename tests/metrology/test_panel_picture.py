@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.assembly.assemble import Assembly, assembled
 from metrology.assembly.picture import FINER, Stitched, stitched
 from metrology.assembly.scan import PanelScan, Skin
@@ -17,7 +18,6 @@ from metrology.assembly.smooth_skin import SmoothSkin
 from storage.panel_picture import encoded, stored_pictures
 from tests.support.panel_scans import SIZE, SimulatedPanel, facing
 
-Array = NDArray[np.float64]
 DENT_MM, DENT_RADIUS_MM = 0.2, 15.0
 
 

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Array
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.errors import SpecError
 from metrology.kinds import RIVET
@@ -19,7 +20,6 @@ from metrology.rig import Device, Rig
 from metrology.tolerance import PanelSpec, judge
 from tests.support.rows import rivet_at, station_at
 
-Array = NDArray[np.float64]
 SIZE = (203, 154)
 DISTANCE = 700.0
 

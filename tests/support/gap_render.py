@@ -6,14 +6,13 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
+from metrology.arrays import Array
 from metrology.seams.gap import model
 from metrology.seams.gap.levels import LEVEL_SCATTER
 from metrology.seams.gap.profiles import Profiles
 
-Array = NDArray[np.float64]
 SKIN_A, CHAMFER_A, WALL_A, FLOOR, WALL_B, CHAMFER_B, SKIN_B = range(7)
 # Relative brightness where light falls, and in shadow.
 LIT = np.array([1.0, 0.55, 0.15, 0.32, 0.15, 0.6, 0.98])

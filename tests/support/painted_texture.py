@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from tests.support.texture_spec import RimTruth, Texture, TextureSpec
 
-Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 _FINE = 2  # painted pixels per pixel

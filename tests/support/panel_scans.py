@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from metrology.arrays import Array
 from metrology.assembly.scan import STRIDE, PanelScan, Skin
 from metrology.kinds import RIVET, SEAM_STATION
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement
@@ -16,8 +16,6 @@ from metrology.registration.view import in_view
 from metrology.results import Rivet, SceneKey, SeamStation
 from metrology.rig import Device, Rig
 from tests.support.rows import rivet_at, station_at
-
-Array = NDArray[np.float64]
 
 SIZE = (1216, 920)
 DISTANCE = 700.0

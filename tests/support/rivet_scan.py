@@ -8,16 +8,14 @@ from functools import cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.results import RivetDetection
 from metrology.rig import Device, Rig
 from metrology.rivets.ellipse import ellipse_of_shape
 from metrology.rivets.geometry import image_scales
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Mask
 from metrology.cloud import DecodedView, PixelFlag, Reconstruction
 from tests.support.rivet_scan import rig_of
 from tests.support.seam_textures import Band, paint
 
-Mask = NDArray[np.bool_]
 SHAPE = (700, 900)
 
 

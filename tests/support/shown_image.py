@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Float32
 from simulator.projection import project_image, receive_image
 from simulator.scene import Stage
 from simulator.spec import SimulationSpec
 from simulator.trace import Hits
-
-Float32 = NDArray[np.float32]
 
 
 def look_at_image(stage: Stage, spec: SimulationSpec, image: NDArray[np.generic]) -> dict[str, Float32]:

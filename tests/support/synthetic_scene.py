@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import DecodedView, PixelFlag, Reconstruction
 from metrology.fits import FittedRivet, FittedStation, HeadFit, SectionFit, SkinLine
 from metrology.inspection import InspectionResult
@@ -25,8 +26,6 @@ from metrology.surfaces import Frame, monomials
 from metrology.tolerance import judge
 from storage.panel_spec import load_panel_spec
 from storage.rig import rig_document
-
-Array = NDArray[np.float64]
 
 DISTANCE_MM = 700.0
 FIELD_MM = 300.0

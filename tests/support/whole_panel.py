@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrology.arrays import Ints
 from simulator.cast import MAX_BORDERS, cast
 from simulator.compiled import entry
-from simulator.relief import Floats, Ints, Relief, cell_of, piece_at, piece_height
+from simulator.relief import Floats, Relief, cell_of, piece_at, piece_height
 
 
 @entry

@@ -12,12 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Array
 from metrology.seams.blur import EdgeResponse
 from metrology.seams.finding.band_kernel import fit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

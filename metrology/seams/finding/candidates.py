@@ -10,18 +10,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Array, Float32, Mask
 from metrology.ridges import RidgeMap, bar_curvature, curvature_noise, ridge_points
 from metrology.robust import MAD
 from metrology.seams.finding.linking import link
 from metrology.seams.finding.segments import join_pieces, straight_pieces
 from metrology.seams.polyline import polyline_length
 from metrology.seams.settings import LineSettings
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # Scale of the filter on each reduced image, px of it: the least at which a Gaussian's derivatives sampled at pixels
 # keep their moments to a per cent.

@@ -8,16 +8,12 @@ groove stops, where it opens into another one (a T joint: what lies beside it is
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from metrology.arrays import Array, Float32, Mask
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.finding.bands import fit_bands
-from metrology.seams.polyline import Array
 from metrology.seams.sampling import LocalMap, sample
-
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # The step is sought this far both ways, px, and must leave so much on each side of it.
 _REACH_PX = 24.0

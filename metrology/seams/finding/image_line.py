@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from metrology.seams.polyline import Array, polyline_length
+from metrology.arrays import Array
+from metrology.seams.polyline import polyline_length
 
 
 @dataclass(frozen=True)

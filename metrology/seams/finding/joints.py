@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrology.arrays import Array
 from metrology.seams.finding.image_line import ImageLine
-from metrology.seams.polyline import Array, Course, arc_length, resample
+from metrology.seams.polyline import Course, arc_length, resample
 
 # An end this near to another line's border is at it, px: met at 40°, what lies 16 px beside a line (`ends`) reaches
 # that border 19 px before or after the line itself does.

@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.results import SeamLine
 from metrology.seams.finding.relief import Relief, examine_relief
 from metrology.seams.finding.step_edges import LEAST_STEP_MM, find_step_edges, step_course
-from metrology.seams.polyline import Array, Course, polyline_length
+from metrology.seams.polyline import Course, polyline_length
 from metrology.seams.settings import SeamSettings
-
-Mask = NDArray[np.bool_]
 
 # The wide mean of the points makes weaker edges of its own this near to an edge, px.
 _ECHO_PX = 40.0

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Array, Float32, Mask
 from metrology.seams.finding.candidates import Candidate, find_candidates, relative_brightness
 from metrology.seams.finding.ends import end_of_band
 from metrology.seams.finding.image_line import ImageLine
 from metrology.seams.finding.joints import ended_at_joints
 from metrology.seams.finding.refine import Nodes, fit_nodes
 from metrology.seams.finding.rough import RoughLine, look_at
-from metrology.seams.polyline import Array, Course, arc_length, interpolated, polyline_length, resample
+from metrology.seams.polyline import Course, arc_length, interpolated, polyline_length, resample
 from metrology.seams.settings import LineSettings
-
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # Bands nearer to each other than this share a border, px.
 _TOUCH_PX = 4.0

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.jit import kernel
 from metrology.ridges import RidgeMap
-
-Array = NDArray[np.float64]
 
 
 def link(ridges: RidgeMap, high: float, min_points: int) -> list[Array]:

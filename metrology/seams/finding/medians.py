@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from metrology.arrays import Array, Mask
 from metrology.jit import kernel
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def row_medians(values: ArrayLike, kept: Mask) -> Array:

@@ -10,16 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.polynomial import polyfit, polyval
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32, Mask
 from metrology.robust import MAD
 from metrology.seams.blur import EdgeResponse, PixelBlur
 from metrology.seams.finding.band_kernel import borders_at_nodes
 from metrology.seams.finding.medians import row_medians
-from metrology.seams.polyline import Array, normals, resample, smoothed, smoothest
-
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from metrology.seams.polyline import normals, resample, smoothed, smoothest
 
 # Nodes px apart, first to centre the windows, then for good; each looks so far along the line both ways that no two of
 # them share pixels: their errors must not pass for the line's own shape.

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.robust import MAD
 from metrology.seams.finding.medians import row_medians
 from metrology.seams.finding.shade import black_level, projected_share
 from metrology.seams.finding.strip import Strip
-from metrology.seams.polyline import Array
 from metrology.seams.settings import SeamSettings
-
-Mask = NDArray[np.bool_]
 
 # Places are 1 px apart across and this much along; so many rows make a piece, which is about 5 mm long.
 _STEP_PX = 2.0

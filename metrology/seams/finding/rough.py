@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32
 from metrology.seams.finding.candidates import Candidate
 from metrology.seams.finding.strip import Strip
 from metrology.seams.polyline import normals, polyline_length, resample
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 # Cross-sections are looked at so far apart, px.
 _STEP_PX = 6.0

@@ -9,13 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.results import SeamLine
 from metrology.seams.finding.relief import SKIN_PX, Relief
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A seam's line ends no farther than that from what it runs on to: its last pixels may fade, and a panel's rim of 16 px
 # is not searched.

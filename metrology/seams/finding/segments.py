@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.jit import kernel
-
-Array = NDArray[np.float64]
 
 _TRIALS = 12
 # How long a piece of a line tells its direction at the end, px.

@@ -8,13 +8,10 @@ Bands too narrow for points of their own are told apart so.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import DecodedView
 from metrology.seams.finding.medians import row_medians
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # The black level is at most what this share of the pixels stays below; every so many pixels are looked at.
 _DARKEST = 0.002

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Float32, Mask
 from metrology.cloud import Reconstruction
 from metrology.ridges import ridge_points
 from metrology.seams.finding.candidates import Candidate
@@ -19,10 +19,6 @@ from metrology.seams.finding.segments import join_pieces, straight_pieces
 from metrology.seams.finding.strip import Strip
 from metrology.seams.polyline import arc_length, interpolated, normals, polyline_length, resample, smoothest
 from metrology.seams.settings import LineSettings
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # The thinnest sheets are 0.3 mm; tape and paint are below this, and the skin's waves and dents climb less over a few
 # pixels.

@@ -12,15 +12,13 @@ the pictures ask for a gap, so every open gap that they do not exclude goes into
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.results import COVERAGE_95
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
-
-Array = NDArray[np.float64]
 
 # Square edges that cost so much more than chamfers, in squared standard deviations, are out of the question (five σ).
 _CERTAIN = 25.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Mask
 from metrology.cloud import Reconstruction
 from metrology.results import Joint
 from metrology.seams.gap.image_edges import image_edges
@@ -15,8 +15,6 @@ from metrology.seams.gap.point_edges import point_edges
 from metrology.seams.gap.width import Gap
 from metrology.seams.settings import SeamSettings
 from metrology.seams.skins.sections import Section
-
-Mask = NDArray[np.bool_]
 
 
 def find_gaps(

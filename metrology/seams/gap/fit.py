@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.robust import MAD
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.lap_shadow import wall_and_shadow
@@ -21,9 +21,6 @@ from metrology.seams.gap.prior import LEAN, LEAN_CHANGE, SLOPE, WIDTH_A, WIDTH_B
 from metrology.seams.gap.profiles import Profiles
 from metrology.seams.gap.shape import fit_shape, fit_shape_again, sealant_doubt
 from metrology.seams.gap.solver import ACROSS, State, fit_borders_from
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Stations whose squared residuals exceed the usual ones so many times show something else than this gap.
 _ODD = 8.0

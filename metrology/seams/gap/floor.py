@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.seams.gap.views import reference_height
 from metrology.seams.skins.sections import Section, strip
-
-Array = NDArray[np.float64]
 
 # This part of the gap about its middle shows floor, not walls or chamfers; points nearer to an edge than this are mixed
 # with it, px.

@@ -10,12 +10,10 @@ broken or rounded edge may be as dark as a narrow gap: up to there the picture l
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.seams.finding.step_edges import LEAST_STEP_MM
 from metrology.seams.gap.profiles import BLUR_PX, Profiles
-
-Array = NDArray[np.float64]
 
 # Why a lap joint has no width.
 NO_GAP = "lap joint: no gap"

@@ -10,12 +10,10 @@ freedom a station's levels have, the less its noise passes for a border.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.robust import MAD
 from metrology.seams.gap.model import DARK_FLOOR, DARK_WALL, LEVELS, SKIN_A, SKIN_B, SKY, SLOPE_A, SLOPE_B
-
-Array = NDArray[np.float64]
 
 # A polynomial of this degree takes one highlight along the seam; with fewer stations it would follow their noise.
 _DEGREE, _LEAST_STATIONS = 5, 16

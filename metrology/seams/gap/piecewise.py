@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from metrology.arrays import Array
 
 # A piece of fewer points is a gap between pieces, not a line.
 _MIN_PIECE_POINTS = 2

@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.robust import MAD
 from metrology.seams.gap.piecewise import SideFit, project_onto, side_of_section
 from metrology.seams.gap.width import Gap, GapEdge
 from metrology.seams.skins.sections import Section, strip
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 
 # Points this near to an edge are mixed across it, about two blur radii, px: they round both corners the same way, by an
 # unknown part of that.

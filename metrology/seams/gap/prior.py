@@ -11,6 +11,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.seams.gap.floor import Floor
 from metrology.seams.gap.model import (
     CHAMFER_A,
@@ -27,8 +28,6 @@ from metrology.seams.gap.model import (
     SLOPE_B,
 )
 from metrology.seams.gap.profiles import Profiles
-
-Array = NDArray[np.float64]
 
 # What is shared, in this order: the chamfers' widths, the floor's depth (mm), the walls' lean in the middle of the
 # seam, the chamfers' slope, the lean's change from the middle to the end (tangents), spill, each camera's lens (px),

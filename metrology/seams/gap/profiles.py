@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.jit import kernel
 from metrology.rig import Device
 from metrology.seams.gap.levels import LEVEL_SCATTER
@@ -15,8 +16,6 @@ from metrology.seams.gap.model import LEVELS
 from metrology.seams.gap.views import View, section_maps
 from metrology.seams.sampling import LocalMap, binned, sample
 from metrology.seams.skins.sections import Section
-
-Array = NDArray[np.float64]
 
 # Skin in view beyond each expected border, px: enough for its brightness and its slope.
 _SKIN_PX = 8.0

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.results import COVERAGE_95
 from metrology.seams.gap.chamfers import PROOF, doubt_of_sealant, weigh_chamfers
 from metrology.seams.gap.floor import Floor
@@ -14,7 +15,6 @@ from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # So many stations, evenly spread, tell the shape; so few of them choose where to start from.

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.seams.gap.descent import DOUBTFUL, STRIDE_MM, descend, keep_apart, tables_of
 from metrology.seams.gap.equations import normal_equations
 from metrology.seams.gap.model import LEVELS
 from metrology.seams.gap.prior import LENSES, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 # Error of the rendered brightness, relative to the skin's: what stations' residuals have in common is 0.001 to 0.002 on

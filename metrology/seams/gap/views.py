@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.rig import Device
 from metrology.seams.sampling import LocalMap, fit_maps, grid_offsets
 from metrology.seams.skins.sections import Section
-
-Array = NDArray[np.float64]
 
 # The share of ambient light is the median over every so many pixels either way.
 _SPARSE = 8

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.fits import SectionFit, SkinLine
 from metrology.seams.skins.sections import Section
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.fits import SkinLine
 from metrology.seams.skins.residuals import clumpings, shared_share
 from metrology.seams.skins.sections import Section
-
-Array = NDArray[np.float64]
 
 # A straight line and its uncertainty need more than two.
 _FEWEST_STATIONS = 4

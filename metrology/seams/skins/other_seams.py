@@ -7,12 +7,9 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.results import SeamLine
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Courses are told apart well enough by straight pieces of this length, px.
 _PIECE_PX = 40

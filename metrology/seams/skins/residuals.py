@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.seams.skins.sections import Section
 from metrology.seams.skins.skin_lines import CLUMPING_MEDIAN
-
-Array = NDArray[np.float64]
 
 # Sections this near to one, before and behind, tell how even its skin is: seven strips, 16 mm.
 _HEREABOUTS = 3

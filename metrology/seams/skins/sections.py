@@ -10,17 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import MISSING, PixelFlag, Reconstruction
 from metrology.fits import SkinLine
 from metrology.jit import kernel
 from metrology.seams.skins.other_seams import beyond
 from metrology.seams.skins.skin_lines import SkinFit, fit_skin_lines
 from metrology.surfaces import Frame
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # The frame is turned into the skin on every so many points.
 _SPARSE = 4

@@ -11,12 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.jit import kernel
 from metrology.robust import MAD
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 6
 _CLIP_SIGMAS = 4.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.fits import SectionFit, SkinLine
 from metrology.results import COVERAGE_95, SeamStation
 from metrology.seams.skins.sections import Section
-
-Array = NDArray[np.float64]
 
 
 def signed_distance(x: float, h: float, line: SkinLine) -> float:

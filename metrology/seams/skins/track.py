@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.seams.polyline import arc_length, normals, resample
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Nodes of the curve, px apart.
 _NODE_STEP_PX = 8.0
