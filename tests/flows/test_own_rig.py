@@ -91,7 +91,7 @@ def test_fringes_on_a_charuco_board_calibrate_two_cameras_and_a_projector(
     printed = cv2.aruco.CharucoBoard((14, 10), 20.0, 15.0, kind).generateImage((14 * 160, 10 * 160)) / 255.0
     rig, rng = fringes_rig(), np.random.default_rng(4)
     monkeypatch.chdir(tmp_path)
-    for pose, tilt in enumerate(TILTS):
+    for pose, tilt in enumerate(TILTS[:4]):
         for name, camera in rig.cameras.items():
             grey, light = printed_and_light(camera, rig.with_projector(), printed, 160 / 20.0, pose, tilt)
             along_x, along_y = np.moveaxis(light + 0.5, -1, 0) / np.reshape([1280, 800], (2, 1, 1))
@@ -102,7 +102,7 @@ def test_fringes_on_a_charuco_board_calibrate_two_cameras_and_a_projector(
             for number, frame in enumerate(np.clip(level, 0, 255).round().astype(np.uint8)):
                 cv2.imwrite(str(folder / f"{number:02d}.png"), frame)
     assert main(words) == 0
-    assert "5 of 5 poses" in capsys.readouterr().out
+    assert "4 of 4 poses" in capsys.readouterr().out
     found = load_rig(tmp_path / "rig.json")
     for name, true in rig.devices.items():
         assert found.devices[name].K[0, 0] == pytest.approx(true.K[0, 0], rel=3e-3), name
