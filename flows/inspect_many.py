@@ -19,6 +19,7 @@ from metrology.kinds import KINDS, Kind
 from metrology.results import Feature
 from metrology.steps import PROGRESS
 from storage.archive import Store
+from storage.archive.files import replacing
 from storage.documents import printable
 from storage.panel_spec import load_panel_spec
 from storage.rig import load_rig
@@ -94,9 +95,8 @@ def describe(answer: Answer | Inspected) -> str:
 
 def _write_overlay(path: Path, answer: Answer) -> None:
     """Write the overlay's picture; whoever shows it never finds half of one."""
-    part = path.with_suffix(".part")
-    part.write_bytes(answer.picture())
-    part.replace(path)
+    with replacing(path, durable=False) as partial:
+        partial.write_bytes(answer.picture())
     print(f"  overlay {path}", flush=True)
 
 

@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 
 from dashboard.closeup import RivetCloseUp, SeamSection
 from dashboard.figures.base import figure, limit_lines
+from dashboard.figures.limits import with_air
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
 from dashboard.words import _
@@ -95,7 +96,7 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
     _arrow(fig, 0.0, 0.0, closeup.height, f"{locale.number(closeup.height, sign=True)} mm")
     used = deviation[inner | outer]
     marks = [value for value in (limit.bounds if limit else ()) if value is not None and abs(value) < 0.5]
-    low, high = _range([*(used if used.size else [0.0]), *head, *marks])
+    low, high = with_air([*(used if used.size else [0.0]), *head, *marks])
     fig.update_yaxes(range=[low, high], title=_("above the skin, mm"), tickformat="+.2f")
     fig.update_xaxes(title=_("along the steepest rise of the head, mm"))
     return fig
@@ -230,11 +231,5 @@ def _section_range(section: SeamSection) -> tuple[float, float]:
     """Heights that show both skins and the beginning of the gap, not its ground."""
     used = section.h[section.used]
     lips = [place[1] for place in (section.inflection_a, section.inflection_b, section.edge_a, section.edge_b) if place]
-    low, high = _range([*(used if used.size else [0.0]), *lips])
+    low, high = with_air([*(used if used.size else [0.0]), *lips])
     return low - 0.3 * (high - low), high + 0.25 * (high - low)
-
-
-def _range(values: list[float]) -> tuple[float, float]:
-    low, high = float(np.min(values)), float(np.max(values))
-    air = max(0.01, 0.12 * (high - low))
-    return low - air, high + air

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +47,7 @@ def limit_scale(value: float | None, u95: float | None, limit: Limit) -> Scale:
     places = [0.0, *marks]
     if shown is not None:
         places += np.clip([shown - 1.3 * spread, shown + 1.3 * spread], -reach, reach).tolist()
-    air = max(0.01, _AIR * (max(places) - min(places)))
-    low, high = min(places) - air, max(places) + air
+    low, high = with_air(places)
     serious = serious_lower is not None or serious_upper is not None
     zones = [(low, high, RED if serious else BLUE)]
     if serious:
@@ -55,6 +55,13 @@ def limit_scale(value: float | None, u95: float | None, limit: Limit) -> Scale:
     zones.append((_or(lower, low), _or(upper, high), GREEN))
     ticks = tuple(mark for mark in (lower, upper) if mark is not None)
     return Scale(low, high, tuple(zones), ticks, shown, beyond, spread)
+
+
+def with_air(places: Sequence[float]) -> tuple[float, float]:
+    """The ends of a scale that shows these places, with some air beside them."""
+    low, high = float(min(places)), float(max(places))
+    air = max(0.01, _AIR * (high - low))
+    return low - air, high + air
 
 
 def limit_bar(value: float | None, u95: float | None, limit: Limit, unit: str, locale: Locale) -> str:

@@ -99,14 +99,22 @@ def write_durably(path: Path, content: bytes) -> None:
 
 
 @contextlib.contextmanager
-def replacing(target: Path) -> Iterator[Path]:
-    """A file to write to, beside the target; it takes the target's place whole and durably, or not at all."""
+def replacing(target: Path, durable: bool = True) -> Iterator[Path]:
+    """A file to write to, beside the target; it takes the target's place whole, or not at all.
+
+    Parameters
+    ----------
+    durable : bool
+        Whether it is on the disk before it does. What can be had again need not wait for that.
+    """
     partial = target.with_name(f".{uuid4().hex}.{target.name}")
     try:
         yield partial
-        sync(partial)
+        if durable:
+            sync(partial)
         partial.replace(target)
-        sync(target.parent)
+        if durable:
+            sync(target.parent)
     finally:
         partial.unlink(missing_ok=True)
 

@@ -66,7 +66,7 @@ class Remote:
         from pyarrow import fs
 
         target.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(target) as partial:  # others may be fetching the same file just now
+        with replacing(target, durable=False) as partial:  # others may be fetching the same file just now
             fs.copy_files(f"{self.base}/{run}/{name}", str(partial), self.filesystem, fs.LocalFileSystem())
             protect(partial)
 
