@@ -23,7 +23,13 @@ captured_at = "2026-11-20T08:00:00Z"
 [rig]
 id = "rig-1"
 seed = 4
-design = { camera_width = 406, camera_height = 308, camera_focal_px = 910.0 }
+[rig.design]
+camera_width = 406
+camera_height = 308
+camera_focal_px = 910.0
+projector_width = 640
+projector_height = 400
+projector_focal_px = 1275.0
 
 [fringe]
 axis = "x"
