@@ -23,7 +23,7 @@ def by_opencv(device: Device, points: np.ndarray) -> np.ndarray:
 def test_many_points_fall_where_opencv_has_them(lens: tuple[float, ...], rng: np.random.Generator) -> None:
     right = bench_rig().with_right()
     device = replace(right, distortion=np.array(lens), R=right.R.round(5))  # as files have it that round
-    points = rng.normal(0, 60, (20_000, 3)) + (0, 0, 700)
+    points = rng.normal((0, 0, 700), 60, (20_000, 3))
     points[:2] = (-device.R.T @ device.t, (np.nan, 0, 700))
     expected = by_opencv(device, points)
     np.testing.assert_allclose(device.project(points[1:]), expected[1:], atol=1e-9)
@@ -32,9 +32,10 @@ def test_many_points_fall_where_opencv_has_them(lens: tuple[float, ...], rng: np
 
 def test_a_point_in_the_middle_of_the_lens_is_no_error(rng: np.random.Generator) -> None:
     left = bench_rig().left
-    points = rng.normal(0, 60, (1000, 3)) + (0, 0, 700)
+    points = rng.normal((0, 0, 700), 60, (1000, 3))
     points[:2] = (0, 0, 0), (1e200, 0, 1e-200)
-    np.testing.assert_allclose(left.project(points)[[0, *range(2, 1000)]], by_opencv(left, points)[[0, *range(2, 1000)]])
+    of_numbers = [0, *range(2, 1000)]
+    np.testing.assert_allclose(left.project(points)[of_numbers], by_opencv(left, points)[of_numbers])
 
 
 def test_no_points_have_no_pixels() -> None:
