@@ -5,6 +5,9 @@ Nothing is resampled: raw pixels stay where they are and are labelled with the e
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,6 +21,9 @@ from metrology.rig import Device, Rig
 
 # Share of the phase gradient that must lie along the epipolar lines for a rig and a fringe axis to fit.
 _LEAST_SHARE_ALONG = 0.1
+# Where many rigs are tried: undistorted pixels by a camera's size and lens, which most of them share.
+_tried: ContextVar[dict[bytes, NDArray[np.float64]] | None] = ContextVar("tried", default=None)
+_MOST_TRIED = 4
 
 
 @dataclass(frozen=True)
@@ -143,9 +149,34 @@ def _geometry(key: tuple[bytes, ...], hidden: _Hidden) -> EpipolarGeometry:
 
 def _maps(device: Device, across: NDArray, forward: NDArray, focal: float) -> tuple[Float32, NDArray[np.float64]]:
     """Undistorted coordinates (h, w, 2) and row (h, w) of every pixel of a camera."""
-    v, u = np.mgrid[: device.height, : device.width].astype(float)
-    xy = device.normalized(np.stack([u, v], axis=-1))
+    xy = _undistorted(device)
     # The two directions in the camera's own frame.
     a, f = device.R @ across, device.R @ forward
     row = focal * (xy @ a[:2] + a[2]) / (xy @ f[:2] + f[2])
     return xy.astype(np.float32), row
+
+
+@contextlib.contextmanager
+def trying_rigs() -> Iterator[None]:
+    """Work out once what rigs share whose cameras have the same lenses, until the body ends."""
+    token = _tried.set({})
+    try:
+        yield
+    finally:
+        _tried.reset(token)
+
+
+def _undistorted(device: Device) -> NDArray[np.float64]:
+    """(h, w, 2) x/z, y/z of every pixel of a camera; not to be written to."""
+    kept = _tried.get()
+    lens = np.array([device.width, device.height], float), device.K, device.distortion8
+    key = b"".join(part.tobytes() for part in lens)
+    if kept is not None and key in kept:
+        return kept[key]
+    v, u = np.mgrid[: device.height, : device.width].astype(float)
+    xy = device.normalized(np.stack([u, v], axis=-1))
+    if kept is not None:
+        while len(kept) >= _MOST_TRIED:
+            del kept[next(iter(kept))]
+        kept[key] = xy
+    return xy

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from metrology.cloud import DecodedView, Reconstruction
+from metrology.epipolar import trying_rigs
 from metrology.fringe import Axis
 from metrology.reconstruct import triangulate
 from metrology.rig import Device, Rig
@@ -67,6 +68,7 @@ _AS_LISTED = "scene.json to list them as the rig's cameras are"
 _AS_SHOWN = "the steps in the order that scene.json says"
 
 
+@trying_rigs()
 def find_mix_up(
     reconstruction: Reconstruction, axis: Axis, projector_size: int, settings: HealthSettings | None = None
 ) -> MixUp | None:
