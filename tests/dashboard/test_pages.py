@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,17 +47,24 @@ def test_page_shows_a_filled_store(name: str, filled: Path, open_page: Open) -> 
     assert PAGES[name][0] in texts(page)
 
 
+@pytest.fixture(scope="module")
+def old_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of the first version; do not write to it."""
+    folder = tmp_path_factory.mktemp("old")
+    with tarfile.open(DATA / "store-0.1.0.tar.xz") as tar:
+        tar.extractall(folder, filter="tar")
+    return folder / "store"
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_page_shows_an_old_store_that_may_not_be_changed(
-    name: str, tmp_path: Path, open_page: Open, monkeypatch: pytest.MonkeyPatch
+    name: str, old_store: Path, open_page: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with tarfile.open(DATA / "store-0.1.0.tar.xz") as tar:
-        tar.extractall(tmp_path, filter="tar")
     monkeypatch.setattr("storage.archive.store.os.access", lambda path, mode: False)
-    before = sorted((tmp_path / "store" / ".index").rglob("*"))
-    page = clean(open_page(name, tmp_path / "store", scene="MSN-2~LH-F12~S1~20261120T081500Z"))
+    before = sorted((old_store / ".index").rglob("*"))
+    page = clean(open_page(name, old_store, scene="MSN-2~LH-F12~S1~20261120T081500Z"))
     assert PAGES[name][0] in texts(page)
-    assert sorted((tmp_path / "store" / ".index").rglob("*")) == before
+    assert sorted((old_store / ".index").rglob("*")) == before
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -181,23 +188,56 @@ def test_hostile_stores_never_raise(change: str, writable: Path, open_page: Open
         assert not any("something it did not expect" in error.value for error in page.error), name
 
 
-@pytest.mark.parametrize("content", [None, b"", b"no picture"], ids=["gone", "empty", "garbage"])
-@pytest.mark.parametrize("file", ["cloud.parquet", "preview.png", "overlay.png", "rig.json", "manifest.json"])
-def test_a_damaged_bundle_is_said_in_one_line(
-    file: str, content: bytes | None, writable: Path, open_page: Open
-) -> None:
-    for path in writable.glob(f"bundles/**/{file}"):
+def damage(root: Path, file: str, content: bytes | None) -> None:
+    """Put content in the place of a file of every bundle, or nothing."""
+    for path in root.glob(f"bundles/**/{file}"):
         path.unlink()
         if content is not None:
             path.write_bytes(content)
-    views = [("scene", view) for view in ("Picture", "Deviation map", "3-D", "Overlay", "Files")]
-    for name, view in (*views, ("review", "")):
-        page = open_page(name, writable, scene=LAST, **({"view": view} if view else {}))
-        assert not page.exception, (name, view)
-        assert not any("something it did not expect" in error.value for error in page.error), (name, view)
+
+
+def open_all(root: Path, views: Sequence[str], open_page: Open) -> None:
+    """Views of a scene, or "review", without a traceback."""
+    for view in views:
+        page = (
+            open_page("review", root, scene=LAST)
+            if view == "review"
+            else open_page("scene", root, scene=LAST, view=view)
+        )
+        assert not page.exception, view
+        assert not any("something it did not expect" in error.value for error in page.error), view
+
+
+# What reads a file; the close-up beside every view reads the cloud, the rig and the manifest.
+READ_BY = {
+    "cloud.parquet": ("Deviation map", "3-D", "Files", "review"),
+    "preview.png": ("Picture", "Files", "review"),
+    "overlay.png": ("Overlay", "Files"),
+    "rig.json": ("Picture", "Files"),
+    "manifest.json": ("Picture", "Files", "review"),
+}
+CONTENTS = pytest.mark.parametrize("content", [None, b"", b"no picture"], ids=["gone", "empty", "garbage"])
+
+
+@CONTENTS
+@pytest.mark.parametrize("file", READ_BY)
+def test_a_damaged_bundle_is_said_in_one_line(
+    file: str, content: bytes | None, writable: Path, open_page: Open
+) -> None:
+    damage(writable, file, content)
+    open_all(writable, READ_BY[file], open_page)
     if file == "overlay.png" and content is not None:
         (error,) = open_page("scene", writable, scene=LAST, view="Overlay").error
         assert "overlay.png: found no readable picture" in error.value.replace("\\", "")
+
+
+@pytest.mark.parametrize("content", [None, b"no picture"], ids=["gone", "garbage"])
+def test_a_bundle_that_is_damaged_throughout_is_no_error(
+    content: bytes | None, writable: Path, open_page: Open
+) -> None:
+    for file in READ_BY:
+        damage(writable, file, content)
+    open_all(writable, ("Picture", "Deviation map", "3-D", "Overlay", "Table", "Files", "review"), open_page)
 
 
 def test_the_review_lists_all_that_the_overview_counts(filled: Path, open_page: Open) -> None:
