@@ -23,6 +23,14 @@ _TOGETHER = {
     "tests/storage/test_review": "postgresql",
 }
 _LONG = {"browser", "services", "slow"}
+# Files without a slow test that take long all the same.
+_LONG_TOGETHER = {
+    "tests/dashboard/test_pages.py", "tests/flows/test_any_rig.py", "tests/flows/test_command_line.py",
+    "tests/flows/test_inbox.py", "tests/flows/test_inbox_trouble.py", "tests/flows/test_verify.py",
+    "tests/metrology/test_calibration_detect.py", "tests/metrology/test_calibration_solve.py",
+    "tests/metrology/test_mix_ups.py", "tests/metrology/test_registration.py", "tests/storage/test_evidence.py",
+    "tests/storage/test_fooling.py", "tests/tasks/test_frame_doubts.py",
+}  # fmt: skip
 
 
 def _group(nodeid: str) -> str:
@@ -65,6 +73,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not hasattr(config, "workerinput"):
         return
     long = {_group(item.nodeid) for item in items if any(mark.name in _LONG for mark in item.iter_markers())}
+    long |= {_group(file) for file in _LONG_TOGETHER}
     items.sort(key=lambda item: _group(item.nodeid) not in long)
 
 

@@ -88,6 +88,7 @@ def scan(code: FringeCode, size: int, cameras: tuple[str, ...]) -> dict[str, NDA
     return views
 
 
+@pytest.mark.slow
 def test_the_page_s_scans_are_made_checked_and_inspected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     save_rig(replace(small_rig(), projector=None, id="my-rig"), tmp_path / "rig.json")
@@ -167,6 +168,7 @@ def test_the_page_s_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             assert load_rig(Path("rig.json")).id == "my-rig"
 
 
+@pytest.mark.slow
 def test_cameras_and_projector_are_found_as_the_page_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -191,6 +193,7 @@ def test_cameras_and_projector_are_found_as_the_page_says(
     assert found.K[0, 0] == pytest.approx(true.K[0, 0], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_real_captures_become_scenes_as_the_page_says(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

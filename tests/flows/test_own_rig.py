@@ -80,6 +80,7 @@ def code_on_board(folder: Path) -> None:
             )
 
 
+@pytest.mark.slow
 def test_fringes_on_a_charuco_board_calibrate_two_cameras_and_a_projector(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
