@@ -9,6 +9,7 @@ from streamlit.delta_generator import DeltaGenerator
 from dashboard.address import one_of, put
 from dashboard.figures.answer import answer_figure
 from dashboard.frame import PageContext, plain
+from dashboard.meanings import meaning
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.review_report import csv_report
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
@@ -207,7 +208,7 @@ def _describe_tables() -> None:
     with st.container(height=560, border=False):
         for table in TABLES:
             with st.expander(f"`{table.name}`"):
-                st.caption(plain(table.comment))
+                st.caption(plain(meaning(table.comment)))
                 _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
         for name, what, columns in (
             ("decisions", _("Everything that people decided, from the first entry on"), DECISIONS_COLUMNS),
@@ -220,8 +221,10 @@ def _describe_tables() -> None:
                 _columns([(column, "", comment) for column, comment in columns.items()])
         for view in VIEWS:
             with st.expander(f"`{view.name}`"):
-                st.caption(plain(view.comment))
+                st.caption(plain(meaning(view.comment)))
 
 
 def _columns(columns: list[tuple[str, str, str]]) -> None:
-    st.markdown("\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(comment)}" for name, kind, comment in columns))
+    st.markdown(
+        "\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(meaning(comment))}" for name, kind, comment in columns)
+    )
