@@ -5,6 +5,7 @@ from __future__ import annotations
 import streamlit as st
 
 from dashboard import frame
+from dashboard.loading_ahead import load_ahead
 from dashboard.views import archive, overview, panel, review, runs, scene, sql, trends
 from dashboard.words import _
 
@@ -65,6 +66,7 @@ def main() -> None:
     st.set_page_config("Flushline", _ICON, layout="wide", initial_sidebar_state="collapsed")
     st.html(_STYLE)
     st.html(_ONE_STEP, unsafe_allow_javascript=True)
+    load_ahead()
     pages = {
         name: st.Page(body, title=_(title), icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)
         for name, (title, icon, body) in PAGES.items()
