@@ -28,6 +28,10 @@ _STYLE = """<style>
 [data-testid="stMetricValue"] {font-size: 1.5rem;}
 [data-testid="stVerticalBlock"] {gap: 0.6rem;}
 .st-key-finding {max-height: max(230px, calc(100vh - 490px)); overflow-y: auto;}
+.st-key-questions {gap: 0.3rem 0.4rem;}
+.st-key-questions button {min-height: 1.9rem; padding: 0.1rem 0.6rem;}
+.st-key-questions button p {font-size: 0.875rem;}
+.st-key-tables.st-key-tables {max-height: max(480px, calc(100vh - 165px)); overflow-y: auto; flex: none;}
 @media (hover: none) {.modebar-container {display: none;}}
 .st-key-decisions {gap: 0.4rem;}
 .st-key-decisions button {padding: 0.25rem 0.5rem;}
