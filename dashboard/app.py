@@ -32,6 +32,11 @@ _STYLE = """<style>
 .st-key-questions button {min-height: 1.9rem; padding: 0.1rem 0.6rem;}
 .st-key-questions button p {font-size: 0.875rem;}
 .st-key-tables.st-key-tables {max-height: max(480px, calc(100vh - 165px)); overflow-y: auto; flex: none;}
+@media (max-width: 1100px) {
+  [data-testid="stMetricValue"] {font-size: 1.1rem;}
+  [data-testid="stMetricLabel"] p {font-size: 0.7rem; white-space: normal;}
+  .st-key-finding.st-key-finding {max-height: max(190px, calc(100vh - 565px));}
+}
 @media (hover: none) {.modebar-container {display: none;}}
 .st-key-decisions {gap: 0.4rem;}
 .st-key-decisions button {padding: 0.25rem 0.5rem;}

@@ -61,6 +61,7 @@ PATTERNS = (
     *CLAUSES,
 )
 """What reasons say, by the places in it; the first that fits is taken."""
+_MORE = re.compile(r" and (\d+) more$")
 _TEXTS, _NAMES = ("reason", "said", "what", "advice", "cause"), ("defect", "many", "per", "subject", "camera", "extent")
 _WORDED = {
     "quantity": lambda text: _quantity(text),
@@ -69,7 +70,6 @@ _WORDED = {
     **dict.fromkeys(_NAMES, lambda text: _(text)),
 }
 """Places that hold words of ours."""
-_MORE = re.compile(r" and (\d+) more$")
 _QUANTITIES = "|".join(
     re.escape(name)
     for name in sorted(

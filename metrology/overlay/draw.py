@@ -137,9 +137,9 @@ def _notes(features: Features, canvas: Canvas) -> list[str]:
     shown = [(kind, rows) for kind in KINDS if (rows := features.get(kind.name))]
     notes = ["values in mm"] if shown else []
     for kind, _ in shown:
-        names = [quantity.said for quantity in kind.quantities if quantity.projected]
-        order = " (before and after the bar)" if len(names) == 2 else ""
-        notes.append(f"{kind.subject.upper()}: {' | '.join(names)}{order}")
+        said = [quantity.said for quantity in kind.quantities if quantity.projected]
+        order = " (before and after the bar)" if len(said) == 2 else ""
+        notes.append(f"{kind.subject.upper()}: {' | '.join(said)}{order}")
     for note in dict.fromkeys(DECISIONS[row.decision].note for _, rows in shown for row in rows):
         if note:
             notes.append(f"{note} nearer to a limit than its uncertainty")

@@ -246,9 +246,8 @@ def test_each_of_the_ten_questions_is_answered_by_one_click(
         if question == "Who decided what":
             log = ReviewLog(server[1]).read().entries
             assert answer["who"].tolist() == [entry.who for entry in reversed(log)]
-            assert answer["comment"].astype(object).where(answer["comment"].notna(), "").tolist() == [
-                entry.comment or "" for entry in reversed(log)
-            ]
+            said = answer["comment"].astype(object).where(answer["comment"].notna(), "")
+            assert said.tolist() == [entry.comment or "" for entry in reversed(log)]
         else:
             CHECKS[question](answer, tables)
     page.close()
