@@ -3,8 +3,9 @@
     python benchmarks/make_large_store.py STORE
     python benchmarks/bench_dashboard.py STORE
 
-Starts a server, and when it has read ahead (`dashboard/warming.py`) opens the SQL page in headless Chromium, then every
-other one through the menu. With --cold it does not read ahead: nothing of the store is in the server's caches. First
+Starts a server, and when it has read ahead (`dashboard/warming.py`) opens the SQL page in headless Chromium, then, when
+the browser has loaded ahead, too (`dashboard/loading_ahead.py`), every other one through the menu. With --cold neither
+does: nothing of the store is in the server's caches, and no program of a table or chart in the browser's. First
 content: a number, table or figure of the page is visible; complete: the page is at rest. Then changes a filter of the
 pages that have one, from the click on its value until the page is at rest again. The SQL page's own figures are those
 of loading the whole application by its address. Needs chromium and the extra `test`.
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -25,11 +25,10 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from dashboard.warming import OFF_VARIABLE
 from tests.support.browser import browser, new_page, served
 
 START = "SQL"
-PAGES = ("Overview", "Archive", "Scan", "Tolerance review", "Trends", "Runs and rigs")
+PAGES = ("Overview", "Archive", "Panel", "Scan", "Tolerance review", "Trends", "Runs and rigs")
 # What is changed on a page that is at rest: a field, its new value, and what the address then names.
 CHANGED = {
     "Overview": ("New since", "New since last 7 days", "since"),
@@ -76,18 +75,18 @@ def main() -> None:
     parser.add_argument("--cpu", action="store_true", help="seconds of processors, for machines that others use")
     parser.add_argument("--cold", action="store_true", help="do not let the server read ahead")
     arguments = parser.parse_args()
-    if arguments.cold:
-        os.environ[OFF_VARIABLE] = "1"
     now = processor_seconds if arguments.cpu else time.perf_counter
     names = (START, *PAGES[:1], WORK, *PAGES[1:])
     figures: dict[str, list[tuple[float, float, float | None]]] = {name: [] for name in names}
     with browser() as chromium:
         for _ in range(arguments.rounds):
-            with served(arguments.store.resolve()) as address:
+            with served(arguments.store.resolve(), ahead=not arguments.cold) as address:
                 wait_for_rest()
                 for name in PAGES:
                     page = new_page(chromium, apart=True)
                     loading = time_loading(page, address, now)
+                    page.wait_for_timeout(3000)
+                    wait_for_rest()
                     figures[name].append(time_page(page, name, now))
                     if name == PAGES[0]:
                         figures[WORK].append(time_work(page, now))

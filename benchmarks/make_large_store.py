@@ -6,7 +6,8 @@
 `--panels 100 --stations 10 --rivets 50` makes 200 000 scenes, 10 M rivets and 21 M seam stations.
 The rows are made up inside DuckDB: heights drift from aircraft to aircraft, a few panels are worse than the others, and
 two rig recalibrations and one software version fall into the time. All scenes share the files of one real bundle, so
-that pictures and clouds can be opened too. `archive rebuild` of such a store would find that one bundle only.
+that pictures and clouds can be opened too. `archive rebuild` of such a store would find that one bundle only, and those
+of one more aircraft, the newest, whose panel is put together from scans of its own.
 """
 
 from __future__ import annotations
@@ -14,21 +15,25 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 
 import duckdb
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from metrology.results import SceneKey
+from metrology.results import PanelKey, SceneKey
 from storage.archive import bookkeeping, generations
 from storage.archive.files import locked
+from storage.archive.panel_bundle import panel_document
 from storage.archive.store import Store
+from tasks.panel import assemble
 from tests.support.synthetic_scene import Recipe, synthetic_result
 
 SEAMS_PER_SCENE, STATIONS_PER_SEAM = 2, 52
 FULL_SIZE = (1624, 1234)
+FIRST = datetime(2025, 1, 6, 22, 0, tzinfo=UTC)
 
 
 def main() -> None:
@@ -63,10 +68,23 @@ def make_large_store(root: Path, fleet: Fleet, size: tuple[int, int] = FULL_SIZE
     """
     store = Store(root)
     heights = (*(0.02 * ((i * 7) % 11 - 5) / 5 for i in range(fleet.rivets - 1)), 0.13)
-    key = SceneKey("MSN-0001", "LH-F01", "S1", datetime(2025, 1, 6, 22, 0, tzinfo=UTC))
+    key = SceneKey("MSN-0001", "LH-F01", "S1", FIRST)
     store.publish(synthetic_result(Recipe(key, heights_mm=heights, size=size)))
     with locked(store.layout.lock):
         generations.change(store.layout, partial(_insert, fleet=fleet))
+    _put_together(store, fleet, size)
+
+
+def _put_together(store: Store, fleet: Fleet, size: tuple[int, int]) -> None:
+    """One more aircraft, right after the others, whose panel is assembled."""
+    serial, panel = f"MSN-{fleet.aircraft + 1:04d}", "LH-F01"
+    last = FIRST + timedelta(minutes=(fleet.aircraft - 1) * 3 * 24 * 60 + fleet.panels * fleet.stations * 2)
+    rng = np.random.default_rng(1)
+    for k in range(fleet.stations):
+        heights = tuple(map(float, 0.05 * rng.standard_normal(fleet.rivets)))
+        key = SceneKey(serial, panel, f"S{k + 1}", last + timedelta(minutes=2 * k))
+        store.publish(synthetic_result(Recipe(key, heights_mm=heights, step_mm=0.15, size=size, seed=k)))
+    store.publish_panel(panel_document(assemble(store, PanelKey(serial, panel))))
 
 
 def _insert(connection: duckdb.DuckDBPyConnection, fleet: Fleet) -> None:

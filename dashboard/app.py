@@ -5,6 +5,7 @@ from __future__ import annotations
 import streamlit as st
 
 from dashboard import frame
+from dashboard.loading_ahead import load_ahead
 from dashboard.views import archive, overview, panel, review, runs, scene, sql, trends
 from dashboard.words import _
 
@@ -27,6 +28,15 @@ _STYLE = """<style>
 [data-testid="stMetricValue"] {font-size: 1.5rem;}
 [data-testid="stVerticalBlock"] {gap: 0.6rem;}
 .st-key-finding {max-height: max(230px, calc(100vh - 490px)); overflow-y: auto;}
+.st-key-questions {gap: 0.3rem 0.4rem;}
+.st-key-questions button {min-height: 1.9rem; padding: 0.1rem 0.6rem;}
+.st-key-questions button p {font-size: 0.875rem;}
+.st-key-tables.st-key-tables {max-height: max(480px, calc(100vh - 165px)); overflow-y: auto; flex: none;}
+@media (max-width: 1100px) {
+  [data-testid="stMetricValue"] {font-size: 1.1rem;}
+  [data-testid="stMetricLabel"] p {font-size: 0.7rem; white-space: normal;}
+  .st-key-finding.st-key-finding {max-height: max(190px, calc(100vh - 565px));}
+}
 @media (hover: none) {.modebar-container {display: none;}}
 .st-key-decisions {gap: 0.4rem;}
 .st-key-decisions button {padding: 0.25rem 0.5rem;}
@@ -65,6 +75,7 @@ def main() -> None:
     st.set_page_config("Flushline", _ICON, layout="wide", initial_sidebar_state="collapsed")
     st.html(_STYLE)
     st.html(_ONE_STEP, unsafe_allow_javascript=True)
+    load_ahead()
     pages = {
         name: st.Page(body, title=_(title), icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)
         for name, (title, icon, body) in PAGES.items()

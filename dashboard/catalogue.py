@@ -17,7 +17,8 @@ from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
 
-from dashboard.reasons import PATTERNS
+from dashboard import meanings
+from dashboard.reasons import PARTLY, PATTERNS
 from dashboard.sentences import SENTENCES, WORDS
 from dashboard.words import ENGLISH, LANGUAGES, po_file
 from metrology.acceptance import PanelVerdict
@@ -31,9 +32,10 @@ from storage.archive import panel_rework
 from storage.archive.changes import CHANGES
 from storage.archive.work import DECIDED, OPEN_WORK, WAITING
 from storage.review import DISPOSITIONS
+from storage.wording import AT, STRETCH
 
 _CODE = Path(__file__).parent
-_REPORTS = _CODE.parent / "storage" / "report"
+_REPORTS, _EVIDENCE = _CODE.parent / "storage" / "report", _CODE.parent / "storage" / "evidence"
 _TEMPLATES = "jinja2.ext:babel_extract"
 _OTHERS = (
     "bump",
@@ -67,10 +69,24 @@ def declared() -> Iterator[str]:
     """Words that are declared outside of the pages and shown on them."""
     yield from (*DECISIONS, *(look.words for look in SEVERITIES.values()), *DISPOSITIONS)
     yield from (*get_args(PanelVerdict), *PANEL_CHANGES, *panel_rework.STATES)
-    yield from (*CHANGES, WAITING, OPEN_WORK, DECIDED, *_OTHERS, *PATTERNS, *SENTENCES, *WORDS, RULE)
+    yield from (
+        *CHANGES,
+        WAITING,
+        OPEN_WORK,
+        DECIDED,
+        *_OTHERS,
+        *PATTERNS,
+        *PARTLY,
+        *SENTENCES,
+        *WORDS,
+        RULE,
+        AT,
+        STRETCH,
+    )
     yield from (step.replace("_", " ") for step in TIMED)
     yield from (rule.meaning for rule in (*NELSON_RULES, *WESTERN_ELECTRIC_RULES))
     yield from (limit.title for limit in LIMITS.values())
+    yield from meanings.texts()
     for kind in KINDS:
         yield from (
             kind.subject,
@@ -86,7 +102,7 @@ def declared() -> Iterator[str]:
 def texts() -> dict[str, list[tuple[str, int]]]:
     """Every text that a page can say, with where the code says it."""
     found: dict[str, list[tuple[str, int]]] = {}
-    for folder in (_CODE, _REPORTS):
+    for folder in (_CODE, _REPORTS, _EVIDENCE):
         extracted: Iterable[tuple[str, int, object, object, object]] = extract_from_dir(
             folder, [("**.py", "python"), ("templates/**.html", _TEMPLATES)], keywords={"_": None, "N_": None},
             options_map={"templates/**.html": {"trimmed": "true"}},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,7 +22,6 @@ from storage.review import Feature, ShownFinding
 
 MOST_ROWS = 500
 _MOST_NAMED = 12
-_ALONG = re.compile(r"(.+)@(-?\d+\.\d)(?:-(-?\d+\.\d))?")  # a position along a course, or a stretch of it
 LAST_NIGHT, LAST_WEEK = N_("last night"), N_("last 7 days")
 PERIODS: dict[str, timedelta | None] = {
     N_("any time"): None,
@@ -140,14 +138,7 @@ def feature_of(row: Any) -> Feature:
 
 def feature_words(feature_id: str, locale: Locale) -> str:
     """A feature as people read it: R04, M1 at 8 mm, M1 136–200 mm."""
-    found = _ALONG.fullmatch(feature_id)
-    if found is None:
-        return feature_id
-    name, first, last = found.groups()
-    first, last = (locale.number(end, 0 if end and end.endswith(".0") else 1) for end in (first, last))
-    if found[3] is None:
-        return _("{name} at {place} mm", name=name, place=first)
-    return _("{name} {first}–{last} mm", name=name, first=first, last=last)
+    return locale.positions(feature_id)
 
 
 def name_of(shown: ShownFinding, locale: Locale) -> str:

@@ -14,6 +14,7 @@ import pandas as pd
 from dashboard.reasons import worded
 from dashboard.words import N_, _
 from metrology.tolerance import RULE
+from storage.wording import positions_said
 
 Style = Literal["us", "de", "iso"]
 STYLES: tuple[Style, ...] = get_args(Style)
@@ -21,7 +22,7 @@ STYLE_NAMES: dict[str, Style] = {N_("US"): "us", N_("German"): "de", N_("ISO"): 
 NOTHING = "–"
 _MINUS, _THIN_SPACE, _NARROW_SPACE = "−", "\u202f", "\u00a0"
 
-_MEASURED = re.compile(r"(?<![\w.])[-+−]\d+\.\d+|(?<=± )\d+\.\d+|\b\d+\.\d+(?= (?:mm|cm|µm|°|%))")
+_MEASURED = re.compile(r"(?<![\w.])[-+−]\d+\.\d+|(?<=± )\d+\.\d+|\b\d+\.\d+(?= (?:±|mm|cm|µm|°|%))")
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,12 @@ class Locale:
         14253-1, stays as it is.
         """
         said = worded(str(text).replace(f"; {RULE}", ""))
-        written = _MEASURED.sub(lambda found: found[0].replace(".", self.separators[0]), said)
+        written = _MEASURED.sub(lambda found: found[0].replace(".", self.separators[0]), self.positions(said))
         return re.sub(r"(?<!\w)-(?=\d)", _MINUS, written)
+
+    def positions(self, text: str) -> str:
+        """A text with its positions and stretches of courses as people read them: M1 at 8 mm, M1 136–200 mm."""
+        return positions_said(text, _, lambda place: self.number(place, 0 if place.endswith(".0") else 1))
 
     @property
     def axis_dates(self) -> str:

@@ -7,8 +7,10 @@ fits is worded anew; anything else stays as it was stored.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import cache, lru_cache
 
+from dashboard.causes import CAUSES
 from dashboard.palette import quantity_words
 from dashboard.sentences import CLAUSES, SENTENCES, WORDS
 from dashboard.words import _, language
@@ -55,12 +57,15 @@ PATTERNS = (
     "no circle follows its rim",
     "{defect} without a limit that judges it: to be decided",
     "line without measurable depth: its points leave ±{depth} mm",
+    *CAUSES,
     *CLAUSES,
 )
 """What reasons say, by the places in it; the first that fits is taken."""
-_TEXTS, _NAMES = ("reason", "said", "what", "advice"), ("defect", "many", "per", "subject", "camera")
+_MORE = re.compile(r" and (\d+) more$")
+_TEXTS, _NAMES = ("reason", "said", "what", "advice", "cause"), ("defect", "many", "per", "subject", "camera", "extent")
 _WORDED = {
-    "quantity": quantity_words,
+    "quantity": lambda text: _quantity(text),
+    "names": lambda text: _MORE.sub(lambda found: f" {_('and {n} more', n=found[1])}", text),
     **dict.fromkeys(_TEXTS, lambda text: worded(text)),
     **dict.fromkeys(_NAMES, lambda text: _(text)),
 }
@@ -71,11 +76,18 @@ _QUANTITIES = "|".join(
         {WORDS[0]} | {name for kind in KINDS for q in kind.quantities for name in (q.name, q.said)}, reverse=True
     )
 )
+PARTLY = (
+    "{quantity} into the wind", "{quantity} (wind direction unknown)", "{quantity} by {extent}",
+    "{quantity} for a {extent} of {size} mm",
+)  # fmt: skip
+"""What a limit asks of a quantity where it does not ask the same of all features."""
 _PLACES = {
-    "quantity": _QUANTITIES, "reason": ".+", "said": "(?:at most|no stretch|mean) .+?", "rule": r"[\w.-]+",
+    "quantity": rf"(?:{_QUANTITIES})(?: into the wind| \(wind direction unknown\)| by \w+| for a \w+ of [\d.]+ mm)?",
+    "extent": r"\w+", "reason": ".+", "said": "(?:at most|no stretch|mean) .+?", "rule": r"[\w.-]+",
     "group": r"[\w.-]+", "n": r"[\d.]+", "hole": r"H\d+", "station": r"\S+",
 }  # fmt: skip
 """What may stand in a place, where not anything may."""
+_PLACE_OF_QUANTITY = {**_PLACES, "quantity": _QUANTITIES}
 SEPARATOR = " · "
 """Between warnings that stand in one text."""
 
@@ -95,6 +107,18 @@ def _sentence(text: str) -> str:
     return whole or "; ".join(_fitted(clause, PATTERNS) or clause for clause in text.split("; "))
 
 
+def _quantity(text: str) -> str:
+    """A quantity, or what a limit asks of it, as people call it."""
+    for pattern in PARTLY:
+        if found := re.fullmatch(_expression(pattern, _PLACE_OF_QUANTITY), text):
+            values = {
+                name: said if name == "size" else (quantity_words if name == "quantity" else _)(said)
+                for name, said in found.groupdict().items()
+            }
+            return _(pattern, **values)
+    return quantity_words(text)
+
+
 def _fitted(clause: str, patterns: tuple[str, ...]) -> str | None:
     for pattern, expression in _expressions(patterns).items():
         if found := expression.fullmatch(clause):
@@ -110,8 +134,8 @@ def _expressions(patterns: tuple[str, ...]) -> dict[str, re.Pattern[str]]:
     return {pattern: re.compile(_expression(pattern)) for pattern in patterns}
 
 
-def _expression(pattern: str) -> str:
+def _expression(pattern: str, places: Mapping[str, str] = _PLACES) -> str:
     parts = re.split(r"\{(\w+)\}", pattern)
     return "".join(
-        f"(?P<{part}>{_PLACES.get(part, '.+?')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)
+        f"(?P<{part}>{places.get(part, '.+?')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)
     )

@@ -8,7 +8,7 @@ from functools import partial
 import streamlit as st
 
 from dashboard.locale import Locale
-from dashboard.words import ENGLISH, _, language, speak, translations
+from dashboard.words import ENGLISH, _, language, speaking, translations
 from storage.report import Report
 from storage.wording import Wording
 
@@ -18,8 +18,8 @@ def wording_of(locale: Locale, spoken: str) -> Wording:
     known = {} if spoken == ENGLISH else translations(spoken)
 
     def reason(text: str) -> str:
-        speak(spoken)  # made when it is asked for, which is no run of the page
-        return locale.reason(text)
+        with speaking(spoken):  # made when it is asked for, which is no run of the page
+            return locale.reason(text)
 
     return Wording(spoken, lambda text: known.get(text, text), reason, locale.separators[0])
 

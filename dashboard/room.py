@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import streamlit as st
 
@@ -32,3 +33,10 @@ def room(key: str, least: int, most: int, above: int) -> Iterator[None]:
     )
     with st.container(key=name):
         yield
+
+
+def show_chart(figure: Any, key: str, above: int) -> None:
+    """A chart that takes what `above` leaves of the screen: at least its own height, up to twice that."""
+    height = int(figure.layout.height)
+    with room(key, height, 2 * height, above):
+        st.plotly_chart(figure, key=key, height="stretch", config={"displaylogo": False})

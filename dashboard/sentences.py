@@ -51,6 +51,14 @@ SENTENCES = (
     "rig {rig} has no calibrated projector: the overlay is drawn over the left camera's picture",
     "rig {rig} has no calibrated projector: the overlay is drawn over the left camera's picture, gaps' edges and "
     "heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed",
+    "rig {rig} has a projector of which scans told the columns or the rows alone: the overlay is drawn over the left "
+    "camera's picture, gaps' edges and heads' rims come from points and rings alone",
+    "rig {rig} was given with other values than the store has for that id; a calibration needs an id of its own",
+    "rig {rig}: verifications cannot be read ({cause})",
+    "rig {rig}: points lie {off} px off the rays of their pixels, expected at most {limit} px: give the rig of the "
+    "camera that took the picture",
+    "frames of the {camera} camera hardly fit each other ({share} of what is refused): look for light that flickers "
+    "or changes, dark parts cut off at black, movement, or a blurred frame",
     "rig {rig}: calibration overdue since {day}",
     "rig {rig}: never verified",
     "rig {rig}: not verified before",
@@ -66,6 +74,10 @@ SENTENCES = (
     "that the scene names",
     "found {n} parts that nothing joins ({stations}), expected one: scan between them with an overlap that shows three "
     "fasteners and more, or give nominal positions; is each scan of this panel?",
+    "found {n} parts that nothing joins ({stations}); {unsure} fit together in several ways, expected one: scan "
+    "between them with an overlap that shows three fasteners and more, or give nominal positions; is each scan of this "
+    "panel?",
+    "{station} left out: {cause}",
     "{station} and {other}: found their shared heads more than {limit} mm apart in the joint placement, expected them "
     "together; their overlap was not used",
     "names and places of {stations} are not those of the assembly before: they were not found again in it",
@@ -110,5 +122,5 @@ CLAUSES = (
 )
 """Clauses of verdicts and rules."""
 
-WORDS = ("any quantity", "course", "row", "zone", "left", "right")
+WORDS = ("any quantity", "course", "row", "zone", "left", "right", "left and right")
 """Words in their places that nothing else declares."""

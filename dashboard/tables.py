@@ -122,7 +122,7 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
         return lambda value: quantity_words(str(value))
     if name in ("reason", "why"):
         return locale.reason
-    if name == "feature_id":
+    if name in ("feature_id", "feature"):
         return lambda value: feature_words(str(value), locale)
     if name in _WORDS:
         return lambda value: _(str(value))

@@ -11,7 +11,8 @@ Texts are English in the code; `locales/LANGUAGE/LC_MESSAGES/dashboard.po` has t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
@@ -31,6 +32,16 @@ _spoken: ContextVar[str | None] = ContextVar("language", default=None)
 def speak(language: str) -> None:
     """From now on texts are worded in a language."""
     _spoken.set(language if language in LANGUAGES else ENGLISH)
+
+
+@contextmanager
+def speaking(language: str) -> Iterator[None]:
+    """Texts that are asked for within are worded in a language."""
+    token = _spoken.set(language if language in LANGUAGES else ENGLISH)
+    try:
+        yield
+    finally:
+        _spoken.reset(token)
 
 
 def language() -> str:

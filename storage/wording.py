@@ -8,6 +8,7 @@ Texts of the reports are English in the code; a translation is asked of the word
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -28,6 +29,9 @@ class Wording:
     """The decimal mark."""
 
 
+AT, STRETCH = "{name} at {place} mm", "{name} {first}–{last} mm"
+"""How a position along a course is named, and a stretch of it."""
+_ALONG = re.compile(r"(?<![\w@.+-])(?P<name>[^\s,;:()@]+)@(?P<first>-?\d+\.\d)(?:-(?P<last>-?\d+\.\d))?(?![\w.])")
 _current: ContextVar[Wording] = ContextVar("wording")
 _ENGLISH = Wording()
 
@@ -47,6 +51,11 @@ def wording() -> Wording:
     return _current.get(_ENGLISH)
 
 
+def N_(text: str) -> str:
+    """Mark a text for translation; it is worded where it is shown."""
+    return text
+
+
 def _(text: str, /, **values: object) -> str:
     """A text in the language, with values in its places."""
     worded = wording().text(text)
@@ -60,7 +69,31 @@ def capital(text: str) -> str:
 
 def reason(text: object) -> str:
     """A stored reason or warning in the language; "" of none."""
-    return wording().reason(str(text)) if text else ""
+    return named(wording().reason(str(text))) if text else ""
+
+
+def named(text: str) -> str:
+    """A text with its positions and stretches of courses as people read them."""
+    return positions_said(text, wording().text, lambda place: decimals(place.removesuffix(".0")))
+
+
+def positions_said(text: str, word: Callable[[str], str], number: Callable[[str], str]) -> str:
+    """A text with what is written as ids are in words: M1@8.0 is M1 at 8 mm, M1@136.0-200.0 is M1 136–200 mm.
+
+    Parameters
+    ----------
+    word : callable
+        `AT` and `STRETCH` in the language.
+    number : callable
+        A place as people write it.
+    """
+
+    def said(found: re.Match[str]) -> str:
+        first, last = (number(place) if place else "" for place in found.group("first", "last"))
+        name = found["name"]
+        return (word(STRETCH) if last else word(AT)).format(name=name, place=first, first=first, last=last)
+
+    return _ALONG.sub(said, text)
 
 
 def decimals(number: str) -> str:

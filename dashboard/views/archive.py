@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import pandas as pd
 import streamlit as st
@@ -16,6 +17,7 @@ from dashboard.frame import PageContext, go, plain
 from dashboard.locale import NOTHING
 from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
+from dashboard.room import room
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.tables import show_table
 from dashboard.words import N_, _
@@ -27,6 +29,7 @@ from storage.archive.work import ATTENTION
 TITLE = N_("Archive")
 _PAGE = 20
 _THUMBNAIL_PX = 132
+_HEAD_PX, _ROW_PX = 38, 76
 _ANY = N_("any verdict")
 VERDICTS = {
     _ANY: "true",
@@ -132,38 +135,45 @@ def _list(context: PageContext, scenes: pd.DataFrame) -> list[str]:
     for name in ("rig_verdict", "status"):
         shown[name] = [word if pd.isna(word) else _(str(word)) for word in scenes[name]]
     shown = shown.drop(columns=["scene_id", "preview_path"])
-    event = st.dataframe(
-        shown,
-        hide_index=True,
-        row_height=76,
-        height=480,
-        key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
-        on_select="rerun",
-        selection_mode="multi-row",
-        placeholder=NOTHING,
-        column_config={
-            "picture": st.column_config.ImageColumn(_("Picture"), width="small"),
-            "aircraft_serial": _("Aircraft"),
-            "panel": _("Panel"),
-            "station": _("Station"),
-            "captured_at": _("Scanned"),
-            "fail": st.column_config.Column(
-                DECISION_SIGNS["fail"] + " " + _("Fail"),
-                help=_("Rivets and positions along seams outside their limits"),
-            ),
-            "not_measured": "? " + _("Not measured"),
-            "n_rivets": _("Rivets"),
-            "n_stations": _("Seam positions"),
-            "rig_id": _("Rig"),
-            "rig_verdict": st.column_config.Column(
-                _("Rig check"),
-                help=_("Whether the rig fits the scan; unjudged: the scan cannot tell; –: of an older version"),
-            ),
-            "status": _("Status"),
-            "software_version": _("Version"),
-        },
-    )
+    whole = _HEAD_PX + _ROW_PX * len(names)
+    with room("scenes", min(480, whole), whole, above=288):
+        event = st.dataframe(
+            shown,
+            hide_index=True,
+            row_height=_ROW_PX,
+            height="stretch",
+            key=f"scenes-{hash(tuple(names))}",  # other rows begin without ticks
+            on_select="rerun",
+            selection_mode="multi-row",
+            placeholder=NOTHING,
+            column_config=_layout(),
+        )
     return [names[row] for row in event["selection"]["rows"] if row < len(names)]
+
+
+def _layout() -> dict[str, Any]:
+    """Headings of the columns, with what needs words beside them."""
+    return {
+        "picture": st.column_config.ImageColumn(_("Picture"), width="small"),
+        "aircraft_serial": _("Aircraft"),
+        "panel": _("Panel"),
+        "station": _("Station"),
+        "captured_at": _("Scanned"),
+        "fail": st.column_config.Column(
+            DECISION_SIGNS["fail"] + " " + _("Fail"),
+            help=_("Rivets and positions along seams outside their limits"),
+        ),
+        "not_measured": "? " + _("Not measured"),
+        "n_rivets": _("Rivets"),
+        "n_stations": _("Seam positions"),
+        "rig_id": _("Rig"),
+        "rig_verdict": st.column_config.Column(
+            _("Rig check"),
+            help=_("Whether the rig fits the scan; unjudged: the scan cannot tell; –: of an older version"),
+        ),
+        "status": _("Status"),
+        "software_version": _("Version"),
+    }
 
 
 def _thumbnail_of(archive: Archive, path: object) -> str | None:
@@ -222,4 +232,5 @@ def _compare(context: PageContext, first: str, second: str) -> None:
         context.locale,
         key="differences",
         height=260,
+        above=508,
     )

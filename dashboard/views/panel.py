@@ -183,7 +183,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
     if len(view.parts) > 1:
         parts = view.parts
         of_chosen = _part_of(view, chosen)
-        part = st.segmented_control(_("Part"), parts, label_visibility="collapsed",
+        part = st.segmented_control(_("Part"), parts, format_func=_part_words, label_visibility="collapsed",
                                     **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
         number = parts.index(str(part or parts[0])) + 1
         view = view.of_part(number)
@@ -199,6 +199,12 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
     clickable_chart(fig, "panel-map", look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
     st.caption(_("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move."))
+
+
+def _part_words(part: str) -> str:
+    """A part as people call it; the address has its English name."""
+    number, __, stations = part.removeprefix("part ").partition(" ")
+    return _("part {number} {stations}", number=number, stations=stations)
 
 
 def _part_of(view: PanelView, chosen: Feature | None) -> int:

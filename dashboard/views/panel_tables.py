@@ -38,7 +38,8 @@ def show_findings(context: PageContext, view: PanelView) -> None:
         "feature_id": _("Feature"), "quantity": _("Quantity"), "value_mm": _("Worst"), "u95_mm": _("± U95"),
         "length_mm": _("Length, mm"), "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
-    show_table(rows, columns, context.locale, "panel-findings", 470, names, look_at, st.query_params.get("feature"))
+    at = st.query_params.get("feature")
+    show_table(rows, columns, context.locale, "panel-findings", 470, names, look_at, at, above=330)
     st.caption(_("A stretch of a seam is one finding. Select one to see its worst place."))
 
 
@@ -124,7 +125,7 @@ def show_coverage(context: PageContext, view: PanelView) -> None:
     else:
         columns = {"feature_id": _("Expected"), "state": _("State"), "from_mm": _("From, mm"), "to_mm": _("To, mm"),
                    "reason": _("Why")}  # fmt: skip
-        show_table(missing, columns, context.locale, "panel-coverage", 470)
+        show_table(missing, columns, context.locale, "panel-coverage", 470, above=330)
 
 
 def show_scans(context: PageContext, scenes: Sequence[Any]) -> None:

@@ -239,7 +239,7 @@ def _select(key: str, names: Sequence[Name], at: Name) -> None:
 
 def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
     whole = context.locale.whole
-    found = _("{n} findings", n=whole(total))
+    found = _("1 finding") if total == 1 else _("{n} findings", n=whole(total))
     if total > len(rows):
         found = _("the gravest {n} of {found}", n=whole(len(rows)), found=found)
     with st.container(horizontal=True, vertical_alignment="center"):

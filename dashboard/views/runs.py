@@ -17,6 +17,7 @@ from dashboard.flow_runs import configured_api, flow_runs
 from dashboard.frame import PageContext, go, plain
 from dashboard.quarantine import put_aside
 from dashboard.reasons import SEPARATOR
+from dashboard.room import show_chart
 from dashboard.tables import show_table
 from dashboard.words import N_, _
 from metrology.steps import TIMED
@@ -65,10 +66,11 @@ def _runs(context: PageContext, selection: Selection) -> None:
             context.locale,
             key="nights",
             height=400,
+            above=300,
         )
     with right:
         st.markdown(_("**Seconds per step**, median of each day"))
-        st.plotly_chart(seconds_figure(nights, context.locale), key="seconds", config={"displaylogo": False})
+        show_chart(seconds_figure(nights, context.locale), "seconds", above=290)
 
 
 def _rigs(context: PageContext, selection: Selection) -> None:
@@ -84,7 +86,7 @@ def _rigs(context: PageContext, selection: Selection) -> None:
     if days.empty:
         st.info(_("Nothing was scanned in that time."))
         return
-    st.plotly_chart(rig_figure(days, context.locale), key="rigs", config={"displaylogo": False})
+    show_chart(rig_figure(days, context.locale), "rigs", above=520)
     st.caption(
         _(
             "Cameras: how far what both see lies from where one says the other must see it. Projector: how far what "
@@ -152,6 +154,7 @@ def _flows(context: PageContext, _selection: Selection) -> None:
         key="flow-runs",
         names=list(runs["page"]),
         picked=_pick_run,
+        above=300,
     )
 
 

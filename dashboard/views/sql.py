@@ -9,9 +9,12 @@ from streamlit.delta_generator import DeltaGenerator
 from dashboard.address import one_of, put
 from dashboard.figures.answer import answer_figure
 from dashboard.frame import PageContext, plain
+from dashboard.meanings import meaning
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.review_report import csv_report
+from dashboard.room import room, show_chart
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
+from dashboard.tables import fitting
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError, UsageError
 from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
@@ -24,6 +27,7 @@ TITLE = N_("SQL")
 _EXAMPLES = {**QUESTIONS, **MORE}
 _MOST_KEPT = 20
 _LONGEST_LINK = 4000
+_ANY_HEIGHT = 10_000
 _TEXT, _NAME, _ANSWER, _HISTORY = "sql_text", "sql_of", "answer", "sql_history"  # kept while one looks at other pages
 _RUN = "sql_run"
 
@@ -77,7 +81,7 @@ def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], sav
 
 def _questions() -> None:
     """A button for each of the questions asked most, which answers it."""
-    with st.container(horizontal=True, gap="small"):
+    with st.container(horizontal=True, gap="small", key="questions"):
         for question in QUESTIONS:
             st.button(
                 _(question), key=f"question-{question}", on_click=_take_over, args=(question, QUESTIONS[question])
@@ -104,7 +108,7 @@ def _text(known: dict[str, str], name: str) -> str:
         st.session_state[_TEXT] = held
     st.session_state["sql"] = st.session_state.get(_TEXT, "")
     sql = st.text_area(
-        _("Query"), key="sql", height=150, on_change=_typed, args=(known.get(name, ""),),
+        _("Query"), key="sql", height=130, on_change=_typed, args=(known.get(name, ""),),
         help=_("DuckDB SQL. Ctrl+Enter takes the text over; it cannot change anything."),
     )  # fmt: skip
     return str(sql or "")
@@ -166,7 +170,9 @@ def _show(context: PageContext) -> None:
     if chart:
         _chart(context, answer.rows, numbers)
     else:
-        st.dataframe(answer.rows, hide_index=True, height=330)
+        least, most = (fitting(height, len(answer.rows)) for height in (330, _ANY_HEIGHT))
+        with room("answer", least, most, above=550):
+            st.dataframe(answer.rows, hide_index=True, height="stretch")
 
 
 def _chart(context: PageContext, rows: pd.DataFrame, numbers: list[str]) -> None:
@@ -174,9 +180,7 @@ def _chart(context: PageContext, rows: pd.DataFrame, numbers: list[str]) -> None
     left, right = st.columns(2)
     x = left.selectbox(_("Along"), list(rows.columns), key="sql_x")
     y = right.selectbox(_("Number"), numbers, index=len(numbers) - 1, key="sql_y")
-    st.plotly_chart(
-        answer_figure(rows, str(x), str(y), context.locale), key="sql-figure", config={"displaylogo": False}
-    )
+    show_chart(answer_figure(rows, str(x), str(y), context.locale), "sql-figure", above=640)
 
 
 def _say_waiting(place: DeltaGenerator) -> None:
@@ -204,10 +208,10 @@ def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chos
 
 def _describe_tables() -> None:
     st.markdown(_("**Tables and views**"))
-    with st.container(height=560, border=False):
+    with st.container(border=False, key="tables"):  # as high as the screen, see the style of the pages
         for table in TABLES:
             with st.expander(f"`{table.name}`"):
-                st.caption(plain(table.comment))
+                st.caption(plain(meaning(table.comment)))
                 _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
         for name, what, columns in (
             ("decisions", _("Everything that people decided, from the first entry on"), DECISIONS_COLUMNS),
@@ -220,8 +224,10 @@ def _describe_tables() -> None:
                 _columns([(column, "", comment) for column, comment in columns.items()])
         for view in VIEWS:
             with st.expander(f"`{view.name}`"):
-                st.caption(plain(view.comment))
+                st.caption(plain(meaning(view.comment)))
 
 
 def _columns(columns: list[tuple[str, str, str]]) -> None:
-    st.markdown("\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(comment)}" for name, kind, comment in columns))
+    st.markdown(
+        "\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(meaning(comment))}" for name, kind, comment in columns)
+    )

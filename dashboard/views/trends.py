@@ -14,6 +14,7 @@ from dashboard.frame import PageContext, go, plain
 from dashboard.locale import Locale
 from dashboard.palette import quantity_words
 from dashboard.picking import clickable_chart
+from dashboard.room import show_chart
 from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
     BY_SUBJECT,
@@ -128,7 +129,7 @@ def _control(
             _capability(capability_of(subject, rows, values, judged), subject, judged, context.locale)
     with left:
         fig = control_figure(rows, chart, violations, shown, limit, events(rows), context.locale)
-        clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False})
+        clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False}, above=345)
         each = _("the mean over each aircraft") if subject.kind in ("panel", FASTENER_TYPE) else _("one scan")
         st.caption(_("Each point is {each}; click one to open the scan. Dashed: tolerance limits.", each=each))
         _rules(rules, tests, violations, len(rows))
@@ -207,7 +208,7 @@ def _pareto(context: PageContext, selection: Selection) -> None:
     if not bars:
         st.success(_("No finding of the newest scans is outside its limits."))
         return
-    st.plotly_chart(pareto_figure(bars, context.locale, 380), key="pareto", config={"displaylogo": False})
+    show_chart(pareto_figure(bars, context.locale, 380), "pareto", above=385)
     st.caption(
         _(
             "Rivets and positions along seams outside their limits on the newest scan of every station, "
@@ -226,11 +227,8 @@ def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: 
     if rows.empty:
         st.info(_("Nothing was measured on this panel in that time."))
         return
-    st.plotly_chart(
-        layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), context.locale),
-        key="layout",
-        config={"displaylogo": False},
-    )
+    fig = layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), context.locale)
+    show_chart(fig, "layout", above=385)
     frame = (
         _("in the panel's frame")
         if rows.attrs.get("registered")

@@ -19,7 +19,7 @@ from dashboard.palette import DECISION_SIGNS, OPEN_DECISIONS, decision_words
 from dashboard.picking import clickable_chart
 from dashboard.tables import show_table
 from dashboard.words import _
-from metrology.kinds import KINDS, Kind
+from metrology.kinds import KINDS, RIVET, SEAM_STATION, Kind
 from storage.archive.views import NEWEST_TIME
 from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
 
@@ -72,7 +72,7 @@ WITH s AS (
 ), per_panel AS (
     SELECT aircraft_serial, panel,
         {by_decision},
-        max(abs(value_mm)) FILTER (newest) AS worst_mm,
+        max(abs(value_mm)) FILTER (newest AND feature_kind IN ('{RIVET.name}', '{SEAM_STATION.name}')) AS worst_mm,
         count(*) FILTER (state <> '{DECIDED}') AS waiting,
         count(*) FILTER (state = '{OPEN_WORK}') AS open_work
     FROM f GROUP BY ALL

@@ -113,7 +113,7 @@ def draw_overlay(
 
     present = {row.severity for rows in features.values() for row in rows}
     key = [s for s in reversed(GRAVEST_FIRST) if s is not None or None in present]
-    legend = entries(title, key, _notes(features, canvas.outside))
+    legend = entries(title, key, _notes(features, canvas))
     labels, shapes = draw_legend(legend, layout, text_px, skin.angle, settings.line_width_px)
     # Grave ones first: they get the best places. What is in order may go without its value where there is no room.
     for wish in sorted(canvas.wishes, key=lambda w: GRAVEST_FIRST.index(w.severity)):
@@ -132,17 +132,20 @@ def draw_overlay(
     )
 
 
-def _notes(features: Features, outside: Sequence[str]) -> list[str]:
+def _notes(features: Features, canvas: Canvas) -> list[str]:
     """What the values are, and what the picture does not show."""
     shown = [(kind, rows) for kind in KINDS if (rows := features.get(kind.name))]
-    meanings = [
-        f"{kind.subject.upper()} {' | '.join(q.said for q in kind.quantities if q.projected)}" for kind, _ in shown
-    ]
-    notes = [f"mm: {', '.join(meanings)}"] if meanings else []
+    notes = ["values in mm"] if shown else []
+    for kind, _ in shown:
+        said = [quantity.said for quantity in kind.quantities if quantity.projected]
+        order = " (before and after the bar)" if len(said) == 2 else ""
+        notes.append(f"{kind.subject.upper()}: {' | '.join(said)}{order}")
     for note in dict.fromkeys(DECISIONS[row.decision].note for _, rows in shown for row in rows):
         if note:
-            notes.append(f"{note} within U95 of a limit")
-    if outside:
+            notes.append(f"{note} nearer to a limit than its uncertainty")
+    if any("?" in wish.text for wish in canvas.wishes):
+        notes.append("? not measured")
+    if outside := canvas.outside:
         more = len(outside) - _LEGEND_NAMES
         names = ", ".join(outside[:_LEGEND_NAMES]) + (f" + {more}" if more > 0 else "")
         notes.append(f"beyond the picture: {names}")

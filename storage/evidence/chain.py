@@ -1,12 +1,14 @@
 """The chain that a stored value rests on, link by link: scene, frames, rig, calibration, verification, limits, people.
 
-A link that is missing is there by name, and says what would close it.
+A link that is missing is there by name, and says what would close it. What a link says is in the language that is
+written in (`storage.wording`); names of links, values, times and checksums are the same in all languages.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from metrology.errors import StoreError, UsageError
@@ -17,11 +19,13 @@ from metrology.verdicts import IN_ORDER
 from storage.archive.bundle import MANIFEST, RIG
 from storage.archive.files import sha256
 from storage.archive.work import NEWEST
+from storage.certificate import CertificateModel
 from storage.documents import read_json, utc_text
 from storage.evidence.rig_facts import RigFacts, rig_facts
 from storage.evidence.verifications import Verification, verified
 from storage.panel_spec import judged_by
 from storage.review import Entry, Feature, Review, ReviewLog
+from storage.wording import N_, _, decimals, reason
 
 if TYPE_CHECKING:
     from storage.archive.store import Store
@@ -104,7 +108,7 @@ def trace(store: Store, name: str) -> tuple[Link, ...]:
 
 def find(store: Store, name: str) -> tuple[str, Kind, Row]:
     """A feature by its name: its scene, kind and row."""
-    scene_id, _, feature = name.rpartition("/")
+    scene_id, __, feature = name.rpartition("/")
     found = [
         (kind, row)
         for kind in KINDS
@@ -117,7 +121,7 @@ def find(store: Store, name: str) -> tuple[str, Kind, Row]:
         kind, row = found[0]
         return row["scene_id"], kind, row
     if found:
-        named = ", ".join(f"{row['scene_id']}/{feature}" for _, row in found[:_MOST_NAMED])
+        named = ", ".join(f"{row['scene_id']}/{feature}" for __, row in found[:_MOST_NAMED])
         raise UsageError(f"{feature}: found it in {len(found)} scenes, expected one of {named}")
     expected = "a feature such as R12 or J01@24.0" if scene_id else "SCENE_ID/FEATURE_ID, as the tables have them"
     raise UsageError(f"{name}: found no such feature in {store.root}, expected {expected}")
@@ -143,19 +147,25 @@ def scene_links(found: Sources) -> tuple[Link, ...]:
     digest, operator = scene["frames_digest"], scene["operator"]
     facts = rig_facts(found.rig)
     versions = ", ".join(f"{name} {version}" for name, version in manifest.get("versions", {}).items())
+    captured, stored = utc_text(scene["captured_at"]), utc_text(scene["processed_at"])
+    run = _("{run}, {time}, manifest SHA-256 {sum}", run=scene["run_id"], time=stored, sum=found.manifest_sha256)
+    rig = _("{rig}, content {hash}, {fit}", rig=scene["rig_id"], hash=scene["rig_hash"], fit=_fits(scene))
+    settings = _("{hash} (settings and specification together), all of them in the manifest", hash=scene["config_hash"])
+    nobody = _('scene.json names nobody; add "operator" where scans are captured')
+    too_old = _("the run is older than digests; inspect the scan again")
     return (
-        Link("scene", f"{scene['scene_id']}, captured {utc_text(scene['captured_at'])}"),
-        _link("operator", operator, "scene.json names nobody; add \"operator\" where scans are captured"),
-        _link("frames", digest and f"digest {digest}", "the run is older than digests; inspect the scan again"),
-        Link("run", f"{scene['run_id']}, {utc_text(scene['processed_at'])}, manifest SHA-256 {found.manifest_sha256}"),
-        Link("rig", f"{scene['rig_id']}, content {scene['rig_hash']}, {_fits(scene)}"),
+        Link(N_("scene"), _("{scene}, captured {time}", scene=scene["scene_id"], time=captured)),
+        _link(N_("operator"), operator, nobody),
+        _link(N_("frames"), digest and _("digest {digest}", digest=digest), too_old),
+        Link(N_("run"), run),
+        Link(N_("rig"), rig),
         _calibration(facts, scene),
         _board(facts),
         verification_link(found),
-        _link("software", versions, "the run's manifest names no version"),
-        Link("settings", f"{scene['config_hash']} (settings and specification together), all of them in the manifest"),
+        _link(N_("software"), versions, _("the run's manifest names no version")),
+        Link(N_("settings"), settings),
         _specification(found),
-    )  # fmt: skip
+    )
 
 
 def _link(name: str, said: str | None, why_missing: str) -> Link:
@@ -164,45 +174,79 @@ def _link(name: str, said: str | None, why_missing: str) -> Link:
 
 def _fits(scene: Row) -> str:
     rms = scene["epipolar_rms_px"]
-    fit = f"fit {scene['rig_verdict'] or 'not judged'}"
-    return fit if rms is None else f"{fit}, epipolar RMS {rms:.3f} px"
+    fit = _("fit: {verdict}", verdict=_(scene["rig_verdict"] or N_("not judged")))
+    if rms is None:
+        return fit
+    off = decimals(f"{rms:.3f}")
+    return f"{fit}, " + _("epipolar RMS {rms} px", rms=off)
+
+
+def _day(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%d}"
 
 
 def _calibration(facts: RigFacts, scene: Row) -> Link:
+    name = N_("calibration")
     if facts.calibrated_at is None:
-        return Link("calibration", "the rig file says no time; calibrate the rig", missing=True)
-    rms = ", ".join(f"{name} {value:.4f} px" for name, value in facts.rms_px.items())
-    said = f"{facts.calibrated_at:%Y-%m-%d}" + (f", reprojection RMS {rms}" if rms else "")
+        return Link(name, _("the rig file says no time; calibrate the rig"), missing=True)
+    rms = decimals(", ".join(f"{device} {value:.4f} px" for device, value in facts.rms_px.items()))
+    said = _day(facts.calibrated_at) + (", " + _("reprojection RMS {rms}", rms=rms) if rms else "")
     if facts.due_at is None:
-        return Link("calibration", said)
+        return Link(name, said)
     late = scene["captured_at"] > facts.due_at
-    return Link("calibration", f"{said}, due {facts.due_at:%Y-%m-%d}{', overdue at the scan' if late else ''}", late)
+    due = _("due {day}", day=_day(facts.due_at))
+    return Link(name, f"{said}, {due}" + (", " + _("overdue at the scan") if late else ""), late)
 
 
 def _board(facts: RigFacts) -> Link:
+    name = N_("board certificate")
     if facts.certificate is None:
-        found = f"{facts.board}, without a certificate" if facts.board else "the rig file names no board"
-        return Link("board certificate", f"{found}; state board.certificate in calibration.json", missing=True)
+        none = _("{board}, without a certificate", board=facts.board) if facts.board else ""
+        found = none or _("the rig file names no board")
+        return Link(name, f"{found}; " + _("state board.certificate in calibration.json"), missing=True)
     overdue = facts.calibrated_at is not None and facts.certificate.overdue(facts.calibrated_at)
-    late = ", overdue at the calibration" if overdue else ""
-    return Link("board certificate", f"{facts.certificate} ({facts.board}){late}", overdue)
+    late = ", " + _("overdue at the calibration") if overdue else ""
+    return Link(name, f"{_certificate(facts.certificate)} ({facts.board}){late}", overdue)
+
+
+def _certificate(found: CertificateModel) -> str:
+    """Number, laboratory and until when it holds."""
+    said = _("{number} of {laboratory}", number=found.number, laboratory=found.laboratory) if found.laboratory else ""
+    due = _("due {day}", day=_day(found.due_at)) if found.due_at else _("without a due date")
+    return f"{said or found.number}, {due}"
 
 
 def verification_link(found: Sources) -> Link:
     """The verification of the rig that held when the scan was taken."""
-    moment = found.scene["captured_at"]
+    name, moment = N_("verification"), found.scene["captured_at"]
     standing = verified(found.verifications, found.scene["rig_hash"], moment)
     if problem := standing.problem(moment):
-        return Link("verification", f"{problem}; flushline verify shows whether the rig measures right", missing=True)
-    return Link("verification", standing.last.said if standing.last else "")
+        shows = _("flushline verify shows whether the rig measures right")
+        return Link(name, f"{reason(problem)}; {shows}", missing=True)
+    return Link(name, _verified(standing.last) if standing.last else "")
+
+
+def _verified(last: Verification) -> str:
+    """Verdict, when and with what, in one line."""
+    m = last.model
+    certificate = _("certificate {certificate}", certificate=_certificate(m.artefact.certificate)) if (
+        m.artefact.certificate
+    ) else _("without a certificate")  # fmt: skip
+    artefact = f"{m.artefact.kind} {m.artefact.id}"
+    said = _(
+        "{verdict} on {day} by {artefact} ({certificate})", verdict=_(m.verdict), day=_day(m.verified_at),
+        artefact=artefact, certificate=certificate,
+    )  # fmt: skip
+    due = ", " + _("next due {day}", day=_day(m.due_at)) if m.due_at else ""
+    return f"{said}{due}; {last.name}"
 
 
 def _specification(found: Sources) -> Link:
-    document = found.manifest.get("panel_spec") or {}
+    name, document = N_("specification"), found.manifest.get("panel_spec") or {}
     if document.get("example"):
-        said = "the example limits, which are nobody's requirement; give the panel's"
-        return Link("specification", said, missing=True)
-    return _link("specification", found.scene["panel_spec"], "none was given")
+        said = _("the example limits, which are nobody's requirement; give the panel's")
+        return Link(name, said, missing=True)
+    return _link(name, found.scene["panel_spec"], _("none was given"))
 
 
 def limits_link(kind: Kind, row: Row, spec: PanelSpec | None) -> Link:
@@ -231,14 +275,18 @@ def decision_link(found: Sources, feature: Feature, verdict: str) -> Link:
 
 def sign_off_link(found: Sources) -> Link:
     """Who signed the scene off."""
+    name = N_("sign-off")
     if found.review_problem:
-        return Link("sign-off", found.review_problem, missing=True)
+        return Link(name, found.review_problem, missing=True)
     signed = [entry for entry in found.decisions if entry.action == "sign-off"]
     if not signed:
-        return Link("sign-off", "the scene is open; sign it off in the dashboard", missing=True)
+        return Link(name, _("the scene is open; sign it off in the dashboard"), missing=True)
     last = signed[-1]
-    stays = "" if last.run_id == found.scene["run_id"] else f" on another run ({last.run_id})"
-    return Link("sign-off", f"{last.said}{stays} (entry {last.number}, {last.checksum[:12]}…)", bool(stays))
+    other = last.run_id != found.scene["run_id"]
+    said = _("{what} by {who} at {time}", what=_(last.what), who=last.who, time=utc_text(last.at))
+    stays = " " + _("on another run ({run})", run=last.run_id) if other else ""
+    entry = _("entry {number}, {sum}…", number=last.number, sum=last.checksum[:12])
+    return Link(name, f"{said}{stays} ({entry})", other)
 
 
 def missing(links: Sequence[Link]) -> list[str]:

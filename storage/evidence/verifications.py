@@ -140,15 +140,6 @@ class Verification:
     name: str
     model: VerificationModel
 
-    @property
-    def said(self) -> str:
-        """Verdict, when and with what, in one line."""
-        m = self.model
-        artefact = f"{m.artefact.kind} {m.artefact.id}"
-        certificate = f"certificate {m.artefact.certificate}" if m.artefact.certificate else "without a certificate"
-        due = f", next due {m.due_at:%Y-%m-%d}" if m.due_at else ""
-        return f"{m.verdict} on {m.verified_at:%Y-%m-%d} by {artefact} ({certificate}){due}; {self.name}"
-
 
 class Verifications:
     """The verifications of a store."""

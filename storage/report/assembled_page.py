@@ -16,7 +16,7 @@ from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, code, facts, figure, moment, number, page, section, table, with_u95
 from storage.report.sections import entries_table, limits_table, many, standings_said, why
 from storage.report.verdicts import CLASSES, SIGNS, counted, key
-from storage.wording import _, reason
+from storage.wording import _, named, reason
 
 _PRINTED_CHANGES = 30
 _PRINTED = 60  # findings on paper, the gravest; the page on the screen has all
@@ -95,7 +95,7 @@ def _features(record: AssembledRecord) -> Markup:
 def _coverage(record: AssembledRecord) -> Markup:
     panel = record.panel
     states = Counter(row["state"] for row in record.coverage)
-    missing = [row["feature_id"] for row in record.coverage if row["state"] != "measured"]
+    missing = [named(row["feature_id"]) for row in record.coverage if row["state"] != "measured"]
     shown = _first(missing, 12)
     pattern = [
         (_("expected by the pattern"),
@@ -141,7 +141,7 @@ def _rules(rules: Sequence[Row]) -> Markup:
             row["applies_to"],
             _badge(row["verdict"]),
             reason(row["reason"]),
-            _first(row["features"], 10),
+            _first([named(name) for name in row["features"]], 10),
         ]
         for row in rules
     ]
@@ -167,7 +167,7 @@ def _findings(findings: Sequence[Row], locations: Mapping[str, str]) -> Markup:
         quantity = next(q for q in BY_NAME[row["feature_kind"]].quantities if q.name == row["quantity"])
         value = with_u95(row["value"], row["value_u95"], 3, quantity.signed)
         location = locations.get(row["feature_id"].split("@")[0])
-        name = row["feature_id"] + (f", {location}" if location else "")
+        name = named(row["feature_id"]) + (f", {location}" if location else "")
         rows.append([name, _(quantity.said), value, quantity.unit, number(row["length_mm"], 0),
                      badge(row["decision"]), why(row)])  # fmt: skip
     heads = [_("feature"), _("quantity"), _("value"), _("unit"), _("length mm"), _("verdict"), _("why")]
@@ -187,7 +187,9 @@ def _changes(changes: Sequence[Row]) -> Markup:
             for value, u95 in (("value", "value_u95"), ("before_value", "before_u95"), ("difference", "difference_u95"))
         ]
         change = "cured" if row["change"] == "gone" else row["change"]  # as the pages say it
-        rows.append([_(change), row["feature_id"], _(quantity.said), *values, quantity.unit, reason(row["reason"])])
+        rows.append(
+            [_(change), named(row["feature_id"]), _(quantity.said), *values, quantity.unit, reason(row["reason"])]
+        )
     heads = [
         _("change"), _("feature"), _("quantity"), _("now"), _("then"), _("difference"), _("unit"), _("why"),
     ]  # fmt: skip

@@ -16,6 +16,7 @@ from storage.report.drawings import ticks
 from storage.report.markup import figure, number, with_u95
 from storage.report.verdicts import needs_attention
 from storage.templates import data_uri, part
+from storage.wording import N_, _, decimals
 
 Row = Mapping[str, Any]
 
@@ -24,7 +25,10 @@ MOST = 12
 _MAP_PX = 240.0
 _TOP, _BOTTOM = 26.0, 246.0
 _LEFTS, _WIDTH = (345.0, 740.0), 345.0
-_LINES = (("along the defect, mm", 0.0, "#00795a", ""), ("across the defect, mm", 0.5 * np.pi, "#a8578c", "6 4"))
+_LINES = (
+    (N_("along the defect, mm"), 0.0, "#00795a", ""),
+    (N_("across the defect, mm"), 0.5 * np.pi, "#a8578c", "6 4"),
+)
 _LEAST_SCALE_MM = 0.02
 _BELOW, _ON, _ABOVE, _UNSEEN = (0, 114, 178), (242, 242, 242), (213, 94, 0), (205, 208, 212)
 _AIR = 0.12
@@ -45,7 +49,7 @@ def _close_up(row: Row, form: DefectForm) -> Markup:
     corner = (np.array(form.corner) - 0.5 * form.step_mm) * scale
     reach = form.reach_mm * scale
     lines = []
-    for _, turn, colour, dash in _LINES:
+    for __, turn, colour, dash in _LINES:
         way = reach * np.array([np.cos(form.turn + turn), np.sin(form.turn + turn)])
         lines.append((*(-way - corner), *(way - corner), colour, dash))
     outline = _points(form.outline * scale - corner)
@@ -54,13 +58,14 @@ def _close_up(row: Row, form: DefectForm) -> Markup:
     span = float(heights.min()), float(heights.max())
     charts = [_section(k, section, span, row) for k, section in enumerate(sections)]
     drawing = part("storage.report", "defect.html", "close_up", picture, place, outline, lines, charts)
-    said = f"{row['defect_id']}, {row['kind']}. Map: full blue is {limit:.2f} mm below the skin as it would be, orange"
-    said += (
-        " above, grey unseen; dotted: outline at half depth. Sections: black the surface, blue the skin as it would be"
-    )
+    said = _(
+        "{name}, {kind}. Map: full blue is {limit} mm below the skin as it would be, orange above, grey unseen; "
+        "dotted: outline at half depth. Sections: black the surface, blue the skin as it would be",
+        name=row["defect_id"], kind=_(row["kind"]), limit=number(limit, 2),
+    )  # fmt: skip
     if depth > 0:
         gap = number(row["straight_edge_depth_mm"], 3)
-        said += f", brown a straight-edge laid on it (greatest gap under one in any direction {gap} mm)"
+        said += ", " + _("brown a straight-edge laid on it (greatest gap under one in any direction {gap} mm)", gap=gap)
     return figure(drawing, said + ".")
 
 
@@ -71,12 +76,12 @@ def _picture(heights: Array) -> tuple[str, float]:
     on, below, above = (np.array(colour, float) for colour in (_ON, _BELOW, _ABOVE))
     colours = np.where(share < 0, on + share * (on - below), on + share * (above - on))
     colours = np.where(np.isfinite(share), colours, _UNSEEN)
-    _, png = cv2.imencode(".png", colours[..., ::-1].astype(np.uint8))
+    __, png = cv2.imencode(".png", colours[..., ::-1].astype(np.uint8))
     return data_uri(png.tobytes(), "png"), limit
 
 
 def _section(number_: int, section: DefectSection, span: tuple[float, float], row: Row) -> Markup:
-    left, (title, _, colour, dash) = _LEFTS[number_], _LINES[number_]
+    left, (title, __, colour, dash) = _LEFTS[number_], _LINES[number_]
     air = max(_AIR * (span[1] - span[0]), 0.005)
     low, high = span[0] - air, span[1] + air
     reach = float(np.abs(section.t).max()) or 1.0
@@ -90,10 +95,10 @@ def _section(number_: int, section: DefectSection, span: tuple[float, float], ro
     depth, skin = float(row["depth_mm"]), float(np.interp(0.0, section.t, section.skin))
     arrow = x(0.0), y(skin), y(skin - depth), f"{with_u95(depth, row['depth_u95_mm'], 3, True)} mm"
     surface, bare = (_points(np.stack([x(section.t), y(h)], axis=1)) for h in (section.surface, section.skin))
-    across = [(y(tick), f"{tick + 0.0:.10g}") for tick in ticks(low, high)]
-    down = [(x(tick), f"{tick + 0.0:.10g}") for tick in ticks(-reach, reach)]
+    across = [(y(tick), decimals(f"{tick:.10g}")) for tick in ticks(low, high)]
+    down = [(x(tick), decimals(f"{tick:.10g}")) for tick in ticks(-reach, reach)]
     edge = y(0.0) if depth > 0 else None
-    shown = left, _WIDTH, title, colour, dash, across, down, bare, surface, edge, arrow
+    shown = left, _WIDTH, _(title), colour, dash, across, down, bare, surface, edge, arrow
     return part("storage.report", "defect.html", "section", *shown)
 
 

@@ -19,7 +19,7 @@ from metrology.verdicts import IN_ORDER, SEVERITIES, Symbol
 from storage.report.markup import number
 from storage.report.verdicts import COLOURS
 from storage.templates import data_uri, part
-from storage.wording import _, decimals
+from storage.wording import AT, _, decimals, named
 
 Row = Mapping[str, Any]
 
@@ -85,7 +85,7 @@ def _placed(x: float, y: float, scale: float, severity: Severity | None, title: 
 def _title(kind: Kind, row: Row) -> str:
     if kind.is_course:
         name, position = (row[column] for column in kind.id_columns)
-        return f"{_('{name} at {place} mm', name=name, place=f'{position:.0f}')}: {_(row['decision'])}"
+        return f"{_(AT, name=name, place=f'{position:.0f}')}: {_(row['decision'])}"
     first = kind.quantities[0]
     value = row[first.column]
     said = _("not measured") if value is None else f"{number(value, 4, first.signed)} {first.unit}"
@@ -109,14 +109,14 @@ class _Axes:
     def frame(self, label: str) -> list[Markup]:
         ends = _LEFT, _WIDTH - 12
         lines = [_drawn("tick", *ends, self.y(tick), decimals(f"{tick:.10g}")) for tick in ticks(self.y0, self.y1)]
-        return [*lines, _drawn("axis_title", (_HEIGHT - _BOTTOM) / 2 + 40, label)]
+        return [*lines, _drawn("axis_title", (_HEIGHT - _BOTTOM) / 2 + 6, label)]
 
 
 def ticks(low: float, high: float) -> list[float]:
     """Round numbers within a range."""
     step = 10.0 ** np.floor(np.log10((high - low) / 3))
     step *= next(k for k in (1, 2, 5, 10) if (high - low) / (step * k) <= 7)
-    return [round(float(t), 10) for t in np.arange(np.ceil(low / step) * step, high, step)]
+    return [round(float(t), 10) + 0.0 for t in np.arange(np.ceil(low / step) * step, high, step)]
 
 
 def _chart(marks: Sequence[Markup]) -> Markup:
@@ -200,7 +200,9 @@ def course_chart(kind: Kind, quantity: Quantity, course: Sequence[Row], limits: 
         lower = [(axes.x(row[position]), axes.y(row[value] - (row[u95] or 0))) for row in piece]
         marks.append(_drawn("band", _points([*upper, *reversed(lower)])))
         marks.append(_drawn("profile", _points((axes.x(row[position]), axes.y(row[value])) for row in piece)))
-    marks += [_drawn("text", axes.x(tick), _HEIGHT - 14, "middle", f"{tick:g}") for tick in ticks(axes.x0, axes.x1)]
+    marks += [
+        _drawn("text", axes.x(tick), _HEIGHT - 14, "middle", decimals(f"{tick:g}")) for tick in ticks(axes.x0, axes.x1)
+    ]
     marks.append(_drawn("text", _WIDTH - 12, _HEIGHT - 1, "end", _("mm along the {subject}", subject=_(kind.subject))))
     return _chart(marks)
 
@@ -252,7 +254,7 @@ def panel_map(
         for kind, row in rows
         if not kind.is_course and row["decision"] not in IN_ORDER
     ]
-    marks += [_drawn("name", row["x_mm"], -row["y_mm"], unit, f"? {row['feature_id']}") for row in not_seen]
+    marks += [_drawn("name", row["x_mm"], -row["y_mm"], unit, f"? {named(row['feature_id'])}") for row in not_seen]
     return _drawn("map", x0, -y1, x1 - x0, y1 - y0, [ground, *marks])
 
 

@@ -42,9 +42,9 @@ class Report:
 
 def scene_report(store: Store, scene_id: str, wording: Wording | None = None) -> Report:
     """The report of a scan, in English or with other words."""
-    record = scene_record(store, scene_id)
-    proof = Proof(("scene", scene_id), content_of(record))
-    with written_in(wording):
+    with written_in(wording):  # the chain says what the scan rests on
+        record = scene_record(store, scene_id)
+        proof = Proof(("scene", scene_id), content_of(record))
         page = scene_page(record, letterhead(store.root, proof.content))
     return Report(page, proof, [record.of_kind], OF_KIND)
 
@@ -58,9 +58,9 @@ def panel_report(store: Store, key: PanelKey, stations: bool = False, wording: W
         with written_in(wording):
             page = assembled_page(assembled, letterhead(store.root, proof.content))
         return Report(page, proof, [assembled.of_kind], PANEL_OF_KIND)
-    record = panel_record(store, *about)
-    proof = Proof(("stations", *about), content_of(record))
     with written_in(wording):
+        record = panel_record(store, *about)
+        proof = Proof(("stations", *about), content_of(record))
         page = panel_page(record, letterhead(store.root, proof.content))
     return Report(page, proof, [scene.of_kind for scene in record.scenes], OF_KIND)
 

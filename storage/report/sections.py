@@ -20,7 +20,7 @@ from storage.report.markup import badge, code, facts, figure, missing, moment, n
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
 from storage.review import Entry
-from storage.wording import _, capital, reason
+from storage.wording import _, capital, named, reason
 
 Row = Mapping[str, Any]
 
@@ -48,7 +48,9 @@ def features_table(kind: Kind, rows: Sequence[Row], where: bool = False) -> Mark
         ]
         for row in rows
     ]
-    numeric = [1 + k for k in range(len(kind.shown))]
+    numeric = [
+        1 + k for k, cell in enumerate(kind.shown) if not any(isinstance(row[cell.columns[0]], str) for row in rows)
+    ]
     if where:
         heads, numeric = [_("station"), *heads], [k + 1 for k in numeric]
         lines = [[row["station"], *line] for row, line in zip(rows, lines, strict=True)]
@@ -176,7 +178,7 @@ def decisions_table(record: SceneRecord) -> Markup:
     """How the findings stand, and what people decided; "" where there is neither."""
     if not record.decisions and not record.standings:
         return Markup()
-    open_names = [standing.feature.id for standing in record.standings if standing.state == OPEN_WORK]
+    open_names = [named(standing.feature.id) for standing in record.standings if standing.state == OPEN_WORK]
     entries = entries_table(record.decisions) if record.decisions else ""
     return section("decisions", standings_said(record.standings), open_names, entries)
 
@@ -187,7 +189,7 @@ def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
         [
             moment(entry.at),
             entry.who,
-            f"{_(entry.feature_kind or 'scan')} {entry.feature_id or ''} {entry.scene_id if where else ''}",
+            f"{_(entry.feature_kind or 'scan')} {named(entry.feature_id or '')} {entry.scene_id if where else ''}",
             _(entry.what),
             entry.comment,
         ]

@@ -167,7 +167,7 @@ def test_open_work_stays_until_a_later_scan_passes(server: tuple[str, Path], chr
     page.goto(f"{address}/review?aircraft=MSN-0424&state=open+work")
     page.get_by_text("Open work: rework of R09").wait_for()
     settle(page)
-    assert page.get_by_text("1 findings").count()
+    assert page.get_by_text("1 finding", exact=True).count()
     page.goto(f"{address}/scene?scene={scene}")
     page.get_by_text("1 open work").wait_for()
     sound = recipe(4, "S2")

@@ -18,7 +18,8 @@ from dashboard.app import PAGES
 from dashboard.data import Archive
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.sql_runner import run_query
-from metrology.kinds import RIVET
+from metrology.kinds import HOLE, RIVET
+from metrology.results import Hole
 from metrology.tolerance import judge
 from storage.archive.schema import TABLES
 from storage.archive.store import Store
@@ -246,6 +247,19 @@ def test_the_review_lists_all_that_the_overview_counts(filled: Path, open_page: 
     )
     said = [caption.value for caption in open_page("review", filled).caption]
     assert any(text.startswith(f"{waiting} findings") for text in said), said
+
+
+def test_the_worst_of_a_panel_is_a_height_or_a_step_and_no_diameter(writable: Path, open_page: Open) -> None:
+    scan = synthetic_result(recipe(5, "S3"))
+    hole = Hole(
+        "H1", x_mm=1.0, y_mm=2.0, z_mm=700.0, u_px=90.0, v_px=90.0, kind="open hole", diameter_mm=8.27,
+        diameter_u95_mm=0.02,
+    )  # fmt: skip
+    holes = tuple(judge(HOLE, [hole], load_panel_spec().limits))
+    assert holes[0].decision == "conditional fail"
+    Store(writable).publish(replace(scan, features={**scan.features, HOLE.name: holes}))
+    panels = open_page("overview", writable, view=WORK).dataframe[0].value.set_index("Aircraft")
+    assert panels.loc[scan.key.aircraft_serial, "Worst, mm"] == pytest.approx(WORST_HEIGHT, abs=0.005)
 
 
 def test_few_points_are_not_called_in_control(filled: Path, open_page: Open) -> None:
@@ -499,7 +513,7 @@ def test_open_work_is_counted_alike_and_can_be_closed(writable: Path, open_page:
     assert (waiting["Open work"], now["Open work"]) == ("0", "1")
     assert "3 waiting, 1 open work" in texts(open_page("scene", writable, scene=LAST))
     page = open_page("review", writable, state="open work")
-    assert "1 findings" in texts(page)
+    assert "1 finding" in texts(page)
     assert "Open work: rework of R04" in texts(page)
     page.text_input(key="who").set_value("M. Weber")
     page = page.run()

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import streamlit as st
 
 from dashboard import data
 from dashboard.data import NOTICED, Archive
 from dashboard.findings import Wanted, findings
-from dashboard.warming import read_ahead
+from dashboard.loading_ahead import load_ahead
+from dashboard.warming import OFF_VARIABLE, read_ahead
 from metrology.kinds import KINDS
 from storage.archive.work import findings_sql, noticed_sql, register
 from storage.review import Review
@@ -45,3 +47,15 @@ def test_findings_are_the_same_from_what_was_noticed(filled: Path) -> None:
             )
             assert direct == noticed
             assert bool(direct) == bool(kinds)
+
+
+def test_what_the_browser_loads_ahead_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another version of Streamlit may call its files otherwise: then pages show their first chart later."""
+    said: list[str] = []
+    monkeypatch.setattr(st, "html", lambda text, **_options: said.append(text))
+    load_ahead()
+    assert "DataFrame." in said[0]
+    assert "PlotlyChart." in said[0]
+    monkeypatch.setenv(OFF_VARIABLE, "1")
+    load_ahead()
+    assert len(said) == 1

@@ -13,8 +13,10 @@ import pytest
 from streamlit.testing.v1 import AppTest
 
 from dashboard.catalogue import texts, updated
+from dashboard.causes import CAUSES
 from dashboard.findings import feature_words
 from dashboard.locale import Locale
+from dashboard.meanings import meaning
 from dashboard.reasons import PATTERNS, worded
 from dashboard.reports import wording_of
 from dashboard.sentences import CLAUSES, SENTENCES
@@ -22,6 +24,8 @@ from dashboard.words import ENGLISH, LANGUAGES, N_, _, language, po_file, speak,
 from flows.cli import main
 from metrology.results import PanelKey
 from storage.archive import Store
+from storage.archive.schema import TABLES
+from storage.archive.views import VIEWS
 from storage.report import panel_report, scene_report, verify
 from tests.dashboard.test_pages import Open, clean
 from tests.support.week import ROOT
@@ -131,6 +135,36 @@ def test_reasons_are_worded_clause_by_clause(stored: str, english: str, german: 
             "A1: höchstens 5% der Niete je Paneel: Überstand jenseits der Grenze: gefunden 8% bei F12, bis zu 10% mit "
             "allem, was näher als U95 an der Grenze liegt; nicht gesehen: R01, R02",
         ),
+        (
+            "step into the wind +0.210 ± 0.005 mm outside -0.100 … +0.100 (LH-F12 2)",
+            "Versatz gegen den Wind +0,210 ± 0,005 mm außerhalb von −0,100 … +0,100 (LH-F12 2)",
+        ),
+        (
+            "defect depth for a width of 12.5 mm 0.312 ± 0.010 mm outside −∞ … +0.200",
+            "Schadenstiefe bei 12,5 mm Breite 0,312 ± 0,010 mm außerhalb von −∞ … +0,200",
+        ),
+        (
+            "lap joint: no gap (what is dark is its edge's wall and shadow, or a gap under 0.42 mm)",
+            "Überlappstoß: kein Spalt (dunkel sind Wand und Schatten der Kante, oder ein Spalt unter 0,42 mm)",
+        ),
+        (
+            "known: accepted as it is on 2026-11-20 by K. Ito; depth since then +0.012 ± 0.020 mm, no more than its "
+            "uncertainty",
+            "bekannt: am 2026-11-20 von K. Ito wie vorliegend angenommen; Tiefe seitdem +0,012 ± 0,020 mm, nicht mehr "
+            "als ihre Unsicherheit",
+        ),
+        (
+            "rig rig-7: cannot tell whether the rig still fits: too few points; texture lies off the epipolar lines by "
+            "0.213 px with noise of 0.5 px, expected at most 0.2 px",
+            "Messkopf rig-7: ob die Kalibrierung noch passt, ist nicht zu sagen: zu wenige Punkte; die Textur liegt "
+            "0.213 px neben den Epipolarlinien (wo die eine Kamera sie bei der anderen erwartet), mit einem Rauschen "
+            "von 0.5 px, erwartet höchstens 0.2 px",
+        ),
+        (
+            "not measured: S01@144.0-166.0, R07 and 4 more",
+            "nicht gemessen: S01 144–166 mm, R07 und 4 weitere",
+        ),
+        ("edges of M1@8.5 and R04", "edges of M1 bei 8,5 mm and R04"),
         ("3 % of the pixels are saturated", "3 % of the pixels are saturated"),
     ],
 )
@@ -140,6 +174,15 @@ def test_warnings_and_verdicts_are_worded(stored: str, german: str) -> None:
     assert Locale("de").reason(stored) == german
 
 
+def test_meanings_of_tables_have_a_translation() -> None:
+    comments = [column.comment for table in TABLES for column in table.columns] + [view.comment for view in VIEWS]
+    assert [text for text in comments if meaning(text) != text] == []
+    speak("de")
+    assert meaning("expanded uncertainty (95 %) of step_mm, mm") == "erweiterte Unsicherheit (95 %) von step_mm, mm"
+    same = {"mm", "value minus before_value"}
+    assert {text for text in comments if meaning(text) == text} <= same
+
+
 def test_sentences_are_those_that_the_code_says() -> None:
     """What was reworded in the code would stay English on the pages: each fixed part stands in some source."""
     sources = "".join(
@@ -147,8 +190,12 @@ def test_sentences_are_those_that_the_code_says() -> None:
         for room in ("metrology", "tasks", "storage")
         for path in (ROOT / room).rglob("*.py")
     )
-    composed = r"\{\w+\}| of the right camera|(?<=camera's picture), |(?<=every exposure); "
-    parts = {part.strip(" ,:;()") for said in (*SENTENCES, *CLAUSES) for part in re.split(composed, said)}
+    composed = (
+        r"\{\w+\}| of the right camera|(?<=camera's picture), |(?<=every exposure); |perhaps a |no more than |"
+        r"(?<=mm), more than |(?<=no gap) \(|(?<=its rim) below|(?<=several ways), |mm below the skin: |"
+        "edge A and B |: give"
+    )
+    parts = {part.strip(" ,:;()") for said in (*SENTENCES, *CLAUSES, *CAUSES) for part in re.split(composed, said)}
     whole = [part for part in parts if len(part.split()) > 3]
     assert len(whole) > 40
     assert [part for part in whole if part not in sources] == []

@@ -248,6 +248,14 @@ def test_a_missing_rivet_is_shown_where_it_should_be(scene: Reconstruction) -> N
     assert "NOT JUDGED" in [x.text for x in overlay.labels]
 
 
+def test_the_legend_says_what_bars_and_question_marks_mean(scene: Reconstruction) -> None:
+    rows = [replace(station(float(s), "green", scene.rig), width_mm=None) for s in range(0, 40, 2)]
+    overlay = draw_overlay({"seam station": rows}, scene, [])
+    texts = [x.text for x in overlay.labels]
+    assert any(" | ?" in text for text in texts)
+    assert {"values in mm", "SEAM: step | gap (before and after the bar)", "? not measured"} <= set(texts)
+
+
 def test_values_near_a_limit_are_starred_and_the_star_is_explained(scene: Reconstruction) -> None:
     overlay = draw_overlay(
         {"rivet": [replace(rivet("R", 0, 0, "green", scene.rig), decision="conditional pass")], "seam station": []},
@@ -256,7 +264,8 @@ def test_values_near_a_limit_are_starred_and_the_star_is_explained(scene: Recons
     )
     texts = [x.text for x in overlay.labels]
     assert "+0.12*" in texts
-    assert "* within U95 of a limit" in texts
+    assert "* nearer to a limit than its uncertainty" in texts
+    assert {"values in mm", "RIVET: height"} <= set(texts)
 
 
 def test_where_there_is_no_room_grave_values_stay(scene: Reconstruction) -> None:

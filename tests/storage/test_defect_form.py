@@ -10,9 +10,11 @@ import pytest
 
 from dashboard.figures.defect import defect_map, defect_sections
 from dashboard.locale import Locale
+from dashboard.reports import wording_of
 from metrology.fits import DefectForm, DefectSection, FittedDefect
 from storage.fits import read_fits, write_fits
 from storage.report.defect_form import defect_forms
+from storage.wording import written_in
 
 DEPTH = 0.3
 
@@ -74,6 +76,19 @@ def test_a_report_and_a_page_draw_it(tmp_path: Path, depth: float) -> None:
     assert arrow.y0 - arrow.y1 == pytest.approx(depth)
     named = [trace.name for trace in defect_map(form(), Locale()).data if trace.showlegend is not False and trace.name]
     assert named == ["outline at half depth", "section along", "section across"]
+
+
+def test_a_german_report_says_it_in_german(tmp_path: Path) -> None:
+    write_fits(tmp_path / "fits.parquet", {"defect": [defect()]})
+    fits, row = read_fits(tmp_path / "fits.parquet"), {**vars(defect()), "straight_edge_depth_mm": 0.21}
+    with written_in(wording_of(Locale("de"), "de")):
+        [drawn] = defect_forms([row], fits)
+    assert "D01, Delle. Karte: volles Blau liegt 0,02 mm unter der Haut" in drawn
+    assert "(größter Spalt darunter in irgendeiner Richtung 0,210 mm)" in drawn
+    assert ">längs des Schadens, mm<" in drawn
+    assert ">-0,2<" in drawn
+    assert ">0<" in drawn
+    assert "-0<" not in drawn
 
 
 def test_the_page_of_a_scene_shows_it(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from dashboard.locale import Locale
+from dashboard.reports import wording_of
 from flows.cli import main
 from metrology.errors import StoreError, UsageError
 from metrology.inspection import InspectionResult
@@ -23,9 +25,10 @@ from storage.evidence.chain import missing, trace
 from storage.evidence.verifications import ArtefactModel, MeasureModel, ScanModel, VerificationModel, verified
 from storage.export.events import rigs_due
 from storage.panel_spec import load_panel_spec
-from storage.report import scene_page, scene_record
+from storage.report import scene_page, scene_record, scene_report
 from storage.review import Feature as ReviewedFeature
 from storage.review import ReviewLog, ShownFinding, ShownScene
+from storage.wording import written_in
 from tests.support.results import small_key, small_result, small_rig
 
 CAPTURED = datetime(2026, 11, 20, 8, 15, tzinfo=UTC)
@@ -110,6 +113,12 @@ def test_the_chain_of_each_kind_is_whole(name: str, value: str, tmp_path: Path, 
     assert "the chain is whole" in capsys.readouterr().out
     page = scene_page(scene_record(store, scene))
     assert all(text in page for text in ("B-77", "RP-1", "f00d", "A. Meyer", "signed off by C. Lin"))
+    with written_in(wording_of(Locale("de"), "de")):
+        german = {link.name: link.said for link in scene_record(store, scene).chain}
+    assert german["verification"].startswith("i.O. am 2026-11-")
+    assert "mit rivet-plate RP-1 (Zertifikat D-1, ohne Fälligkeit), nächste fällig 2026-12-" in german["verification"]
+    assert german["sign-off"].startswith("abgezeichnet von C. Lin am ")
+    assert german["frames"] == "Prüfsumme f00d"
 
 
 def test_every_missing_link_is_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -123,6 +132,9 @@ def test_every_missing_link_is_named(tmp_path: Path, capsys: pytest.CaptureFixtu
         "decision", "sign-off",
     ]  # fmt: skip
     assert "<b>missing</b>: never verified" in scene_page(scene_record(store, small_key().scene_id))
+    german = scene_report(store, small_key().scene_id, wording_of(Locale("de"), "de")).html
+    assert "<b>fehlend</b>: nie überprüft; flushline verify zeigt, ob der Messkopf richtig misst" in german
+    assert "<b>fehlend</b>: der Scan ist offen; im Dashboard abzeichnen" in german
 
 
 def test_a_name_that_several_scans_have_is_not_guessed(tmp_path: Path) -> None:

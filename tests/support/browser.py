@@ -18,6 +18,7 @@ import pytest
 
 from dashboard.confinement import die_with
 from dashboard.launch import command
+from dashboard.warming import OFF_VARIABLE
 from storage.review import Entry, ReviewLog
 from tests.support.week import ROOT
 
@@ -50,10 +51,17 @@ def free_port() -> int:
 
 
 @contextmanager
-def served(root: Path, port: int | None = None) -> Iterator[str]:
-    """A dashboard's server on a store, started beside it; gives its address. It ends with this process, too."""
+def served(root: Path, port: int | None = None, ahead: bool = False) -> Iterator[str]:
+    """A dashboard's server on a store, started beside it; gives its address. It ends with this process, too.
+
+    Parameters
+    ----------
+    ahead : bool
+        Whether it reads ahead, and has browsers load ahead what no page has asked for yet.
+    """
     port = port or free_port()
     environment = {**os.environ, "FLUSHLINE_STORE": str(root), "PYTHONPATH": str(ROOT)}
+    environment |= {} if ahead else {OFF_VARIABLE: "1"}
     log = (root.parent / "server.log").open("wb")
     process = subprocess.Popen(
         command(port, "127.0.0.1"), env=environment, stdout=log, stderr=log, cwd=root.parent,
