@@ -1,4 +1,4 @@
-"""Panels as a hall has them, whole scans of 1.4 megapixels: rivets, holes, and what U95 of a seam's step and width covers.
+"""Panels as a hall has them, in scans of 1.4 megapixels: rivets, holes, what U95 of step and width covers.
 
 python benchmarks/study_halls.py --keep FOLDER [--first 1] [--panels 6] [--stations]
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,17 +20,20 @@ import numpy as np
 from study_clutter import Kept, count_holes, count_rivets, kept_or_rendered, report
 from study_seams import errors, summary
 
+from metrology.cloud import Reconstruction
+from metrology.errors import SceneError
 from metrology.fastening import detect_fasteners
 from metrology.holes import measure_holes
 from metrology.moments import moment_of
-from metrology.results import SceneKey
-from metrology.cloud import Reconstruction
+from metrology.reconstruct import reconstruct
+from metrology.results import Rivet, SceneKey
 from metrology.rivets import measure_rivets
 from metrology.seams import detect_seams, measure_seams
 from simulator.clutter import Patch
 from simulator.defects import Dent
 from simulator.marks import Stencil
-from simulator.panel import Hole, Rivet, Seam
+from simulator.panel import Hole, Panel, Seam
+from simulator.panel import Rivet as SimulatedRivet
 from simulator.random_clutter import Clutter, with_clutter
 from simulator.random_panel import Places, Variety, random_placement, random_skin, random_surface, ring_reflectance
 from simulator.rig import RigDesign
@@ -60,11 +64,11 @@ def specification(k: int) -> SimulationSpec:
         chamfer_mm=float(rng.choice([0.2, 0.3, 0.45])), depth_mm=float(rng.uniform(1.5, 4.0)),
         floor_reflectance=float(rng.uniform(0.15, 0.5)), edge_reflectance=float(rng.uniform(0.6, 1.0)),
     )  # fmt: skip
-    find = Places(VARIETY, (seam,))
-    rivets, holes = _rows(rng, find.take)
+    free = Places(VARIETY, (seam,))
+    rivets, holes = _rows(rng, free)
     panel = replace(base.panel, width_mm=SIZE_MM[0], height_mm=SIZE_MM[1], skin=random_skin(rng, VARIETY),
                     surface=random_surface(rng, VARIETY), rivets=rivets, holes=holes, seams=(seam,))  # fmt: skip
-    panel = _beside_the_seam(rng, with_clutter(rng, panel, CLUTTER, find.find))
+    panel = _beside_the_seam(rng, with_clutter(rng, panel, CLUTTER, free.find))
     return replace(
         base,
         rig=replace(base.rig, seed=40 + k, design=DESIGN),
@@ -79,26 +83,27 @@ def specification(k: int) -> SimulationSpec:
     )
 
 
-def _rows(rng: np.random.Generator, take) -> tuple[tuple[Rivet, ...], tuple[Hole, ...]]:  # type: ignore[no-untyped-def]
+def _rows(rng: np.random.Generator, places: Places) -> tuple[tuple[SimulatedRivet, ...], tuple[Hole, ...]]:
     """Four rows of four heads, each a little off its place; one is a hole."""
     rivets, holes, missing = [], [], int(rng.integers(16))
     for k in range(16):
         x = (-118.0, -42.0, 42.0, 118.0)[k % 4] + float(rng.uniform(-1, 1))
         y = (76.0, 26.0, -26.0, -76.0)[k // 4] + float(rng.uniform(-2, 2))
         size = float(rng.choice(DIAMETERS_MM))
-        take(x, y, size)
+        places.take(x, y, size)
         if k == missing:
             holes.append(Hole(x, y, size))
             continue
         ring, level = float(rng.uniform(0.1, 0.2)), float(np.exp(rng.uniform(*np.log((6.0, 30.0)))))
-        rivets.append(Rivet(
+        rivet = SimulatedRivet(
             f"R{k + 1:02d}", x, y, size, float(rng.uniform(-0.1, 0.15)), float(rng.uniform(0, 0.6)),
             float(rng.uniform(0, 360)), 0.0, ring, 0.3, ring_reflectance(level, ring, 100.0, 0.75, 0.227),
-        ))  # fmt: skip
+        )  # fmt: skip
+        rivets.append(rivet)
     return tuple(rivets), tuple(holes)
 
 
-def _beside_the_seam(rng, panel):  # type: ignore[no-untyped-def]
+def _beside_the_seam(rng: np.random.Generator, panel: Panel) -> Panel:
     """A line of letters and a sticker across the seam, and a dent whose foot reaches it."""
     y = rng.permutation([-75.0, -25.0, 25.0, 75.0])
     letters = Stencil("RH-F11 STA 872", float(rng.uniform(-8, 15)), float(y[0]), 5.0, 180.0)
@@ -122,7 +127,13 @@ def cloud_of(kept: Kept, folder: Path) -> Reconstruction:
         left, right = kept.frames["left"], kept.frames["right"]
         write_scene(folder, key, spec.rig.id, spec.fringe, spec.camera.exposures, left, right, kept.truth.as_dict())
         save_rig(make_rig(spec), rig_path)
-    return steps.reconstruct_scene(steps.load(folder, rig_path, Store(folder / "store")), InspectionSettings())
+    try:
+        return steps.reconstruct_scene(steps.load(folder, rig_path, Store(folder / "store")), InspectionSettings())
+    except SceneError as problem:
+        print(f"refused, so without what an inspection does about uneven frames: {problem}")
+        return reconstruct(
+            kept.frames["left"], kept.frames["right"], make_rig(spec), spec.fringe, spec.camera.exposures
+        )
 
 
 def near_by(kept: Kept, x: float, y: float) -> str:
@@ -141,6 +152,33 @@ def near_by(kept: Kept, x: float, y: float) -> str:
     return ", ".join(found) or "bare"
 
 
+def print_stations(kept: Kept, found: np.ndarray) -> None:
+    """Errors along the seam, and what lies near by."""
+    truth = kept.truth.as_dict()["seams"][0]
+    at = [np.interp(found[:, 0], np.arange(len(truth["xyz_mm"])), c) for c in np.array(truth["xyz_mm"]).T]
+    for (_, step, u95, width, width_u95), point in zip(found, np.stack(at, axis=1), strict=True):
+        x, y = kept.pose.to_panel(point)[:2]
+        print(
+            f"   y {y:7.1f} step {step:+.4f} U95 {u95:.4f}{'!' if abs(step) > u95 else ' '} width {width:+.3f} "
+            f"U95 {width_u95:.3f} {near_by(kept, x, y)}"
+        )
+
+
+def height_errors(name: str, kept: Kept, rivets: Sequence[Rivet]) -> list[tuple[float, float]]:
+    """Errors of heights and their U95; heads that were not measured are printed."""
+    found = []
+    for true in kept.truth.rivets:
+        for row in rivets:
+            near = math.hypot(row.u_px - true.uv_px[0], row.v_px - true.uv_px[1]) < row.minor_px / 4
+            if not near or row.decision == "unconfirmed":
+                continue
+            if row.height_mean_mm is None or row.height_u95_mm is None:
+                print(f"{name} {true.id} ({true.kind}, {true.diameter_mm} mm) not measured: {row.reason}")
+            else:
+                found.append((row.height_mean_mm - true.height_mean_mm, row.height_u95_mm))
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--keep", type=Path, required=True, help="folder of the rendered panels")
@@ -149,45 +187,25 @@ def main() -> None:
     parser.add_argument("--stations", action="store_true", help="print every seam station")
     arguments = parser.parse_args()
     arguments.keep.mkdir(parents=True, exist_ok=True)
-    total, steps, heights = Counter[str](), [], []
+    total, seams, heights = Counter[str](), [], []
     for k in range(arguments.first, arguments.first + arguments.panels):
         kept = kept_or_rendered(specification(k), arguments.keep / f"hall-{k:03d}.pkl")
-        name = f"panel {k}:"
-        cloud = cloud_of(kept, arguments.keep / f"hall-{k:03d}")
+        name, cloud = f"panel {k}:", cloud_of(kept, arguments.keep / f"hall-{k:03d}")
         fasteners = detect_fasteners(cloud)
         lines = detect_seams(cloud, fasteners.rivets)
-        rivets = measure_rivets(fasteners.rivets, cloud, lines)
         stations = measure_seams(lines, cloud, fasteners.rivets)
+        heights += height_errors(name, kept, measure_rivets(fasteners.rivets, cloud, lines))
         total += count_rivets(name, kept, fasteners.rivets, cloud.points)
         total += count_holes(name, kept.truth, measure_holes(fasteners.openings, cloud))
-        for true in kept.truth.rivets:
-            for row in rivets:
-                if (
-                    math.hypot(row.u_px - true.uv_px[0], row.v_px - true.uv_px[1]) < row.minor_px / 4
-                    and not row.decision
-                ):
-                    if row.height_mean_mm is None:
-                        print(f"{name} {true.id} ({true.kind}, {true.diameter_mm} mm): {row.reason}")
-                    else:
-                        heights.append((row.height_mean_mm - true.height_mean_mm, row.height_u95_mm))
-        found = errors(stations, kept.truth.as_dict())
-        steps.append(found)
-        print(f"{name} step  {summary(found[:, 1], found[:, 2])}\n          width {summary(found[:, 3], found[:, 4])}")
+        found = errors(stations, kept.truth.as_dict()) if stations else np.empty((0, 5))
+        seams.append(found)
+        print(f"{name} step  {summary(found[:, 1], found[:, 2])}\n   width {summary(found[:, 3], found[:, 4])}")
         if arguments.stations:
-            truth = kept.truth.as_dict()["seams"][0]
-            for place, step, u95, width, width_u95 in found:
-                at = [
-                    np.interp(place, np.arange(len(truth["xyz_mm"])), column) for column in np.array(truth["xyz_mm"]).T
-                ]
-                x, y = kept.pose.to_panel(np.array(at))[:2]
-                mark = "!" if abs(step) > u95 else " "
-                print(
-                    f"   y {y:7.1f} step {step:+.4f} u95 {u95:.4f}{mark} width {width:+.3f} u95 {width_u95:.3f} {near_by(kept, x, y)}"
-                )
+            print_stations(kept, found)
         report(f"up to {k}", total)
-    joined, errs = np.concatenate(steps), np.array(heights, float)
-    print(f"steps  {summary(joined[:, 1], joined[:, 2])}\nwidths {summary(joined[:, 3], joined[:, 4])}")
-    print(f"heights {summary(errs[:, 0], errs[:, 1])}")
+    joined, off = np.concatenate(seams), np.array(heights, float).reshape(-1, 2)
+    print(f"steps   {summary(joined[:, 1], joined[:, 2])}\nwidths  {summary(joined[:, 3], joined[:, 4])}")
+    print(f"heights {summary(off[:, 0], off[:, 1])}")
 
 
 if __name__ == "__main__":

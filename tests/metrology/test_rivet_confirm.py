@@ -88,10 +88,11 @@ def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:
     assert len(detections) == len(ROWS) + 1
 
 
-def test_a_drop_in_a_row_is_in_doubt(rng: np.random.Generator) -> None:
-    """It is round and stands out of the skin, most in its middle, with a blurred dark border."""
+@pytest.mark.parametrize("width_mm", [0.5, 0.26])
+def test_a_drop_in_a_row_is_in_doubt(rng: np.random.Generator, width_mm: float) -> None:
+    """It is round and stands out of the skin, most in its middle, with a border that is blurred or wider than gaps."""
     skin, drop = Skin(), Head(-15, -20, diameter=4.8, contrast=30.0)
-    reconstruction = painted(scan(skin, ROWS, rng), drop, skin, width_mm=0.5)
+    reconstruction = painted(scan(skin, ROWS, rng), drop, skin, width_mm)
     local = skin.frame.local(reconstruction.points.astype(float))
     away = np.hypot(local[..., 0] - drop.x, local[..., 1] - drop.y)
     local[..., 2] += 0.4 * np.clip(1 - (away / 2.4) ** 3, 0, None)
