@@ -24,10 +24,12 @@ from metrology.rivets.relief import HeadRelief, head_relief
 from metrology.rivets.rim_light import GapLight, RimLight, rim_light
 from metrology.rivets.rim_step import RimStep, rim_step
 from metrology.rivets.settings import RivetSettings
+from metrology.robust import MAD
 from metrology.surfaces import Frame
 
 _SURROUNDED = 0.9  # of the pixels round a weak ring must have points
 _CLOSED = 0.8  # of a rim's directions in which it shows; a glint or a scratch hides the rest
+_PARTLY_CLOSED = 0.65  # the same of a line like the gaps of the scan: sealant or paint fills the rest
 # Half-width of a rim's line: blur of 0.7 px and a gap of a millimetre at five pixels each give 1.6.
 _THIN_PX = 1.6
 # By how much of its own darkness a rim departs from the model. Where a rim is faint, grain departs as much: then by how
@@ -39,7 +41,9 @@ _STROKE_STEPS = 6.0  # the same where the line is a stroke: its edges pass for s
 _WIDER, _WIDER_PX = 1.25, 0.15  # than the line of a scan's other fasteners, times and px beyond, is a painted line
 _BULGE = 0.05  # of the diameter: a slope of 11° at the border of what is round
 _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
-_AS_DARK = 1.6  # times the others' contrast, or less by that
+_NEXT_SIZE = 1 + 2.5 * HALF_STEP  # times a size, at most, is the next one of a series
+# Where nothing steps: wider by so many standard deviations of the gaps' widths, or by a share of them.
+_WIDER_SIGMAS, _WIDER_SHARE = 4.0, 0.15
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
@@ -69,13 +73,21 @@ class _Shown:
     grain: float = 0.0
     place: _Place | None = None
     light: RimLight | None = None
+    like_gaps: bool = False
+    """Whether its line is like the gaps of the scan's fasteners beyond doubt."""
+
+    @property
+    def polarity(self) -> float:
+        """1 for a dark line, −1 for a bright one."""
+        return float(-np.sign(self.ring.fit.amplitude) if self.light is None else np.sign(self.light.mean_mm))
 
     @property
     def clear(self) -> bool:
         """Whether it is a thin line that closes on itself; `grain` is what leaves a line as it is, grey levels."""
         fit = self.ring.fit
         clean = fit.noise <= max(_CLEAN * abs(fit.amplitude), self.grain)
-        return fit.coverage >= _CLOSED and fit.sigma_px <= _THIN_PX and clean
+        closed = fit.coverage >= (_PARTLY_CLOSED if self.like_gaps else _CLOSED)
+        return closed and fit.sigma_px <= _THIN_PX and clean
 
     @property
     def stroke(self) -> bool:
@@ -132,9 +144,11 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     if len(standing) >= _FEW:
         grain = _OF_GRAIN * float(np.median([s.ring.fit.noise for s in standing]))
         shown = [replace(s, grain=grain) for s in shown]
-    shown = [_placed(s, reconstruction) if s.clear or s.stands else s for s in shown]
+    shown = [_placed(s, reconstruction) if s.ring.fit.coverage >= _PARTLY_CLOSED or s.stands else s for s in shown]
     certain = [s for s in shown if s.clear and s.stands]
     gaps = _gaps(certain)
+    shown = [replace(s, like_gaps=_like_gaps(s, certain, gaps)) for s in shown]
+    certain = [s for s in shown if s.clear and s.stands]
     found = []
     for s in shown:
         if s.stands:
@@ -190,11 +204,10 @@ def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstructio
         return None
     if why := _unlike_gaps(one, certain, gaps):
         return f"a ring without a step, whose line is unlike the gaps of the fasteners here: {why}"
-    others = [s for s in certain if s.place is not None]
-    places = [s.place for s in others if s.place is not None]
-    if one.place is None or len(others) < _FEW or _usual_size(one.place, places) or _in_row(one.place, places):
+    places = [s.place for s in certain if s.place is not None]
+    if one.place is None or len(places) < _FEW or _usual_size(one.place, places) or _in_row(one.place, places):
         return None
-    if (one.light is not None and gaps.is_gap(one.light)) or _like_others(one.ring, one.place, others):
+    if one.like_gaps and _between(one.place, places):
         return None
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
 
@@ -232,9 +245,12 @@ def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     others = [s for s in certain if s is not one]
     if one.step is None or len(others) < _FEW:
         return None
+    gaps = _gaps(others)
     if (one.step.significance if one.clear else one.step.mean_significance) >= _STROKE_STEPS:
-        return None
-    why = _unlike_gaps(one, others, _gaps(others))
+        # Thick paint steps at its edges, and so does a chip.
+        why = _other_light(one, others, gaps) if one.stroke else None
+        return why and f"a wide line that steps, unlike the fasteners' gaps here: {why}"
+    why = _unlike_gaps(one, others, gaps)
     return why and f"a ring that hardly steps, whose line is unlike the fasteners' gaps here: {why}"
 
 
@@ -246,10 +262,14 @@ def _slope(one: _Shown, place: _Place) -> float:
 def _unlike_gaps(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> str | None:
     """In what a line is unlike all gaps of the scan."""
     rings = [s.ring for s in certain]
-    if _wider(one.ring, rings):
-        return "it is wider"
-    if all(np.sign(one.ring.fit.amplitude) != np.sign(ring.fit.amplitude) for ring in rings):
-        return "they are dark, and it is bright" if one.ring.fit.amplitude > 0 else "they are bright, and it is dark"
+    wide = _wider(one.ring, rings) or (not one.stands and _wider_than_all(one.ring, rings))
+    return "it is wider" if wide else _other_light(one, certain, gaps)
+
+
+def _other_light(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> str | None:
+    """In what the light that a line takes is unlike that of all gaps of the scan."""
+    if all(one.polarity != other.polarity for other in certain):
+        return "they are dark, and it is bright" if one.polarity < 0 else "they are bright, and it is dark"
     if one.light is None:
         return None
     if gaps.takes_more(one.light):
@@ -263,11 +283,26 @@ def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:
     return ring.fit.sigma_px > _WIDER * usual + _WIDER_PX
 
 
-def _like_others(ring: Ring, place: _Place, others: Sequence[_Shown]) -> bool:
-    """Whether a ring of another size has a gap like the others': as dark, and of a size between theirs."""
-    contrast = ring.fit.amplitude / float(np.median([other.ring.fit.amplitude for other in others]))
-    sizes = [other.place.diameter for other in others if other.place is not None]
-    return 1 / _AS_DARK < contrast < _AS_DARK and min(sizes) < place.diameter < max(sizes)
+def _wider_than_all(ring: Ring, certain: Sequence[Ring]) -> bool:
+    """Whether a line is wider than the widths of gaps scatter here."""
+    widths = np.array([other.fit.sigma_px for other in certain])
+    usual = float(np.median(widths))
+    scatter = MAD * float(np.median(np.abs(widths - usual)))
+    return ring.fit.sigma_px > usual + max(_WIDER_SIGMAS * scatter, _WIDER_SHARE * usual)
+
+
+def _like_gaps(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> bool:
+    """Whether a line is a gap's: as wide, and takes as much light, or looks as different from both cameras."""
+    rings = [s.ring for s in certain if s is not one]
+    if one.light is None or len(rings) < _FEW or _wider_than_all(one.ring, rings) or gaps.is_paint(one.light):
+        return False
+    return gaps.takes_as_much(one.light) or gaps.is_gap(one.light)
+
+
+def _between(place: _Place, others: Sequence[_Place]) -> bool:
+    """Whether a size lies between those of others, or is the next one."""
+    sizes = [other.diameter for other in others]
+    return min(sizes) / _NEXT_SIZE < place.diameter < max(sizes) * _NEXT_SIZE
 
 
 def _usual_size(place: _Place, others: Sequence[_Place]) -> bool:

@@ -29,6 +29,7 @@ _FLANK = 3  # outermost places on either side, where skin and head are as bright
 _SEEN = 0.5  # of the directions, in which all cameras must show the line
 _FEW = 4  # gaps that tell what is usual
 _SCATTER = 3.0  # standard deviations beyond which a line takes more light than gaps do
+_AS_MUCH = (1 / 1.6, 1.3)  # times what is usual: dirt fills gaps, and nothing makes them wider
 _LEAST_SCATTER = 0.5  # log of what gaps may differ by in any case: dirt, and gaps of other widths
 _APART = 4.0  # standard deviations between what gaps and what paint would show, to tell them apart
 _NEARER = 1 / 3  # of that distance within which a ring is one of them
@@ -91,6 +92,8 @@ def rim_light(reconstruction: Reconstruction, frame: Frame, radius: float, pixel
 class GapLight:
     """What light a scan's gaps take."""
 
+    usual_mm: float
+    """Of what they take in the median, the sign too; NaN where too few tell."""
     most_mm: float
     """A line that takes more is none of them; inf where too few tell."""
     slope: float
@@ -102,27 +105,32 @@ class GapLight:
     @classmethod
     def of(cls, gaps: Sequence[RimLight]) -> GapLight:
         """From the lines of a scan's fasteners beyond doubt."""
-        sizes = np.log([abs(gap.mean_mm) for gap in gaps if gap.mean_mm])
-        most = np.inf
-        if len(sizes) >= _FEW:
-            usual = float(np.median(sizes))
-            scatter = MAD * float(np.median(np.abs(sizes - usual)))
-            most = float(np.exp(usual + max(_SCATTER * scatter, _LEAST_SCATTER)))
+        taken = np.array([gap.mean_mm for gap in gaps if gap.mean_mm])
+        usual, most = np.nan, np.inf
+        if len(taken) >= _FEW:
+            usual = float(np.median(taken))
+            middle = float(np.median(np.log(np.abs(taken))))
+            scatter = MAD * float(np.median(np.abs(np.log(np.abs(taken)) - middle)))
+            most = float(np.exp(middle + max(_SCATTER * scatter, _LEAST_SCATTER)))
         told = np.array([(g.obliqueness, g.ratio) for g in gaps if np.isfinite(g.ratio)]).reshape(-1, 2)
         if len(told) < _FEW or not told[:, 0].any():
-            return cls(most, 0.0, np.inf, np.inf)
+            return cls(usual, most, 0.0, np.inf, np.inf)
         slant, ratio = told.T
         # The median of slopes, each weighed by its slant: lines across which dirt or a glint lies do not count.
         order = np.argsort(ratio / np.where(slant == 0, np.inf, slant))
         share = np.cumsum(np.abs(slant)[order])
-        middle = order[int(np.searchsorted(share, 0.5 * share[-1]))]
-        slope = float(ratio[middle] / slant[middle])
+        half = order[int(np.searchsorted(share, 0.5 * share[-1]))]
+        slope = float(ratio[half] / slant[half])
         scatter = float(np.hypot(MAD * np.median(np.abs(ratio - slope * slant)), _LEAST_SD))
-        return cls(most, slope, scatter / float(np.sqrt((slant**2).sum())), scatter)
+        return cls(usual, most, slope, scatter / float(np.sqrt((slant**2).sum())), scatter)
 
     def takes_more(self, line: RimLight) -> bool:
         """Whether a line takes more light than these gaps do: it is wider, or darker, or both."""
         return abs(line.mean_mm) > self.most_mm
+
+    def takes_as_much(self, line: RimLight) -> bool:
+        """Whether a line takes about as much light as these gaps do."""
+        return bool(_AS_MUCH[0] < line.mean_mm / self.usual_mm < _AS_MUCH[1])
 
     def side(self, line: RimLight) -> float | None:
         """0 for what looks alike from both cameras, as paint does, 1 for what these gaps show; None without a telling.
