@@ -50,7 +50,7 @@ def _has_border(patch: Patch, outline: Outline) -> bool:
 
 
 def _would_crack(bottom: Bottom, outline: Outline) -> bool:
-    """Whether a sheet that rises so sharply would crack: chips and drops as bright as the skin have no edge in pictures.
+    """Whether a sheet that rises so sharply would crack: chips and drops as bright as the skin show no edge.
 
     A bump w wide at half its height h has curvatures of 8 h/w², and stretches a sheet of thickness t by half of t times
     that. What is long is the burr beside a scratch.

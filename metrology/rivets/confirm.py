@@ -83,11 +83,15 @@ class _Shown:
 
     @property
     def clear(self) -> bool:
-        """Whether it is a thin line that closes on itself; `grain` is what leaves a line as it is, grey levels."""
+        """Whether it is a thin line that closes on itself."""
+        return self.thin and (self.like_gaps or self.ring.fit.coverage >= _CLOSED)
+
+    @property
+    def thin(self) -> bool:
+        """Whether it is a thin line, closed at least in part; `grain` is what leaves a line as it is, grey levels."""
         fit = self.ring.fit
         clean = fit.noise <= max(_CLEAN * abs(fit.amplitude), self.grain)
-        closed = fit.coverage >= (_PARTLY_CLOSED if self.like_gaps else _CLOSED)
-        return closed and fit.sigma_px <= _THIN_PX and clean
+        return clean and fit.sigma_px <= _THIN_PX and fit.coverage >= _PARTLY_CLOSED
 
     @property
     def stroke(self) -> bool:
@@ -137,14 +141,17 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
         relief = head_relief(reconstruction, ring.ellipse)
         if _is_hole(relief, settings):
             continue
+        sure = ring.quality >= settings.sure_quality
+        if not sure and not _bears_out(relief, settings):
+            continue
         step = rim_step(reconstruction, ring.ellipse)
-        if ring.quality >= settings.sure_quality or _bears_out(relief, step, settings):
+        if sure or steps_up(relief.step_mm, step):
             shown.append(_Shown(ring, step, relief))
     standing = [s for s in shown if s.stands and not s.stroke]
     if len(standing) >= _FEW:
         grain = _OF_GRAIN * float(np.median([s.ring.fit.noise for s in standing]))
         shown = [replace(s, grain=grain) for s in shown]
-    shown = [_placed(s, reconstruction) if s.ring.fit.coverage >= _PARTLY_CLOSED or s.stands else s for s in shown]
+    shown = [_placed(s, reconstruction) if s.thin or s.stands else s for s in shown]
     certain = [s for s in shown if s.clear and s.stands]
     gaps = _gaps(certain)
     shown = [replace(s, like_gaps=_like_gaps(s, certain, gaps)) for s in shown]
@@ -187,13 +194,13 @@ def _is_hole(relief: HeadRelief, settings: RivetSettings) -> bool:
     return empty or (abs(relief.step_mm) > settings.max_sunk_mm and relief.significance > _FAR_OFF)
 
 
-def _bears_out(relief: HeadRelief, step: RimStep | None, settings: RivetSettings) -> bool:
-    """Whether the surface makes a rivet of a ring that hardly stands out of the grain.
+def _bears_out(relief: HeadRelief, settings: RivetSettings) -> bool:
+    """Whether the surface may make a rivet of a ring that hardly stands out of the grain, if it steps there.
 
-    It must step there, with skin all round: beside the panel's border there are other steps.
+    There must be skin all round: beside the panel's border there are other steps.
     """
     on_skin = relief.outer_share > _SURROUNDED and abs(relief.step_mm) < settings.max_sunk_mm
-    return on_skin and relief.significance >= settings.sure_relief and steps_up(relief.step_mm, step)
+    return on_skin and relief.significance >= settings.sure_relief
 
 
 def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstruction: Reconstruction) -> str | None:

@@ -23,7 +23,7 @@ from metrology.rivets.bilinear import sample_image
 from metrology.robust import MAD
 from metrology.surfaces import Frame
 
-_DIRECTIONS = 36
+_DIRECTIONS = 24
 _REACH_PX, _SPACING_PX = 4.5, 0.5  # of a profile across the line
 _FLANK = 3  # outermost places on either side, where skin and head are as bright as they are
 _SEEN = 0.5  # of the directions, in which all cameras must show the line
