@@ -252,12 +252,11 @@ def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     others = [s for s in certain if s is not one]
     if one.step is None or len(others) < _FEW:
         return None
-    gaps = _gaps(others)
     if (one.step.significance if one.clear else one.step.mean_significance) >= _STROKE_STEPS:
         # Thick paint steps at its edges, and so does a chip.
-        why = _other_light(one, others, gaps) if one.stroke else None
+        why = _other_polarity(one, others) if one.stroke else None
         return why and f"a wide line that steps, unlike the fasteners' gaps here: {why}"
-    why = _unlike_gaps(one, others, gaps)
+    why = _unlike_gaps(one, others, _gaps(others))
     return why and f"a ring that hardly steps, whose line is unlike the fasteners' gaps here: {why}"
 
 
@@ -275,13 +274,18 @@ def _unlike_gaps(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> str 
 
 def _other_light(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> str | None:
     """In what the light that a line takes is unlike that of all gaps of the scan."""
-    if all(one.polarity != other.polarity for other in certain):
-        return "they are dark, and it is bright" if one.polarity < 0 else "they are bright, and it is dark"
-    if one.light is None:
-        return None
+    if (why := _other_polarity(one, certain)) or one.light is None:
+        return why
     if gaps.takes_more(one.light):
         return "it takes more light"
     return "it looks alike from both cameras, as paint does" if gaps.is_paint(one.light) else None
+
+
+def _other_polarity(one: _Shown, certain: Sequence[_Shown]) -> str | None:
+    """Whether a line is bright where all gaps are dark, or dark where they are bright."""
+    if any(one.polarity == other.polarity for other in certain):
+        return None
+    return "they are dark, and it is bright" if one.polarity < 0 else "they are bright, and it is dark"
 
 
 def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:
@@ -303,7 +307,7 @@ def _like_gaps(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> bool:
     rings = [s.ring for s in certain if s is not one]
     if one.light is None or len(rings) < _FEW or _wider_than_all(one.ring, rings) or gaps.is_paint(one.light):
         return False
-    return gaps.takes_as_much(one.light) or gaps.is_gap(one.light)
+    return gaps.takes_as_much(one.light, one.ring.fit.coverage) or gaps.is_gap(one.light)
 
 
 def _between(place: _Place, others: Sequence[_Place]) -> bool:

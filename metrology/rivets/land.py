@@ -13,7 +13,7 @@ them the other does not. What that leaves unknown of the plane is in its covaria
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -37,6 +37,25 @@ _FEWEST = 12
 _UNKNOWNS = 9  # three of the plane, and of each edge
 
 
+@dataclass(frozen=True)
+class _Land:
+    """A head's points and pixels."""
+
+    patch: Patch
+    skin: Polynomial
+    sigma_px: float
+    at: tuple[Array, Array]
+    """Rows and columns of the points."""
+    ratio: Array
+    """(rows, columns): distance from the centre over the radius."""
+    design: Array
+    """(n, 3): 1, x, y of the points."""
+    outside: Array
+    """(n,): how much of each point lies outside the head."""
+    free: Mask
+    """(n,): points of the head that are little mixed with what lies outside."""
+
+
 def land_surface(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polynomial, Mask] | str:
     """The plane of a head's land and the points that tell it, or why there is none.
 
@@ -48,38 +67,45 @@ def land_surface(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polyn
         Blur of the pictures, px.
     """
     at, ratio = _pixels(patch)
-    height = np.full(ratio.shape, np.nan)
-    height[at] = patch.h
-    inside = ratio < 1
-    outside_share = _share(~inside, sigma_px)
-    free = (ratio[at] < 1) & patch.usable & (outside_share[at] < _MOST_SHARE)
+    outside = _share(ratio >= 1, sigma_px)[at]
+    design = np.stack([np.ones(len(patch.x)), patch.x, patch.y], axis=1)
+    free = (ratio[at] < 1) & patch.usable & (outside < _MOST_SHARE)
+    land = _Land(patch, skin, sigma_px, at, ratio, design, outside, free)
     start = free & (ratio[at] > _NEAR_RIM)
     if start.sum() < _FEWEST:
         return f"head: {int(start.sum())} points clear of its rim, at least {_FEWEST} needed"
-    design = np.stack([np.ones(len(patch.x)), patch.x, patch.y], axis=1)
     solved = from_scratch(design[start], patch.h[start], absolute=6, iterations=9)
     if solved is None:
         return "points lie too unevenly for a surface"
-    plane, members = solved.values, start
-    for _ in range(_ROUNDS):
-        below = design @ plane - patch.h
-        deep = below[(ratio[at] < 1) & (below > _DEEP * skin.chi * patch.sigma)]
-        depth = float(np.quantile(deep, _DEPTH)) if len(deep) else 0.0
-        recess = inside & (ratio < 1 - (1 - _NEAR_RIM) / 2) & ~np.isfinite(height)
-        recess[at] = (ratio[at] < 1) & (below > 0.5 * depth) & (depth > 0)
-        recess_share = _share(recess, sigma_px)
-        members = free & (recess_share[at] < _MOST_SHARE)
-        if members.sum() < _FEWEST:
-            return f"head: {int(members.sum())} points between recess and rim, at least {_FEWEST} needed"
-        above = float(skin.height(0.0, 0.0) - plane[0])
-        sides = design / [1.0, patch.radius, patch.radius]
-        edges = [share[at][:, None] * sides for share in (-recess_share, outside_share)]
-        whole = np.hstack([design, *edges])[members]
-        fitted = _fit(whole, patch.h[members], skin.chi * patch.sigma[members], depth, above)
-        if fitted is None:
-            return "points lie too unevenly for a surface"
-        plane = fitted.coefficients
-    taken_off = float(np.mean((depth * recess_share + abs(above) * outside_share)[at][members]))
+    found = _refined(land, solved.values)
+    for _ in range(_ROUNDS - 1):
+        if isinstance(found, str):
+            return found
+        found = _refined(land, found[0].coefficients)
+    return found
+
+
+def _refined(land: _Land, plane: Array) -> tuple[Polynomial, Mask] | str:
+    """The land's plane with what lies below the one before it taken for the recess."""
+    patch, skin, ratio = land.patch, land.skin, land.ratio[land.at]
+    below = land.design @ plane - patch.h
+    deep = below[(ratio < 1) & (below > _DEEP * skin.chi * patch.sigma)]
+    depth = float(np.quantile(deep, _DEPTH)) if len(deep) else 0.0
+    known = np.zeros(land.ratio.shape, bool)
+    known[land.at] = True
+    recess = ~known & (land.ratio < 0.5 * (1 + _NEAR_RIM))
+    recess[land.at] = (ratio < 1) & (below > 0.5 * depth) & (depth > 0)
+    inside = _share(recess, land.sigma_px)[land.at]
+    members = land.free & (inside < _MOST_SHARE)
+    if members.sum() < _FEWEST:
+        return f"head: {int(members.sum())} points between recess and rim, at least {_FEWEST} needed"
+    above = float(skin.height(0.0, 0.0) - plane[0])
+    sides = land.design / [1.0, patch.radius, patch.radius]
+    whole = np.hstack([land.design, -inside[:, None] * sides, land.outside[:, None] * sides])[members]
+    fitted = _fit(whole, patch.h[members], patch.sigma[members], max(skin.chi, 1.0), depth, above)
+    if fitted is None:
+        return "points lie too unevenly for a surface"
+    taken_off = float(np.mean((depth * inside + abs(above) * land.outside)[members]))
     unmodelled = taken_off * np.array([_HEIGHT_LEFT, _SLOPE_LEFT / patch.radius, _SLOPE_LEFT / patch.radius])
     return replace(fitted, covariance=fitted.covariance + np.diag(unmodelled**2)), members
 
@@ -101,25 +127,28 @@ def _share(beyond: Mask, sigma_px: float) -> Array:
     return np.asarray(cv2.blur(blurred, (_MATCHED_PX, 1), borderType=cv2.BORDER_REPLICATE), float)
 
 
-def _fit(design: Array, h: Array, sigma: Array, depth: float, above: float) -> Polynomial | None:
-    """The plane by robust least squares, the recess's depth and the skin's height over the land known roughly."""
+def _fit(design: Array, h: Array, sigma: Array, least_chi: float, depth: float, above: float) -> Polynomial | None:
+    """The plane by robust least squares, the recess's depth and the skin's height over the land known roughly.
+
+    `least_chi` is how far the points of the skin scatter over their σ.
+    """
     expected = np.array([0.0, 0.0, 0.0, depth, 0.0, 0.0, above, 0.0, 0.0])
     known_to = _KNOWN_TO * np.abs(np.repeat([depth, above], 3)) + _LEAST_MM
     known = np.diag([0.0, 0.0, 0.0, *known_to**-2.0])
     towards = known @ expected
-    weights = np.ones(len(h))
+    weights, chi = np.ones(len(h)), least_chi
     for _ in range(_ROUNDS):
-        weighted = design * (weights / sigma**2)[:, None]
+        weighted = design * (weights / (chi * sigma) ** 2)[:, None]
         normal = weighted.T @ design + known
         try:
             solution = np.linalg.solve(normal, weighted.T @ h + towards)
         except np.linalg.LinAlgError:
             return None
         residual = (h - design @ solution) / sigma
-        chi = max(MAD * float(np.median(np.abs(residual))), 1.0)
+        chi = max(MAD * float(np.median(np.abs(residual))), least_chi)
         weights = tukey(residual / (TUKEY * chi))
     if weights.sum() <= _UNKNOWNS:
         return None
     rms = float(np.sqrt(np.mean((residual * sigma)[weights > 0] ** 2)))
-    covariance = np.linalg.inv(normal)[:3, :3] * chi**2
+    covariance = np.asarray(np.linalg.inv(normal)[:3, :3], float)
     return Polynomial(1, solution[:3], covariance, rms, chi, weights)

@@ -128,9 +128,9 @@ class GapLight:
         """Whether a line takes more light than these gaps do: it is wider, or darker, or both."""
         return abs(line.mean_mm) > self.most_mm
 
-    def takes_as_much(self, line: RimLight) -> bool:
-        """Whether a line takes about as much light as these gaps do."""
-        return bool(_AS_MUCH[0] < line.mean_mm / self.usual_mm < _AS_MUCH[1])
+    def takes_as_much(self, line: RimLight, shown: float) -> bool:
+        """Whether a line takes about as much light as these gaps do where it shows, in a share of its directions."""
+        return bool(_AS_MUCH[0] < line.mean_mm / (shown * self.usual_mm) < _AS_MUCH[1])
 
     def side(self, line: RimLight) -> float | None:
         """0 for what looks alike from both cameras, as paint does, 1 for what these gaps show; None without a telling.
