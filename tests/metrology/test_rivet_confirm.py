@@ -116,6 +116,15 @@ def test_a_ring_that_one_camera_alone_shows_is_in_doubt(rng: np.random.Generator
     assert "other does not" in detect_rivets(glint)[0].doubt
 
 
+def test_rings_of_a_scan_that_is_nearly_all_overexposed_are_in_doubt(rng: np.random.Generator) -> None:
+    """Nothing tells how large they are, nor whether anything steps there: letters and stickers pass for heads."""
+    seen = scan(Skin(), ROWS, rng)
+    points = np.where(np.arange(seen.points.shape[1])[:, None] < 40, seen.points, np.float32(np.nan))
+    found = detect_rivets(replace(seen, points=points))
+    assert len(found) >= len(ROWS)
+    assert all("too few points" in (d.doubt or "") for d in found)
+
+
 def test_stencilled_letters_are_no_rivets(rng: np.random.Generator) -> None:
     reconstruction = scan(Skin(), ROWS, rng)
     views = []
