@@ -75,11 +75,9 @@ def specification(k: int) -> SimulationSpec:
     )
 
 
-def rendered(k: int, keep: Path) -> Kept:
-    """The k-th panel, rendered where it is not kept yet."""
-    path = keep / f"{k:03d}.pkl"
+def kept_or_rendered(spec: SimulationSpec, path: Path) -> Kept:
+    """A panel as it is kept in a file, rendered where it is not yet."""
     if not path.exists():
-        spec = specification(k)
         stage = set_up(spec, make_rig(spec), spec.placements[0])
         rng = np.random.default_rng([spec.seed, 2, 0, 0])
         light = fringe_light(spec, stage, rng)
@@ -183,7 +181,7 @@ def main() -> None:
     arguments.keep.mkdir(parents=True, exist_ok=True)
     total, overexposed = Counter[str](), Counter[str]()
     for k in range(arguments.first, arguments.first + arguments.panels):
-        kept = rendered(k, arguments.keep)
+        kept = kept_or_rendered(specification(k), arguments.keep / f"{k:03d}.pkl")
         name = f"panel {k} ({LEVELS[k % len(LEVELS)]:.0f} levels):"
         left, right = kept.frames["left"], kept.frames["right"]
         cloud = reconstruct(left, right, make_rig(kept.spec), kept.spec.fringe, kept.spec.camera.exposures)

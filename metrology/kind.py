@@ -69,10 +69,6 @@ class Quantity:
     not_of: tuple[tuple[str, str | None], ...] = ()
     """Columns and values of rows that have no such quantity: the edge of one sheet on another has no gap."""
 
-    def lacking(self, row: Feature) -> bool:
-        """Whether a row has no such quantity."""
-        return any(getattr(row, column) == value for column, value in self.not_of)
-
     @property
     def said(self) -> str:
         """What reports and the projector call it."""
@@ -124,6 +120,8 @@ class Kind:
     quantities: tuple[Quantity, ...]
     """The first is the one that findings are sorted by."""
     counts: tuple[Count, ...]
+    without: tuple[tuple[str, str], ...] = ()
+    """Columns and values of rows that have none of its quantities."""
     pixel: str = "that point"
     """point, pixel: what x, y, z are of; what u, v are of."""
     per_panel: tuple[str, ...] = ()
@@ -182,6 +180,12 @@ class Kind:
         name, *positions = self.id_columns
         return " || '@' || ".join([name, *(f"printf('%.1f', {position})" for position in positions)])
 
+    def quantities_of(self, row: Feature) -> list[Quantity]:
+        """The quantities that a row has."""
+        if _has_any(row, self.without):
+            return []
+        return [quantity for quantity in self.quantities if not _has_any(row, quantity.not_of)]
+
     def counts_in(self, rows: Sized) -> bool:
         """Whether people are told how many there are, be it none; of what has to be asked for only if there is some."""
         return bool(len(rows)) or not self.on_request
@@ -199,6 +203,11 @@ class Kind:
         """The id of a row within its scene, such as ``R12``, or ``S1@24.0`` for a position along a seam."""
         name, *positions = [row[c] if isinstance(row, Mapping) else getattr(row, c) for c in self.id_columns]
         return "@".join([str(name), *(f"{position:.1f}" for position in positions)])
+
+
+def _has_any(row: Feature, values: Sequence[tuple[str, str | None]]) -> bool:
+    """Whether a row has one of the values in its column."""
+    return any(getattr(row, column) == value for column, value in values)
 
 
 def load(name: str) -> Any:

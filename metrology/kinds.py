@@ -128,8 +128,6 @@ HOLE = Kind(
     ),
 )  # fmt: skip
 
-_DEPOSIT = ("kind", "deposit")  # limits speak of the skin
-
 DEFECT = Kind(
     name="defect",
     table="defects",
@@ -149,50 +147,48 @@ DEFECT = Kind(
                 LimitName("defect_depth_by_width_mm", "depth of a defect by its width, mm", amount=True, graded=True),
                 "width_mm", "width_u95_mm", "width",
             ),
-            not_of=(_DEPOSIT,),
         ),
         Quantity(
             "straight-edge depth", "straight_edge_depth_mm", "straight_edge_depth_u95_mm", "mm",
             "Depth of a dent under a straight-edge",
             (LimitName("defect_straight_edge_depth_mm", "depth of a dent under a straight-edge, mm"),),
-            projected=False, not_of=(("straight_edge_depth_mm", None), _DEPOSIT),
+            projected=False, not_of=(("straight_edge_depth_mm", None),),
         ),
         Quantity(
             "defect length", "length_mm", "length_u95_mm", "mm", "Length of a defect",
             (LimitName("defect_length_mm", "length of a defect at half depth, mm"),), word="length", projected=False,
-            not_of=(_DEPOSIT,),
         ),
         Quantity(
             "defect width", "width_mm", "width_u95_mm", "mm", "Width of a defect",
             (LimitName("defect_width_mm", "width of a defect at half depth, mm"),), word="width", projected=False,
-            not_of=(_DEPOSIT,),
         ),
         Quantity(
             "width over depth", "width_to_depth", "width_to_depth_u95", "", "Width of a defect over its depth",
             (LimitName("defect_width_to_depth", "width of a defect over its depth"),), projected=False,
-            not_of=(("width_to_depth", None), _DEPOSIT),
+            not_of=(("width_to_depth", None),),
         ),
         Quantity(
             "length over depth", "length_to_depth", "length_to_depth_u95", "", "Length of a defect over its depth",
             (LimitName("defect_length_to_depth", "length of a defect over its depth"),), projected=False,
-            not_of=(("length_to_depth", None), _DEPOSIT),
+            not_of=(("length_to_depth", None),),
         ),
         Quantity(
             "bottom radius", "bottom_radius_mm", "bottom_radius_u95_mm", "mm", "Least radius at a defect's bottom",
             (LimitName("defect_bottom_radius_mm", "least radius at the bottom of a defect, mm"),), projected=False,
-            not_of=(("bottom_radius_mm", None), _DEPOSIT),
+            not_of=(("bottom_radius_mm", None),),
         ),
         Quantity(
             "fastener distance", "fastener_distance_mm", "distance_u95_mm", "mm", "Defect to the nearest fastener",
             (LimitName("defect_fastener_distance_mm", "distance of a defect from the nearest fastener, mm"),),
-            projected=False, not_of=(("fastener_distance_mm", None), _DEPOSIT),
+            projected=False, not_of=(("fastener_distance_mm", None),),
         ),
         Quantity(
             "seam distance", "seam_distance_mm", "distance_u95_mm", "mm", "Defect to the nearest seam",
             (LimitName("defect_seam_distance_mm", "distance of a defect from the nearest seam, mm"),),
-            projected=False, not_of=(("seam_distance_mm", None), _DEPOSIT),
+            projected=False, not_of=(("seam_distance_mm", None),),
         ),
     ),
+    without=(("kind", "deposit"),),  # limits speak of the skin
     counts=(Count("n_defects", "dents, bumps, creases, scratches and deposits found"),),
     per_panel=("max(abs(depth_mm)) AS depth_worst_mm",),
     subject="defect",

@@ -39,8 +39,7 @@ class Requirement:
 def requirements(kind: Kind, row: Feature, spec: PanelSpec) -> list[Requirement]:
     """What a feature must meet."""
     zone = spec.zone(row.zone)
-    asked = [quantity for quantity in kind.quantities if not quantity.lacking(row)]
-    return [required for quantity in asked for required in _of_quantity(quantity, row, zone)]
+    return [required for quantity in kind.quantities_of(row) for required in _of_quantity(quantity, row, zone)]
 
 
 def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requirement]:

@@ -176,8 +176,8 @@ def _worst(kind: Kind, rows: Sequence[Course], spec: PanelSpec) -> tuple[Excess,
 
 def excesses(kind: Kind, row: Feature, spec: PanelSpec) -> Iterator[Excess]:
     """How far each quantity of a row that was measured lies beyond its limit."""
-    for quantity in kind.quantities:
+    for quantity in kind.quantities_of(row):
         limit = limit_of(spec.zone(row.zone), quantity, downstream_of(quantity, row))
         value = getattr(row, quantity.column)
-        if limit is not None and value is not None and not quantity.lacking(row):
+        if limit is not None and value is not None:
             yield Excess(quantity, row, limit, -limit.margin(value))

@@ -113,7 +113,7 @@ def random_panel(
     """
     variety = variety or Variety()
     width, height = variety.size_mm
-    places = _Places(variety, seams)
+    places = Places(variety, seams)
     rivets = []
     for k in range(int(rng.integers(*variety.rivets, endpoint=True))):
         diameter = float(rng.choice(variety.diameters_mm))
@@ -163,13 +163,17 @@ def _rivet(
     )  # fmt: skip
 
 
-class _Places:
+class Places:
     """Free places on a panel: clear of its border, of seams, and of what is there already."""
 
     def __init__(self, variety: Variety, seams: tuple[Seam, ...]) -> None:
         self._size = variety.size_mm
         self._seams = seams
         self._taken: list[tuple[float, float, float]] = []
+
+    def take(self, x: float, y: float, diameter: float) -> None:
+        """Something round stands there."""
+        self._taken.append((x, y, diameter))
 
     def find(self, rng: np.random.Generator, diameter: float, distance: float) -> tuple[float, float] | None:
         """A place for something round; None where none was found in a hundred tries."""
@@ -180,7 +184,7 @@ class _Places:
                 _distance(seam, x, y) > 0.8 * diameter + max(seam.width_mm) + 1.5 for seam in self._seams
             )
             if clear:
-                self._taken.append((x, y, diameter))
+                self.take(x, y, diameter)
                 return x, y
         return None
 

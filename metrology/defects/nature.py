@@ -21,6 +21,8 @@ _BESIDE = 0.2  # of its radius to either side
 _AT_SEAM = 0.04  # share of an outline that a raised edge has at a seam
 _BORDER_PX = 3  # to either side of an outline: as far as an edge of the picture or of depth spoils points
 _EDGED = 0.5  # share of that border that is one
+# A thin skin, mm, and by how much it may be stretched before it cracks (aluminium by a tenth to a fifth).
+_THIN_SKIN_MM, _STRETCH = 0.8, 0.1
 
 
 def nature_of(patch: Patch, bottom: Bottom, outline: Outline, sign: int, settings: DefectSettings) -> DefectKind:
@@ -28,7 +30,7 @@ def nature_of(patch: Patch, bottom: Bottom, outline: Outline, sign: int, setting
     if sign < 0:
         if outline.cut_by_seam > _AT_SEAM:
             return "raised edge"
-        return "deposit" if _has_border(patch, outline) else "bump"
+        return "deposit" if _has_border(patch, outline) or _would_crack(bottom, outline) else "bump"
     long = outline.length / max(outline.width, 1e-6)
     if outline.width < settings.scratch_width_mm and long > _LONG:
         return "scratch"
@@ -45,6 +47,16 @@ def _has_border(patch: Patch, outline: Outline) -> bool:
     cells = outline.cells.astype(np.uint8)
     border = (cv2.dilate(cells, disc) != cv2.erode(cells, disc)) & patch.plate & ~patch.covered
     return bool(border.any() and (~patch.skin[border]).mean() > _EDGED)
+
+
+def _would_crack(bottom: Bottom, outline: Outline) -> bool:
+    """Whether a sheet that rises so sharply would crack: chips and drops as bright as the skin show no edge.
+
+    A bump w wide at half its height h has curvatures of 8 h/w², and stretches a sheet of thickness t by half of t times
+    that. What is long is the burr beside a scratch.
+    """
+    round_one = outline.length < _FOLD * outline.width
+    return round_one and 4 * _THIN_SKIN_MM * abs(bottom.depth) > _STRETCH * outline.width**2
 
 
 def _left_half_way(patch: Patch, bottom: Bottom, outline: Outline, turn: float, extent: float, beside: float) -> float:

@@ -143,7 +143,7 @@ def _ellipse(kind: Kind, row: Any, reconstruction: MeasuredSkin, centre: Array, 
 
 def _text(kind: Kind, row: Feature) -> str:
     """The values that the projector writes beside a feature, to hundredths."""
-    shown = [quantity for quantity in kind.quantities if quantity.projected and not quantity.lacking(row)]
+    shown = [quantity for quantity in kind.quantities_of(row) if quantity.projected]
     values: list[Any] = [getattr(row, quantity.column) for quantity in shown]
     note: str = load(kind.note)(row) if kind.note else ""
     if all(value is None for value in values):

@@ -1,8 +1,9 @@
 """Whether a ring in the image is a fastener's rim: letters, painted rings and dents are none.
 
 What speaks for a fastener: a thin line that closes on itself; a step or a tilt of the surface at that line; the same
-ring in the other camera; and, where neither step nor tilt shows, a size or a row shared with other fasteners of the
-scan. A stroke of paint is wide, ends somewhere, and lies on the skin; a dent has no line and does not step.
+ring in the other camera; and, where neither step nor tilt shows, a line that takes as much light as the gaps of the
+scan's other fasteners, and a size or a row shared with them. A stroke of paint is wide, ends somewhere, and lies on the
+skin; a dent has no line and does not step; a drop bulges from its border on.
 """
 
 from __future__ import annotations
@@ -20,11 +21,15 @@ from metrology.rivets.bilinear import sample_image
 from metrology.rivets.ellipse_detection import Ring
 from metrology.rivets.geometry import lay_on_plane, nearby_plane
 from metrology.rivets.relief import HeadRelief, head_relief
+from metrology.rivets.rim_light import GapLight, RimLight, rim_light
 from metrology.rivets.rim_step import RimStep, rim_step
 from metrology.rivets.settings import RivetSettings
+from metrology.robust import MAD
+from metrology.surfaces import Frame
 
 _SURROUNDED = 0.9  # of the pixels round a weak ring must have points
 _CLOSED = 0.8  # of a rim's directions in which it shows; a glint or a scratch hides the rest
+_PARTLY_CLOSED = 0.65  # the same of a line like the gaps of the scan: sealant or paint fills the rest
 # Half-width of a rim's line: blur of 0.7 px and a gap of a millimetre at five pixels each give 1.6.
 _THIN_PX = 1.6
 # By how much of its own darkness a rim departs from the model. Where a rim is faint, grain departs as much: then by how
@@ -36,10 +41,9 @@ _STROKE_STEPS = 6.0  # the same where the line is a stroke: its edges pass for s
 _WIDER, _WIDER_PX = 1.25, 0.15  # than the line of a scan's other fasteners, times and px beyond, is a painted line
 _BULGE = 0.05  # of the diameter: a slope of 11° at the border of what is round
 _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most tilted one
-_CLEAREST = 0.9  # quantile of the contrasts of a scan's gaps: dirt in a single one tells little
-# Three times as far beyond the median, as a ratio (3.8 standard deviations), is more than a gap's; within limits.
-_BEYOND, _CONTRAST = 2.0, (1.5, 2.0)
-_AS_DARK = 1.6  # times the others' contrast, or less by that
+_NEXT_SIZE = 1 + 2.5 * HALF_STEP  # times a size, at most, is the next one of a series
+# Where nothing steps: wider by so many standard deviations of the gaps' widths, or by a share of them.
+_WIDER_SIGMAS, _WIDER_SHARE = 4.0, 0.15
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
@@ -67,13 +71,27 @@ class _Shown:
     step: RimStep | None
     relief: HeadRelief
     grain: float = 0.0
+    place: _Place | None = None
+    light: RimLight | None = None
+    like_gaps: bool = False
+    """Whether its line is like the gaps of the scan's fasteners beyond doubt."""
+
+    @property
+    def polarity(self) -> float:
+        """1 for a dark line, −1 for a bright one."""
+        return float(-np.sign(self.ring.fit.amplitude) if self.light is None else np.sign(self.light.mean_mm))
 
     @property
     def clear(self) -> bool:
-        """Whether it is a thin line that closes on itself; `grain` is what leaves a line as it is, grey levels."""
+        """Whether it is a thin line that closes on itself."""
+        return self.thin and (self.like_gaps or self.ring.fit.coverage >= _CLOSED)
+
+    @property
+    def thin(self) -> bool:
+        """Whether it is a thin line, closed at least in part; `grain` is what leaves a line as it is, grey levels."""
         fit = self.ring.fit
         clean = fit.noise <= max(_CLEAN * abs(fit.amplitude), self.grain)
-        return fit.coverage >= _CLOSED and fit.sigma_px <= _THIN_PX and clean
+        return clean and fit.sigma_px <= _THIN_PX and fit.coverage >= _PARTLY_CLOSED
 
     @property
     def stroke(self) -> bool:
@@ -93,11 +111,13 @@ class _Shown:
 
 @dataclass(frozen=True)
 class _Place:
-    """A ring laid onto the skin: centre and normal in the rig frame, diameter, mm."""
+    """A ring laid onto the skin."""
 
-    centre: Array
-    normal: Array
+    frame: Frame
+    """Origin in its centre, h along the normal of the points in and about it."""
     diameter: float
+    pixel: float
+    """diameter, pixel: its own, and what a pixel shows there, mm."""
 
     @classmethod
     def of(cls, ring: Ring, reconstruction: Reconstruction) -> _Place | None:
@@ -106,12 +126,12 @@ class _Place:
             return None
         frame = plane[0]
         x, y, radius = lay_on_plane(reconstruction.rig.left, ring.ellipse, frame)
-        return cls(frame.rig([x, y, 0.0]), frame.axes[2], 2 * radius)
+        return cls(Frame(frame.rig([x, y, 0.0]), frame.axes), 2 * radius, radius / ring.ellipse.radius)
 
     def offset(self, point: Array) -> Array:
         """(3,) along the skin to a point: a row follows the skin's curvature."""
-        way = point - self.centre
-        return np.asarray(way - (way @ self.normal) * self.normal)
+        way, normal = point - self.frame.origin, self.frame.axes[2]
+        return np.asarray(way - (way @ normal) * normal)
 
 
 def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, settings: RivetSettings) -> list[Confirmed]:
@@ -121,26 +141,46 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
         relief = head_relief(reconstruction, ring.ellipse)
         if _is_hole(relief, settings):
             continue
+        sure = ring.quality >= settings.sure_quality
+        if not sure and not _bears_out(relief, settings):
+            continue
         step = rim_step(reconstruction, ring.ellipse)
-        if ring.quality >= settings.sure_quality or _bears_out(relief, step, settings):
+        if sure or steps_up(relief.step_mm, step):
             shown.append(_Shown(ring, step, relief))
     standing = [s for s in shown if s.stands and not s.stroke]
     if len(standing) >= _FEW:
         grain = _OF_GRAIN * float(np.median([s.ring.fit.noise for s in standing]))
         shown = [replace(s, grain=grain) for s in shown]
+    shown = [_placed(s, reconstruction) if s.thin or s.stands else s for s in shown]
     certain = [s for s in shown if s.clear and s.stands]
-    placed = [(s, _Place.of(s.ring, reconstruction)) for s in certain]
+    gaps = _gaps(certain)
+    shown = [replace(s, like_gaps=_like_gaps(s, certain, gaps)) for s in shown]
+    certain = [s for s in shown if s.clear and s.stands]
     found = []
     for s in shown:
         if s.stands:
-            doubt = _drop(s, reconstruction) or _chip(s, placed, reconstruction) or _hardly_steps(s, certain)
+            doubt = _drop(s, certain) or _chip(s, certain) or _hardly_steps(s, certain)
             found.append(Confirmed(s.ring, doubt))
         elif s.clear:
-            found.append(Confirmed(s.ring, _doubt(s.ring, placed, reconstruction)))
+            found.append(Confirmed(s.ring, _doubt(s, certain, gaps, reconstruction)))
         elif not s.stroke:
             share = f"{s.ring.fit.coverage:.0%}"
             found.append(Confirmed(s.ring, f"its rim shows in {share} of all directions, and the surface has no step"))
     return found
+
+
+def _placed(one: _Shown, reconstruction: Reconstruction) -> _Shown:
+    """A ring with its place on the skin and what light its line takes."""
+    place = _Place.of(one.ring, reconstruction)
+    if place is None:
+        return one
+    light = rim_light(reconstruction, place.frame, 0.5 * place.diameter, place.pixel)
+    return replace(one, place=place, light=light)
+
+
+def _gaps(certain: Sequence[_Shown]) -> GapLight:
+    """What light the gaps of fasteners beyond doubt take."""
+    return GapLight.of([s.light for s in certain if s.light is not None])
 
 
 def steps_up(height_mm: float, step: RimStep | None) -> bool:
@@ -154,48 +194,49 @@ def _is_hole(relief: HeadRelief, settings: RivetSettings) -> bool:
     return empty or (abs(relief.step_mm) > settings.max_sunk_mm and relief.significance > _FAR_OFF)
 
 
-def _bears_out(relief: HeadRelief, step: RimStep | None, settings: RivetSettings) -> bool:
-    """Whether the surface makes a rivet of a ring that hardly stands out of the grain.
+def _bears_out(relief: HeadRelief, settings: RivetSettings) -> bool:
+    """Whether the surface may make a rivet of a ring that hardly stands out of the grain, if it steps there.
 
-    It must step there, with skin all round: beside the panel's border there are other steps.
+    There must be skin all round: beside the panel's border there are other steps.
     """
     on_skin = relief.outer_share > _SURROUNDED and abs(relief.step_mm) < settings.max_sunk_mm
-    return on_skin and relief.significance >= settings.sure_relief and steps_up(relief.step_mm, step)
+    return on_skin and relief.significance >= settings.sure_relief
 
 
-def _doubt(ring: Ring, placed: Sequence[tuple[_Shown, _Place | None]], reconstruction: Reconstruction) -> str | None:
+def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstruction: Reconstruction) -> str | None:
     """What speaks against a clear line at which the surface neither steps nor tilts."""
-    if not _right_camera_shows(ring, reconstruction):
+    if not _right_camera_shows(one, reconstruction):
         return "a ring that one camera shows and the other does not"
-    certain = [s.ring for s, _ in placed]
     if len(certain) < _FEW:
         return None
-    if _painted(ring, certain):
-        return "a ring without a step, whose line is unlike the gaps of the fasteners here"
-    place = _Place.of(ring, reconstruction)
-    others = [p for _, p in placed if p is not None]
-    if place is None or len(others) < _FEW or _usual_size(place, others) or _in_row(place, others):
+    if why := _unlike_gaps(one, certain, gaps):
+        return f"a ring without a step, whose line is unlike the gaps of the fasteners here: {why}"
+    places = [s.place for s in certain if s.place is not None]
+    if one.place is None or len(places) < _FEW or _usual_size(one.place, places) or _in_row(one.place, places):
         return None
-    if _like_others(ring, place, certain, others):
+    if one.like_gaps and _between(one.place, places):
         return None
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
 
 
-def _drop(one: _Shown, reconstruction: Reconstruction) -> str | None:
-    """What speaks against a ring that is no clear line, round something that bulges: a drop has no edge."""
-    if one.clear or steps_up(one.relief.step_mm, one.step) or (place := _Place.of(one.ring, reconstruction)) is None:
+def _drop(one: _Shown, certain: Sequence[_Shown]) -> str | None:
+    """What speaks against a ring round something that bulges, and whose line is no gap: a drop has no edge."""
+    rings = [s.ring for s in certain if s is not one]
+    gap = one.clear and (len(rings) < _FEW or not _wider(one.ring, rings))
+    if gap or one.place is None or steps_up(one.relief.step_mm, one.step):
         return None
-    bulges = one.relief.step_mm > _BULGE * place.diameter and one.relief.significance >= _STROKE_STEPS
+    bulges = one.relief.step_mm > _BULGE * one.place.diameter and one.relief.significance >= _STROKE_STEPS
     return "it bulges, and its border is no gap: a drop may lie there" if bulges else None
 
 
-def _chip(one: _Shown, certain: Sequence[tuple[_Shown, _Place | None]], reconstruction: Reconstruction) -> str | None:
+def _chip(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     """What speaks against a ring at which the surface steps: a chip or a drop lies on the skin and has an edge, too.
 
     It stands higher than the fasteners or leans more, is smaller or has a blurred border, and is in no row of theirs.
     """
-    placed = [(s, p) for s, p in certain if s is not one and p is not None]
-    if len(placed) < _FEW or one.relief.step_mm < 0 or (place := _Place.of(one.ring, reconstruction)) is None:
+    placed = [(s, s.place) for s in certain if s is not one and s.place is not None]
+    place = one.place
+    if len(placed) < _FEW or one.relief.step_mm < 0 or place is None:
         return None
     prouder = one.relief.step_mm > _PROUDER * max(s.relief.step_mm for s, _ in placed)
     leaning = _slope(one, place) > _LEANING * max(_slope(s, p) for s, p in placed)
@@ -208,11 +249,15 @@ def _chip(one: _Shown, certain: Sequence[tuple[_Shown, _Place | None]], reconstr
 
 def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     """What speaks against a ring at which the surface steps little more than paint makes it seem to."""
-    others = [s.ring for s in certain if s is not one]
-    if one.step is None or len(others) < _FEW or not _painted(one.ring, others):
+    others = [s for s in certain if s is not one]
+    if one.step is None or len(others) < _FEW:
         return None
-    steps = one.step.significance if one.clear else one.step.mean_significance
-    return None if steps >= _STROKE_STEPS else "a ring that hardly steps, whose line is unlike the fasteners' gaps here"
+    if (one.step.significance if one.clear else one.step.mean_significance) >= _STROKE_STEPS:
+        # Thick paint steps at its edges, and so does a chip.
+        why = _other_polarity(one, others) if one.stroke else None
+        return why and f"a wide line that steps, unlike the fasteners' gaps here: {why}"
+    why = _unlike_gaps(one, others, _gaps(others))
+    return why and f"a ring that hardly steps, whose line is unlike the fasteners' gaps here: {why}"
 
 
 def _slope(one: _Shown, place: _Place) -> float:
@@ -220,13 +265,27 @@ def _slope(one: _Shown, place: _Place) -> float:
     return 0.0 if one.step is None else one.step.rise_mm / (0.5 * place.diameter)
 
 
-def _painted(ring: Ring, certain: Sequence[Ring]) -> bool:
-    """Whether a line is unlike all gaps of the scan: wider, of the other polarity, or of far more contrast."""
-    amplitudes = np.array([other.fit.amplitude for other in certain])
-    unlike = np.sign(ring.fit.amplitude) != np.sign(amplitudes)
-    usual, most = np.quantile(np.abs(amplitudes), [0.5, _CLEAREST])
-    limit = most * np.clip((most / usual) ** _BEYOND, *_CONTRAST)
-    return bool(_wider(ring, certain) or unlike.all() or abs(ring.fit.amplitude) > limit)
+def _unlike_gaps(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> str | None:
+    """In what a line is unlike all gaps of the scan."""
+    rings = [s.ring for s in certain]
+    wide = _wider(one.ring, rings) or (not one.stands and _wider_than_all(one.ring, rings))
+    return "it is wider" if wide else _other_light(one, certain, gaps)
+
+
+def _other_light(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> str | None:
+    """In what the light that a line takes is unlike that of all gaps of the scan."""
+    if (why := _other_polarity(one, certain)) or one.light is None:
+        return why
+    if gaps.takes_more(one.light):
+        return "it takes more light"
+    return "it looks alike from both cameras, as paint does" if gaps.is_paint(one.light) else None
+
+
+def _other_polarity(one: _Shown, certain: Sequence[_Shown]) -> str | None:
+    """Whether a line is bright where all gaps are dark, or dark where they are bright."""
+    if any(one.polarity == other.polarity for other in certain):
+        return None
+    return "they are dark, and it is bright" if one.polarity < 0 else "they are bright, and it is dark"
 
 
 def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:
@@ -235,11 +294,26 @@ def _wider(ring: Ring, certain: Sequence[Ring]) -> bool:
     return ring.fit.sigma_px > _WIDER * usual + _WIDER_PX
 
 
-def _like_others(ring: Ring, place: _Place, certain: Sequence[Ring], others: Sequence[_Place]) -> bool:
-    """Whether a ring of another size has a gap like the others': as dark, and of a size between theirs."""
-    contrast = ring.fit.amplitude / float(np.median([other.fit.amplitude for other in certain]))
+def _wider_than_all(ring: Ring, certain: Sequence[Ring]) -> bool:
+    """Whether a line is wider than the widths of gaps scatter here."""
+    widths = np.array([other.fit.sigma_px for other in certain])
+    usual = float(np.median(widths))
+    scatter = MAD * float(np.median(np.abs(widths - usual)))
+    return ring.fit.sigma_px > usual + max(_WIDER_SIGMAS * scatter, _WIDER_SHARE * usual)
+
+
+def _like_gaps(one: _Shown, certain: Sequence[_Shown], gaps: GapLight) -> bool:
+    """Whether a line is a gap's: as wide, and takes as much light, or looks as different from both cameras."""
+    rings = [s.ring for s in certain if s is not one]
+    if one.light is None or len(rings) < _FEW or _wider_than_all(one.ring, rings) or gaps.is_paint(one.light):
+        return False
+    return gaps.takes_as_much(one.light, one.ring.fit.coverage) or gaps.is_gap(one.light)
+
+
+def _between(place: _Place, others: Sequence[_Place]) -> bool:
+    """Whether a size lies between those of others, or is the next one."""
     sizes = [other.diameter for other in others]
-    return 1 / _AS_DARK < contrast < _AS_DARK and min(sizes) < place.diameter < max(sizes)
+    return min(sizes) / _NEXT_SIZE < place.diameter < max(sizes) * _NEXT_SIZE
 
 
 def _usual_size(place: _Place, others: Sequence[_Place]) -> bool:
@@ -248,7 +322,7 @@ def _usual_size(place: _Place, others: Sequence[_Place]) -> bool:
 
 def _in_row(place: _Place, others: Sequence[_Place]) -> bool:
     """Whether two neighbours make a row in which the place is the next one, or the one between them."""
-    near = sorted((place.offset(other.centre) for other in others), key=np.linalg.norm)[:_NEAREST]
+    near = sorted((place.offset(other.frame.origin) for other in others), key=np.linalg.norm)[:_NEAREST]
     for one, other in permutations(near, 2):
         reach = max(_IN_PLACE * place.diameter, _OF_PITCH * float(np.linalg.norm(other - one)))
         if min(np.linalg.norm(2 * one - other), np.linalg.norm(0.5 * (one + other))) < reach:
@@ -256,22 +330,18 @@ def _in_row(place: _Place, others: Sequence[_Place]) -> bool:
     return False
 
 
-def _right_camera_shows(ring: Ring, reconstruction: Reconstruction) -> bool:
+def _right_camera_shows(one: _Shown, reconstruction: Reconstruction) -> bool:
     """Whether the right camera sees the same ring at the skin's depth; a glint or a shadow lies elsewhere.
 
     True where it sees too little of it to tell, and where there is but one camera.
     """
-    if reconstruction.right is None:
+    if reconstruction.right is None or one.place is None:
         return True
-    plane = nearby_plane(reconstruction, ring.ellipse)
-    if plane is None:
-        return True
-    frame, left = plane[0], reconstruction.rig.left
-    x, y, radius = lay_on_plane(left, ring.ellipse, frame)
-    beside = max(2.5, 2.5 * ring.fit.sigma_px) / ring.ellipse.radius
+    beside = max(2.5, 2.5 * one.ring.fit.sigma_px) / one.ring.ellipse.radius
     turn = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
     around = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
-    places = frame.rig([x, y, 0.0] + radius * np.array([1 - beside, 1.0, 1 + beside])[:, None, None] * around)
+    radii = 0.5 * one.place.diameter * np.array([1 - beside, 1.0, 1 + beside])
+    places = one.place.frame.rig(radii[:, None, None] * around)
     contrasts = []
     for device, view in reconstruction.cameras.values():
         inside, line, outside = sample_image(view.texture, device.project(places))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.arrays import Mask
+from metrology.rivets.land import land_surface
 from metrology.rivets.patch import Patch
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -44,11 +45,13 @@ def head_surface(
     surface = _plane_or_dome(patch, inner, settings, generator)
     if surface is not None and np.mean(_off(patch, inner, surface, skin) != 0) > _FEW:
         clear = _clear_of_recesses(patch, inner, skin, generator)
-        if clear is None:
-            return "head: its points lie on no one surface"
-        if clear.sum() < _FEWEST_CLEAR:
-            return f"head: {int(clear.sum())} points clear of its recesses, at least {_FEWEST_CLEAR} needed"
-        inner, surface = clear, _plane_or_dome(patch, clear, settings, generator)
+        if clear is None or clear.sum() < _FEWEST_CLEAR:
+            land = land_surface(patch, skin, (patch.guard_px - settings.guard_px) / settings.guard_sigmas)
+            if isinstance(land, str):
+                return land
+            surface, inner = land
+        else:
+            inner, surface = clear, _plane_or_dome(patch, clear, settings, generator)
         if surface is not None and (leans := _lean_deg(surface, skin)) > _MOST_LEAN_DEG:
             return f"head: what is clear of its recesses leans by {leans:.1f}°, as a recess's wall does"
     if surface is None:

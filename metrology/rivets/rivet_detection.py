@@ -20,6 +20,8 @@ from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
 
+_NO_SKIN = "a ring where too few points of the skin tell what it is"
+
 
 def detect_rivets(
     reconstruction: Reconstruction,
@@ -49,7 +51,7 @@ def detect_rivets(
     texture = reconstruction.left.texture
     if ground is None:
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
-        return _in_reading_order([_detection(ring, reconstruction) for ring in rings])
+        return _in_reading_order([_detection(ring, reconstruction, _NO_SKIN) for ring in rings])
     heads = ground.discs if settings.plain_heads else []
     rings = detect_ellipses(texture, settings, ground.shapes, ground.radii, [h.ellipse for h in heads])
     rings = [r for r in rings if all(not r.ellipse.meets(h) or is_recess(h, r.ellipse, reconstruction) for h in holes)]

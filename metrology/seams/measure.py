@@ -18,6 +18,7 @@ from metrology.seams.places import head_mask
 from metrology.seams.settings import SeamSettings
 from metrology.seams.sides import is_upright, oriented, towards_b
 from metrology.seams.skins.neighbours import smoothed_sections
+from metrology.seams.skins.one_sided import with_one_sided_bends
 from metrology.seams.skins.other_seams import coarse_course, gap_mask
 from metrology.seams.skins.sections import Section, section_at, usable_points
 from metrology.seams.skins.step import step_height, step_u95, with_unresolved_bends
@@ -107,6 +108,7 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
         for place, section, gap in zip(places, sections, gaps, strict=True)
     ]
     rows = with_unresolved_bends(rows, settings.station_step_mm, settings.half_length_mm)
+    rows = with_one_sided_bends(rows, own, [_edges(place, gap) for place, gap in zip(places, gaps, strict=True)])
     return [plausible_station(row) for row in rows]
 
 
@@ -142,14 +144,18 @@ def _places(track: Track, s_mm: Array, ground: _Ground) -> list[_Place]:
     return [_Place(float(s_mm[k]), pixels[k], float(halves[k]), float(inner[k]), section(k)) for k in range(len(s_mm))]
 
 
+def _edges(place: _Place, gap: Gap | str) -> tuple[float, float]:
+    """x of the ideal edges; of the line's borders where those are unknown."""
+    return (gap.a.ideal_mm, gap.b.ideal_mm) if isinstance(gap, Gap) else (-place.half_width_mm, place.half_width_mm)
+
+
 def _row(seam_id: str, place: _Place, section: Section | None, gap: Gap | str, ground: _Ground) -> SeamStation:
     u, v = (float(x) for x in place.pixel)
     if section is None:
         why = str(place.section)
         return SeamStation(seam_id, place.s_mm, x_mm=None, y_mm=None, z_mm=None, u_px=u, v_px=v, reason=why)
     # Without its edges a gap still has a step, which hardly depends on where exactly they are.
-    half = place.half_width_mm
-    a, b = (gap.a.ideal_mm, gap.b.ideal_mm) if isinstance(gap, Gap) else (-half, half)
+    a, b = _edges(place, gap)
     middle = section.midpoint(a, b)
     pixel = ground.reconstruction.rig.left.project(middle)
     row = FittedStation(

@@ -8,7 +8,8 @@ from dataclasses import fields
 
 import pytest
 
-from metrology.kinds import KINDS, LIMITS, Kind, load
+from metrology.defects.row import Defect
+from metrology.kinds import DEFECT, KINDS, LIMITS, Kind, load
 from metrology.results import Feature
 from metrology.steps import STEPS, Step
 
@@ -18,6 +19,7 @@ def test_a_kind_names_what_exists(kind: Kind) -> None:
     assert issubclass(kind.row_type, Feature)
     there = {field.name for field in fields(kind.row_type)}
     named = [*kind.id_columns, *(column for cell in kind.shown for column in cell.columns)]
+    named += [column for values in (kind.without, *(q.not_of for q in kind.quantities)) for column, _ in values]
     for quantity in kind.quantities:
         named += [quantity.column, quantity.u95_column, *quantity.rests_on_it]
         named += [quantity.into_wind] if quantity.into_wind else []
@@ -25,6 +27,13 @@ def test_a_kind_names_what_exists(kind: Kind) -> None:
     assert set(named) <= there
     for function in filter(None, (kind.verdict, kind.unlimited, kind.note, kind.measure)):
         assert callable(load(function))
+
+
+def test_a_row_has_the_quantities_of_what_it_is() -> None:
+    """Limits speak of the skin: what lies on it has none; a dent has those that were measured."""
+    dent = Defect("D01", x_mm=0.0, y_mm=0.0, z_mm=0.0, u_px=0.0, v_px=0.0, kind="dent", depth_mm=0.1, length_mm=9.0)
+    assert [q.column for q in DEFECT.quantities_of(dent)] == ["depth_mm", "length_mm", "width_mm"]
+    assert DEFECT.quantities_of(dent.changed(kind="deposit")) == []
 
 
 def test_names_are_of_one_thing_each() -> None:

@@ -183,8 +183,7 @@ def test_the_floor_of_a_wide_slot_is_not_taken_for_the_head(rng: np.random.Gener
     local[..., 2] -= 0.4 * (np.hypot(local[..., 0], local[..., 1]) < 2.4)
     recessed = replace(reconstruction, points=skin.frame.rig(local).astype(np.float32))
     (rivet,) = measure_rivets([truth_detection(reconstruction, skin, head)], recessed)
-    assert rivet.height_mean_mm is None
-    assert "no one surface" in rivet.reason
+    assert abs(rivet.height_mean_mm - 0.1) < rivet.height_u95_mm < 0.05
 
 
 def test_a_head_whose_points_lie_on_no_surface_is_not_measured(rng: np.random.Generator) -> None:

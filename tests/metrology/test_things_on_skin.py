@@ -1,4 +1,4 @@
-"""What lies on a skin or fills its holes, rendered: a chip, a drop, a sticker, sealant, and a bump."""
+"""What lies on a skin or fills its holes, rendered: chips, drops, a sticker, sealant, and a bump."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ DEEP = {(-24.0, -14.0): 0.1, (0.0, -14.0): 0.35}
 """x, y: how far the sealant in two holes of 6 mm lies below the skin."""
 SIZE = 6.0
 DROP, CHIP = Speck(-26.0, 3.0, 4.0, 0.02, crown_mm=0.4, reflectance=0.7), Speck(-10.0, 4.0, 4.0, 0.3, 4.0)
+LIKE_SKIN = Speck(28.0, 12.0, 3.4, 0.02, crown_mm=0.34, reflectance=1.0), Speck(-32.0, 26.0, 1.9, 0.2, reflectance=1.0)
 STICKER = Patch("disc", 8.0, 4.0, (9.0, 9.0), contrast=-0.5, thickness_mm=0.08)
 
 
@@ -41,7 +42,7 @@ def rendered() -> tuple[Stage, Sighted]:
         rivets=tuple(Rivet(f"R{k}", 24.0 * k - 24.0, 20.0, SIZE, 0.05 * k) for k in range(3)),
         holes=tuple(PanelHole(x, y, SIZE, deep, 0.7, filled=True) for (x, y), deep in DEEP.items()),
         dents=(Dent("D1", 24.0, -14.0, -0.25, (9.0, 8.0)),),
-        specks=(DROP, CHIP),
+        specks=(DROP, CHIP, *LIKE_SKIN),
         surface=Surface(reflectance=0.5, patches=(STICKER,)),
     )  # fmt: skip
     spec: SimulationSpec = replace(
@@ -80,9 +81,9 @@ def test_what_lies_on_the_skin_is_a_deposit_and_a_bump_is_none(rendered: tuple[S
     found = measure_defects(sighted)
     kinds = {tuple(np.round(place(stage, row)).astype(int).tolist()): row.kind for row in found}
     assert [kind for (x, y), kind in kinds.items() if np.hypot(x - 24, y + 14) < 3] == ["bump"]
-    for at in ((-26, 3), (-10, 4), (8, 4)):
+    for at in ((-26, 3), (-10, 4), (8, 4), (28, 12), (-32, 26)):
         assert {kind for place, kind in kinds.items() if np.hypot(*np.subtract(place, at)) < 5} == {"deposit"}
-    assert len(found) == 4
+    assert len(found) == 6
 
 
 def test_a_deposit_is_to_be_removed_whatever_limits_say(rendered: tuple[Stage, Sighted]) -> None:

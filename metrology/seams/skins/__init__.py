@@ -6,5 +6,6 @@
 4. ``skin_lines``   Both lines by weighted least squares, outliers clipped, curvature in common.
 5. ``residuals``    How errors of neighbouring points go together, across the seam and along it.
 6. ``neighbours``   The lines smoothed by those of the seam stations before and behind.
-7. ``step``         Step and its uncertainty (eqs 6–8).
+7. ``one_sided``    What bends of one side alone may move the step by.
+8. ``step``         Step and its uncertainty (eqs 6–8).
 """

@@ -40,6 +40,8 @@ class Section:
     """By how much sums of neighbouring points' errors vary more than independent points' would."""
     stretches: Array = field(default_factory=lambda: np.zeros(8))
     """(8,): those sums, see `SkinFit`."""
+    misfit: Array = field(default_factory=lambda: np.zeros((3, 8)))
+    """(3, 8): how the points lie beside the lines, see `SkinFit`."""
 
     def point(self, x: float, h: float, y: float = 0.0) -> Array:
         """(3,) rig-frame point of section coordinates."""
@@ -182,7 +184,7 @@ def section_at(
         return f"{n} points of skin on side {side}, {min_points} needed"
     a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
     b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
-    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches)
+    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit)
 
 
 def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:

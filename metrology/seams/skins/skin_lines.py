@@ -44,6 +44,8 @@ class SkinFit(NamedTuple):
     stretches: Array
     """(8,): those sums, in standard deviations of what independent points would give; 0 for a stretch without points.
     """
+    misfit: Array
+    """(3, 8): of each stretch its number of points, their mean x and their mean residual, mm."""
 
     @property
     def covariance(self) -> Array:
@@ -64,9 +66,11 @@ def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: fl
         Points farther from h = 0 than this are not skin.
     """
     x, y, h, sigma = (np.ascontiguousarray(column) for column in points[:, :4].T)
-    normal, solution, stretches = np.zeros((7, 7)), np.zeros(7), np.zeros(2 * _STRETCHES)
+    normal, solution, stretches = np.zeros((7, 7)), np.zeros(7), np.zeros((4, 2 * _STRETCHES))
     spread, n_a, n_b, clumping, good = _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretches)
-    return SkinFit(solution, normal, spread, n_a, n_b, clumping, stretches / spread) if good else None
+    if not good:
+        return None
+    return SkinFit(solution, normal, spread, n_a, n_b, clumping, stretches[0] / spread, stretches[1:])
 
 
 @kernel
@@ -103,7 +107,7 @@ def _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretch
             return spread, n_a, n_b, 1.0, False
         if not changed:
             break
-    return spread, n_a, n_b, _clumping(x, inner_a, inner_b, kept, residual, stretches) / spread**2, True
+    return spread, n_a, n_b, _clumping(x, sigma, inner_a, inner_b, kept, residual, stretches) / spread**2, True
 
 
 @kernel
@@ -153,10 +157,13 @@ def _solve(x, y, h, sigma, inner_a, kept, normal, solution):  # type: ignore[no-
 
 
 @kernel
-def _clumping(x, inner_a, inner_b, kept, residual, sums):  # type: ignore[no-untyped-def]
-    """Mean square of the stretches' sums over their numbers of points; `sums` over the roots of those."""
+def _clumping(x, sigma, inner_a, inner_b, kept, residual, told):  # type: ignore[no-untyped-def]
+    """Mean square of the stretches' sums over their numbers of points.
+
+    `told` gets of each stretch its sum over the root of its number of points, that number, mean x and mean residual.
+    """
     low, high = x.min(), x.max()
-    counts = np.zeros(2 * _STRETCHES)
+    told[:] = 0.0
     for i in range(x.size):
         if not kept[i]:
             continue
@@ -164,12 +171,16 @@ def _clumping(x, inner_a, inner_b, kept, residual, sums):  # type: ignore[no-unt
             k = int(_STRETCHES * (inner_a - x[i]) / (inner_a - low + 1e-9))
         else:
             k = _STRETCHES + int(_STRETCHES * (x[i] - inner_b) / (high - inner_b + 1e-9))
-        sums[k] += residual[i]
-        counts[k] += 1.0
+        told[0, k] += residual[i]
+        told[1, k] += 1.0
+        told[2, k] += x[i]
+        told[3, k] += residual[i] * sigma[i]
     total, used = 0.0, 0
     for k in range(2 * _STRETCHES):
-        if counts[k] > 0:
-            sums[k] /= math.sqrt(counts[k])
-            total += sums[k] * sums[k]
+        if told[1, k] > 0:
+            told[0, k] /= math.sqrt(told[1, k])
+            told[2, k] /= told[1, k]
+            told[3, k] /= told[1, k]
+            total += told[0, k] * told[0, k]
             used += 1
     return total / max(used - _COARSE, 1)

@@ -1,0 +1,67 @@
+"""Skin bent on one side of a seam alone: how far the step may be off, and that U95 says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metrology.fits import SkinLine
+from metrology.results import SeamStation
+from metrology.seams.skins.one_sided import step_moved_by_bends, with_one_sided_bends
+from metrology.seams.skins.sections import Section
+from metrology.seams.skins.skin_lines import fit_skin_lines
+from metrology.seams.skins.step import step_height
+from metrology.surfaces import Frame
+
+EDGE, INNER, OUTER = 1.0, 1.8, 15.8
+EDGES = (-EDGE, EDGE)
+STEP = 0.1
+
+
+def section(bend: float, rng: np.random.Generator, sigma: float, curvature: float = 3e-4) -> Section:
+    """A section of a bent skin whose side A bends by `bend` (1/mm) more from its edge on."""
+    x = np.concatenate([-1, 1] * rng.uniform(INNER, OUTER, (900, 2)))
+    y = rng.uniform(-2, 2, x.size)
+    h = curvature * x**2 + np.where(x > 0, STEP, bend * (x + EDGE) ** 2) + sigma * rng.standard_normal(x.size)
+    fit = fit_skin_lines(np.stack([x, y, h, np.full(x.size, max(sigma, 1e-4))], axis=1), -INNER, INNER, 3.0)
+    a, b = SkinLine(fit.solution[[0, 1, 4]], fit.n_a), SkinLine(fit.solution[2:5], fit.n_b)
+    frame = Frame(np.array([0.0, 0.0, 700.0]), np.eye(3))
+    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit)
+
+
+def station(one: Section, s: float, u95: float) -> SeamStation:
+    step = step_height(one, *EDGES)
+    return SeamStation("S01", s, x_mm=0.0, y_mm=s, z_mm=700.0, u_px=0.0, v_px=s, step_mm=step, step_u95_mm=u95)
+
+
+@pytest.mark.parametrize("bend", [5e-4, -2e-4])
+def test_a_bend_of_one_side_tells_how_far_it_moves_the_step(bend: float, rng: np.random.Generator) -> None:
+    """Of a bend as it is reckoned with, all of the step's error; of one of both sides, nothing."""
+    bent = section(bend, rng, 0.0)
+    error = step_height(bent, *EDGES) - STEP
+    assert abs(error) > 0.005
+    (moved,) = step_moved_by_bends([bent], [EDGES])
+    assert moved == pytest.approx(error, rel=0.1)
+    (moved,) = step_moved_by_bends([section(0.0, rng, 0.0, curvature=bend)], [EDGES])
+    assert abs(moved) < 1e-4
+
+
+def test_u95_holds_the_step_s_error_beside_a_dent_s_foot_and_stays_elsewhere(rng: np.random.Generator) -> None:
+    """The foot of a dent bends side A over 16 mm along the seam, by a tenth of a millimetre where the strip ends."""
+    s = 2.0 * np.arange(50)
+    bends = np.where(np.abs(s - 40.0) < 8.0, -4.5e-4, 0.0)
+    sections = [section(bend, rng, 0.015) for bend in bends]
+    rows = [station(one, at, 0.005) for one, at in zip(sections, s, strict=True)]
+    errors = np.abs([row.step_mm - STEP for row in rows])
+    assert errors[bends != 0].min() > 0.01
+    told = np.array([row.step_u95_mm for row in with_one_sided_bends(rows, sections, [EDGES] * len(rows))])
+    assert (errors <= told)[bends != 0].all()
+    assert (told[np.abs(s - 40.0) > 16.0] == 0.005).mean() > 0.9
+
+
+def test_stretches_without_points_and_short_seams_change_nothing(rng: np.random.Generator) -> None:
+    one = section(-4.5e-4, rng, 0.015)
+    rows = [station(one, 2.0 * k, 0.005) for k in range(5)]
+    assert with_one_sided_bends(rows, [one] * 5, [EDGES] * 5) == rows
+    one.misfit[0, 3] = 0
+    assert np.isnan(step_moved_by_bends([one, None], [EDGES] * 2)).all()
