@@ -7,6 +7,8 @@ part only:
   position;
 - *deviation of a frame*: what it differs by from what the other frames say of it, in brightness (relative to the mean
   level) and in fringes (relative to their amplitude). Gamma leaves neither: its harmonics average out.
+
+Frames that fit each other may still all hold a second picture of the fringes: see `metrology.frame_ghosts`.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from numpy.typing import NDArray
 
 from metrology.arrays import Array, Float32
 from metrology.cloud import PixelFlag
-from metrology.frame_sample import FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
+from metrology.frame_ghosts import disagreement
+from metrology.frame_sample import Agreement, FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
 from metrology.fringe import FringeCode
 
 # A frame deviates if it is this much brighter or darker than the others say (flicker of 3 % leaves 0.05), …
@@ -68,6 +71,8 @@ class FrameConsistency:
     """Largest deviation of a frame, over the whole picture, a band or a block; 1 is the limit."""
     drift: float
     """What the phases miss each other by systematically; 1 is the limit."""
+    disagreement_rad: float | None = None
+    """What the phases of the counts miss each other by beyond noise; None where that cannot be told."""
 
     @property
     def uneven(self) -> bool:
@@ -129,7 +134,16 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
         odd_columns=odd_columns,
         deviation=largest,
         drift=told.drift / DRIFT,
+        disagreement_rad=_disagreement(told, fit, levels, sample),
     )
+
+
+def _disagreement(told: Agreement, fit: SinusoidFit, levels: Float32, sample: FrameSample) -> float | None:
+    if told.missed is None:
+        return None
+    counts = tuple(sample.code.counts[k] for k in fit.used)
+    use = told.judged & ~told.contradictory & unclipped(levels, sample.saturation)
+    return disagreement(told.missed, counts, use, len(sample.rows))
 
 
 def _odd_blocks(

@@ -62,6 +62,10 @@ def of_four_bits(picture: NDArray, _: np.random.Generator) -> NDArray:
     return picture // 16 * 16
 
 
+def reflected(picture: NDArray, _: np.random.Generator) -> NDArray:
+    return np.asarray(picture + 0.02 * np.roll(picture.astype(float), (40, 25), (0, 1)))
+
+
 def black_too_low(picture: NDArray, _: np.random.Generator) -> NDArray:
     return picture - 40.0
 
@@ -73,6 +77,7 @@ def black_too_low(picture: NDArray, _: np.random.Generator) -> NDArray:
         (compressed, "pictures were smoothed, scaled or compressed", True, ("width",)),
         (beating, "waves or stripes that change from frame to frame", True, ()),
         (black_too_low, "cut off at black", False, ("width",)),
+        (reflected, "sees a second, fainter picture of the fringes", True, ()),
         (of_four_bits, "grey levels (of 16 each), expected 12 at least", True, ("width",)),
     ],
 )
