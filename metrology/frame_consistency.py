@@ -7,6 +7,8 @@ part only:
   position;
 - *deviation of a frame*: what it differs by from what the other frames say of it, in brightness (relative to the mean
   level) and in fringes (relative to their amplitude). Gamma leaves neither: its harmonics average out.
+
+Frames that fit each other may still all hold a second picture of the fringes: see `metrology.frame_ghosts`.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ from numpy.typing import NDArray
 
 from metrology.arrays import Array, Float32
 from metrology.cloud import PixelFlag
-from metrology.frame_sample import FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
+from metrology.frame_ghosts import disagreement
+from metrology.frame_sample import Agreement, FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
 from metrology.fringe import FringeCode
+from metrology.robust import MAD
 
 # A frame deviates if it is this much brighter or darker than the others say (flicker of 3 % leaves 0.05), …
 _BRIGHTNESS = 0.15
@@ -40,12 +44,15 @@ _BAND_CONTRADICTORY = 0.5
 _ROWS_PER_BAND = 2
 # A fault of a small part of the picture (a lamp, lost blocks) is seen in blocks of so many rows and columns.
 _BLOCK = 8
+# So few bands of rows do not tell whether brightness changes along them.
+_FEWEST_BANDS = 6
 # Gamma averages out over a fringe and more: bands along fringes are as high as one where half the projector is seen,
 # and frames of few fringes are not judged by their fringes.
 _FRINGES_PER_BAND = 1.2
 _PART_SEEN = 0.5
 _LEAST_COUNT = 8
 _LEAST_PIXELS = 30
+_SURE = 2.0  # standard deviations
 # Pixels with more clipped samples than one are left out: a frame brighter than the others clips alone.
 _CLIPPED_SAMPLES = 1
 _UNLIT = PixelFlag.SATURATED | PixelFlag.LOW_MODULATION
@@ -68,6 +75,11 @@ class FrameConsistency:
     """Largest deviation of a frame, over the whole picture, a band or a block; 1 is the limit."""
     drift: float
     """What the phases miss each other by systematically; 1 is the limit."""
+    rolling: float = 0.0
+    """Scatter of the frames' brightness from band to band of rows beyond noise, relative: light that flickers while a
+    shutter rolls."""
+    disagreement_rad: float | None = None
+    """What the phases of the counts miss each other by beyond noise; None where that cannot be told."""
 
     @property
     def uneven(self) -> bool:
@@ -109,19 +121,9 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
     if lit.sum() < _LEAST_PIXELS:
         return nothing
     contradictory = told.contradictory & lit
-    per_band = _rows_per_band(sample)
-    bands = np.arange(0, rows, per_band)
-    counted = _per_band(lit, rows, bands)
-    enough = counted >= _LEAST_PIXELS
-    deviation = largest_deviation(fit, sample.code, lit, rows, bands)
-    share = _per_band(contradictory, rows, bands) / np.maximum(counted, 1)
-    whole = largest_deviation(fit, sample.code, lit, rows, np.array([0]))
-    odd_band = enough & ((deviation > 1) | (share > _BAND_CONTRADICTORY))
-    odd_rows, odd_columns = np.repeat(odd_band, per_band)[:rows], everywhere
-    largest = float(max(whole[0], deviation[enough].max(initial=0)))
-    if largest <= 1 and not odd_rows.any():
-        in_blocks, odd_rows, odd_columns = _odd_blocks(fit, sample, lit, per_band)
-        largest = max(largest, in_blocks)
+    largest, odd_rows, odd_columns = _oddities(fit, sample, lit, contradictory, 0.0)
+    if largest > 1:
+        largest, odd_rows, odd_columns = _oddities(fit, sample, lit, contradictory, _SURE)
     return FrameConsistency(
         judged=int(lit.sum()),
         contradictory=float(contradictory[lit].mean()),
@@ -129,11 +131,57 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
         odd_columns=odd_columns,
         deviation=largest,
         drift=told.drift / DRIFT,
+        rolling=_rolling(fit, lit, rows, max(_BLOCK, _rows_per_band(sample))),
+        disagreement_rad=_disagreement(told, fit, levels, sample),
     )
 
 
+def _rolling(fit: SinusoidFit, lit: NDArray[np.bool_], rows: int, tall: int) -> float:
+    """See `FrameConsistency.rolling`."""
+    bands = np.arange(0, rows, tall)
+    number = _per_band(lit, rows, bands)
+    enough = number >= tall * _LEAST_PIXELS / 2
+    if enough.sum() < _FEWEST_BANDS:
+        return 0.0
+    level = _per_band(np.where(lit, fit.mean, 0), rows, bands)[enough]
+    off = _per_band(np.where(lit, fit.errors, 0), rows, bands)[:, enough] / level
+    off = off - np.average(off, axis=1, weights=number[enough])[:, None]
+    scatter = MAD * np.median(np.abs(fit.errors[:, lit] / fit.mean[lit]), axis=1)
+    noise = np.mean(scatter**2) * np.mean(1 / number[enough])
+    return float(np.sqrt(max(np.square(off).mean() - noise, 0.0)))
+
+
+def _disagreement(told: Agreement, fit: SinusoidFit, levels: Float32, sample: FrameSample) -> float | None:
+    if told.missed is None:
+        return None
+    counts = tuple(sample.code.counts[k] for k in fit.used)
+    use = told.judged & ~told.contradictory & unclipped(levels, sample.saturation)
+    return disagreement(told.missed, counts, use, len(sample.rows))
+
+
+def _oddities(
+    fit: SinusoidFit, sample: FrameSample, lit: NDArray[np.bool_], contradictory: NDArray[np.bool_], sure: float
+) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Largest deviation of a frame, over the whole picture, a band or a block, and the odd rows and columns."""
+    rows, everywhere = len(sample.rows), np.ones(sample.columns.shape[1], bool)
+    per_band = _rows_per_band(sample)
+    bands = np.arange(0, rows, per_band)
+    counted = _per_band(lit, rows, bands)
+    enough = counted >= _LEAST_PIXELS
+    deviation = largest_deviation(fit, sample.code, lit, rows, bands, sure)
+    share = _per_band(contradictory, rows, bands) / np.maximum(counted, 1)
+    whole = largest_deviation(fit, sample.code, lit, rows, np.array([0]), sure)
+    odd_band = enough & ((deviation > 1) | (share > _BAND_CONTRADICTORY))
+    odd_rows = np.repeat(odd_band, per_band)[:rows]
+    largest = float(max(whole[0], deviation[enough].max(initial=0)))
+    if largest <= 1 and not odd_rows.any():
+        in_blocks, odd_rows, odd_columns = _odd_blocks(fit, sample, lit, per_band, sure)
+        return max(largest, in_blocks), odd_rows, odd_columns
+    return largest, odd_rows, everywhere
+
+
 def _odd_blocks(
-    fit: SinusoidFit, sample: FrameSample, lit: NDArray[np.bool_], per_band: int
+    fit: SinusoidFit, sample: FrameSample, lit: NDArray[np.bool_], per_band: int, sure: float
 ) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
     """Largest deviation of a frame in a block, and the rows and columns of the grid in which blocks are odd."""
     rows, columns = sample.columns.shape
@@ -147,7 +195,7 @@ def _odd_blocks(
         at = np.flatnonzero(np.tile(inside, rows))
         own = SinusoidFit(fit.mean[at], fit.phasors[:, at], fit.used, fit.errors[:, at], fit.shows)
         bands = np.arange(0, rows, tall)
-        deviation = frame_deviations(own, sample.code, lit[at], rows, bands).max(0)
+        deviation = frame_deviations(own, sample.code, lit[at], rows, bands, sure=sure).max(0)
         deviation[_per_band(lit[at], rows, bands) < _LEAST_PIXELS] = 0
         largest = max(largest, float(deviation.max()))
         odd |= np.repeat(deviation > 1, tall)[:rows, None] & inside
@@ -183,6 +231,7 @@ def frame_deviations(
     rows: int,
     bands: NDArray[np.int64],
     least_count: int = _LEAST_COUNT,
+    sure: float = 0.0,
 ) -> Array:
     """Deviation of each frame from what the others say, in bands of rows; 1 is the limit.
 
@@ -196,14 +245,18 @@ def frame_deviations(
         First row of each band.
     least_count : int
         Counts with fewer fringes are not judged by them.
+    sure : float
+        So many standard deviations, as the pixels of a band scatter, are taken off: edges of paint move with what
+        vibrates, and make a few pixels scatter far more than noise does.
 
     Returns
     -------
     (frames, b) ndarray
         0 in bands without lit pixels.
     """
+    number = np.maximum(_per_band(lit, rows, bands), 1)
     level = np.maximum(_per_band(np.where(lit, fit.mean, 0), rows, bands), 1e-6)
-    brightness = np.abs(_per_band(np.where(lit, fit.errors, 0), rows, bands)) / level
+    brightness = _sure_sum(np.where(lit, fit.errors, 0), number, rows, bands, sure) / level
     fringes = np.zeros_like(brightness)
     for index, k in enumerate(fit.used):
         own = code.count_of[fit.shows] == k
@@ -211,15 +264,30 @@ def frame_deviations(
             continue
         phasor = np.where(lit, fit.phasors[index], 0)
         power = np.maximum(_per_band(np.abs(phasor) ** 2, rows, bands), 1e-6)
-        fringes[own] = np.abs(_per_band(fit.errors[own] * phasor, rows, bands)) * 2 / power
+        fringes[own] = _sure_sum(fit.errors[own] * phasor, number, rows, bands, sure) * 2 / power
     return np.asarray(np.maximum(brightness / _BRIGHTNESS, fringes / _FRINGES))
 
 
+def _sure_sum(values: NDArray, number: NDArray, rows: int, bands: NDArray[np.int64], sure: float) -> Array:
+    """Amount of the sums of (…, n) values over each band's rows, less so many of their standard deviations, (…, b)."""
+    amount = np.abs(_per_band(values, rows, bands))
+    if sure == 0:
+        return np.asarray(amount)
+    squares = _per_band(np.square(np.abs(values)), rows, bands)
+    scatter = np.sqrt(np.maximum(squares - amount**2 / number, 0))
+    return np.asarray(np.maximum(amount - sure * scatter, 0))
+
+
 def largest_deviation(
-    fit: SinusoidFit, code: FringeCode, lit: NDArray[np.bool_], rows: int, bands: NDArray[np.int64]
+    fit: SinusoidFit,
+    code: FringeCode,
+    lit: NDArray[np.bool_],
+    rows: int,
+    bands: NDArray[np.int64],
+    sure: float = 0.0,
 ) -> Array:
     """(b,) largest deviation in each band of any frame, or of the contrast from not depending on the phase."""
-    largest = frame_deviations(fit, code, lit, rows, bands).max(0)
+    largest = frame_deviations(fit, code, lit, rows, bands, sure=sure).max(0)
     if len(code.counts) > _FEW_COUNTS:
         return np.asarray(largest)
     amplitude, number = fit.amplitude, np.maximum(_per_band(lit, rows, bands), 1)

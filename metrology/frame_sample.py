@@ -172,6 +172,8 @@ class Agreement:
     used."""
     drift: float
     """Median of what the phases miss a common position by, as a share of half a lattice step; 0 with Gray code."""
+    missed: Array | None = None
+    """(counts used, n) what each phase misses the common position by, in turns; None with Gray code."""
 
 
 def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Float32 | None = None) -> Agreement:
@@ -186,7 +188,7 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     )
     turns = np.angle(fit.phasors).astype(np.float64) / (2 * np.pi) - code.offset_turns[list(fit.used), None]
     counts = tuple(code.counts[k] for k in fit.used)
-    drift = 0.0
+    drift, missed = 0.0, None
     if coarse is not None and code.gray is not None:
         judged = _NOISE_SIGMAS * sigma < _OFF_FRINGE
         position, off = _from_stripes(turns, counts, coarse, code.gray.stripes)
@@ -199,7 +201,7 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
         far = np.sqrt((missed**2).sum(0)) > np.maximum(_CONTRADICTION * half, _NOISE_SIGMAS * sigma)
         if len(counts) > 1 and judged.any():
             drift = float(np.linalg.norm(np.median(missed[:, judged], axis=1))) / half
-    return Agreement(judged, judged & (far | faint), position, drift)
+    return Agreement(judged, judged & (far | faint), position, drift, missed)
 
 
 def _from_stripes(turns: Array, counts: tuple[int, ...], coarse: Float32, stripes: int) -> tuple[Array, Array]:

@@ -38,6 +38,10 @@ _HARMONICS_APART = 0.02
 _STRIPED, _PER_HARMONIC, _REACHES = 2.0, 5.0, 0.6
 # Of lit pixels; a pixel is lit that reaches this level.
 _MOST_CUT, _BRIGHT = 0.002, 10
+# Vibration of 15 µm leaves half of it at most, a second picture of a fiftieth as much and more.
+_DISAGREEMENT_RAD = 0.006
+# Flicker of this share from row to row makes relief of some micrometres; a sound scan's rows differ by noise alone.
+_ROLLING = 0.006
 # Glints of heads and edges are less.
 _MOST_CLIPPED = 0.05
 
@@ -58,7 +62,8 @@ def frame_doubts(
         (_rounded(view, frames) for view, frames in both),
         (_clipped(view, frames) for view, frames in both),
         (_cut_off(frames) for frames in checked),
-        (_processed(frames.camera, frames.texture, bent) for frames in checked),
+        (_rolling(frames) or _processed(frames.camera, frames.texture, bent) for frames in checked),
+        (_seen_twice(frames) for frames in checked),
     )
     return [doubt for kind in found if (doubt := next(filter(None, kind), None))]
 
@@ -184,6 +189,37 @@ def _cut_off(frames: CheckedFrames) -> FrameDoubt | None:
         "black level",
         f"pictures of the {frames.camera} camera cut off at black",
         quantities=("width",),
+    )
+
+
+def _seen_twice(frames: CheckedFrames) -> FrameDoubt | None:
+    """A second picture of the fringes, which every frame holds."""
+    found = max((judged.disagreement_rad or 0.0 for judged in frames.found), default=0.0)
+    if found <= _DISAGREEMENT_RAD:
+        return None
+    camera = frames.camera
+    return FrameDoubt(
+        f"the {camera} camera sees a second, fainter picture of the fringes (phases of its counts miss each other by "
+        f"{found:.3f} rad, expected at most {_DISAGREEMENT_RAD:g}): what looks like a dent or a bump may be none; look "
+        "for a reflection within the lens, its filter or a window, or from something bright beside the skin, and for "
+        "movement between the counts",
+        f"a second picture of the fringes in the {camera} camera",
+        relief=True,
+    )
+
+
+def _rolling(frames: CheckedFrames) -> FrameDoubt | None:
+    """Light that flickers while the shutter rolls from row to row."""
+    found = max((judged.rolling for judged in frames.found), default=0.0)
+    if found <= _ROLLING:
+        return None
+    camera = frames.camera
+    return FrameDoubt(
+        f"the brightness of the {camera} camera's frames changes from row to row, in each frame another way "
+        f"({found:.1%}, expected at most {_ROLLING:.1%}): what looks like a dent or a bump may be none; light flickers "
+        "while the shutter rolls: expose for whole periods of the light, or take a global shutter",
+        f"frames of the {camera} camera whose brightness changes from row to row",
+        relief=True,
     )
 
 

@@ -23,7 +23,7 @@ from storage.archive.bundle import encode as encode_files
 from storage.panel_spec import PanelSpecification
 from storage.rig import rig_document
 from tasks.loaded import LoadedScene
-from tasks.scan_checks import contradiction_warnings
+from tasks.scan_checks import contradiction_warnings, unseen_warnings
 from tasks.settings import InspectionSettings, SceneChecks
 
 _WITHOUT_PROJECTOR = (
@@ -67,6 +67,7 @@ def assemble(
         *(doubt.warning for doubt in reconstruction.doubts),
         *reconstruction.remarks,
         *contradiction_warnings(reconstruction, settings.checks),
+        *unseen_warnings(reconstruction),
         *registered.warnings,
     ]
     if health.verdict in ("warning", "unjudged"):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import DecodedView, Reconstruction
+from metrology.cloud import DecodedView, PixelFlag, Reconstruction
 from metrology.errors import SceneError
 from metrology.frame_consistency import FrameConsistency, contradictory_share, frame_consistency
 from metrology.frame_diagnosis import FrameDiagnosis, diagnose_frames
@@ -18,9 +18,19 @@ from metrology.frame_sample import FrameSample, sample_frames
 from metrology.noise import NoiseModel
 from metrology.noise_texture import NoiseTexture, level_step, noise_texture
 from metrology.rig import Rig
+from metrology.unseen import unseen_skin
 from storage.scene import Scene
 from storage.scene_models import Camera
 from tasks.settings import SceneChecks
+
+CAUSES = {
+    PixelFlag.SATURATED: "saturated",
+    PixelFlag.LOW_MODULATION: "too dark or without fringes",
+    PixelFlag.ORDER_RESIDUAL: "with fringes that contradict each other",
+    PixelFlag.UNMATCHED: "without a counterpart in the other camera",
+    PixelFlag.SLOPE: "out of range",
+}
+"""Why pixels have no points, in words."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +112,13 @@ def refuse_wrong_frames(scene: Scene, views: Sequence[CheckedFrames], checks: Sc
                 f"pixels of the {view.camera} camera, expected hardly any: frames taken one after the other "
                 "while nothing moved, in the order and with the fringe counts and steps that scene.json says"
             )
-        if any(judged.deviation > 1 or judged.drift > 1 for judged in view.found):
+        if any(judged.drift > 1 for judged in view.found) and all(judged.deviation <= 1 for judged in view.found):
+            raise SceneError(
+                f"{scene.folder}: found phases of the {view.camera} camera's counts that miss each other, expected one "
+                "position: frames of one scan, taken while nothing moved, without a second picture of the fringes "
+                "(a reflection within the lens or from something bright beside the skin)"
+            )
+        if any(judged.deviation > 1 for judged in view.found):
             raise SceneError(
                 f"{scene.folder}: found frames of the {view.camera} camera that do not fit each other, expected "
                 "frames of one scan, taken while nothing moved and in the same light, alike but for their fringes"
@@ -120,6 +136,18 @@ def contradiction_warnings(reconstruction: Reconstruction, checks: SceneChecks) 
                 "therefore no points; look for movement, reflections of the fringes, or a frame of another scan"
             )
     return warnings
+
+
+def unseen_warnings(reconstruction: Reconstruction) -> list[str]:
+    """A warning where part of the field was not seen, as wide as a fastener and more."""
+    unseen = unseen_skin(reconstruction)
+    if unseen is None:
+        return []
+    return [
+        f"{unseen.share:.1%} of the field in view have no points (the largest part, around u {unseen.u_px:.0f}, "
+        f"v {unseen.v_px:.0f} in the left picture, is {CAUSES[unseen.cause]}): what lies there was not inspected; is "
+        "something before the skin, or does it reflect?"
+    ]
 
 
 def _refuse_shared_pictures(scene: Scene, left: CheckedFrames, right: CheckedFrames) -> None:

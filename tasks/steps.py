@@ -43,7 +43,7 @@ from tasks.frame_doubts import frame_doubts, widened, without_unevenness
 from tasks.loaded import LoadedScene
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
-from tasks.scan_checks import CheckedFrames, check_frames, refuse_wrong_frames
+from tasks.scan_checks import CAUSES, CheckedFrames, check_frames, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
 
 
@@ -286,17 +286,10 @@ def _check_skin_is_seen(scene: Scene | CloudScene, reconstruction: Reconstructio
     causes = {flag: float((flags & flag != 0).mean()) for flag in PixelFlag if flag & MISSING}
     cause, share = max(causes.items(), key=lambda item: item[1])
     raise SceneError(
-        f"{scene.folder}: found points for {valid:.1%} of the pixels ({share:.0%} {_CAUSE[cause]}), "
+        f"{scene.folder}: found points for {valid:.1%} of the pixels ({share:.0%} {CAUSES[cause]}), "
         f"expected at least {checks.min_valid_fraction:.0%}: a lit skin in the field of both cameras"
     )
 
 
 _SCAN_AGAIN = "scan again first, as these frames are odd, and calibrate the rig again only where that stays so"
 _ONE_CAMERA = "cannot tell whether the rig still fits: with one camera nothing is seen twice; verify it by an artefact"
-_CAUSE = {
-    PixelFlag.SATURATED: "saturated",
-    PixelFlag.LOW_MODULATION: "too dark or without fringes",
-    PixelFlag.ORDER_RESIDUAL: "with fringes that contradict each other",
-    PixelFlag.UNMATCHED: "without a counterpart in the other camera",
-    PixelFlag.SLOPE: "out of range",
-}

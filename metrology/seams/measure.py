@@ -83,8 +83,9 @@ def measure_seams(
     stations = []
     for seam in seams:
         others = [other for other in seams if other is not seam]
-        clear = usable.copy() if others else usable
-        for other in others:
+        clear = usable.copy() if len(lines) > 1 else usable
+        # What lies on the skin is no skin, nor is what a flush seam is sealed with.
+        for other in (line for line in lines if line is not seam):
             clear &= ~gap_mask(other, settings.guard_px, usable.shape)
         track = lay_on_skin(oriented(seam.centre_px), seam.width_px, reconstruction, clear, settings.guard_px)
         if track is not None:

@@ -214,3 +214,18 @@ def test_frames_of_one_level_say_nothing(level: int) -> None:
     found = frame_consistency(sample, 0)
     assert (found.judged, found.odd) == (0, False)
     assert not diagnose_frames(sample, [found]).named
+
+
+def test_edges_of_paint_that_shake_are_not_odd() -> None:
+    """Few pixels that scatter far tell of no wrong frame, though their mean alone would."""
+    rng = np.random.default_rng(11)
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    letters = (v > 40) & (v < 56) & (u > 200) & (u < 260)
+    clean = clean_frames(ramp(HEIGHT, WIDTH, SIZE), USUAL, SIZE, np.full(u.shape, 80.0), np.full(u.shape, 60.0), 1.0)
+    shaken = np.stack([
+        frame * np.where(letters, 1 - 0.6 * np.cos(2 * np.pi * (u + shift) / 7), 1)
+        for frame, shift in zip(np.asarray(clean), rng.normal(0, 0.4, USUAL.frames), strict=True)
+    ])  # fmt: skip
+    (found,), _ = look(recorded(shaken, rng, 2.0, (1.0,)), USUAL)
+    print(found)
+    assert not found.odd

@@ -62,6 +62,15 @@ def of_four_bits(picture: NDArray, _: np.random.Generator) -> NDArray:
     return picture // 16 * 16
 
 
+def reflected(picture: NDArray, _: np.random.Generator) -> NDArray:
+    return np.asarray(picture + 0.02 * np.roll(picture.astype(float), (40, 25), (0, 1)))
+
+
+def rolling(picture: NDArray, rng: np.random.Generator) -> NDArray:
+    v = np.arange(picture.shape[0])[:, None]
+    return np.asarray(picture * (1 + 0.03 * np.sin(2 * np.pi * v / 260 + rng.uniform(0, 6.28))))
+
+
 def black_too_low(picture: NDArray, _: np.random.Generator) -> NDArray:
     return picture - 40.0
 
@@ -73,6 +82,8 @@ def black_too_low(picture: NDArray, _: np.random.Generator) -> NDArray:
         (compressed, "pictures were smoothed, scaled or compressed", True, ("width",)),
         (beating, "waves or stripes that change from frame to frame", True, ()),
         (black_too_low, "cut off at black", False, ("width",)),
+        (reflected, "sees a second, fainter picture of the fringes", True, ()),
+        (rolling, "changes from row to row, in each frame another way", True, ()),
         (of_four_bits, "grey levels (of 16 each), expected 12 at least", True, ("width",)),
     ],
 )

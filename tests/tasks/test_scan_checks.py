@@ -18,7 +18,7 @@ from metrology.errors import SceneError
 from storage.archive import Store
 from storage.rig import load_rig
 from tasks import steps
-from tasks.scan_checks import contradiction_warnings
+from tasks.scan_checks import contradiction_warnings, unseen_warnings
 from tasks.settings import InspectionSettings
 
 Edit = Callable[[Path, dict[str, Any]], None]
@@ -109,6 +109,7 @@ def test_a_sound_scan_is_neither_refused_nor_warned_of(shared: Path, tmp_path: P
     loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
     reconstruction = steps.reconstruct_scene(loaded, InspectionSettings())
     assert contradiction_warnings(reconstruction, InspectionSettings().checks) == []
+    assert unseen_warnings(reconstruction) == []
     assert reconstruction.doubts == ()
     assert reconstruction.remarks == ()
     assert np.isfinite(reconstruction.points).any()

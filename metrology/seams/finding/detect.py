@@ -10,12 +10,13 @@ import numpy as np
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
 from metrology.seams.finding.image_line import ImageLine
-from metrology.seams.finding.laps import with_laps
+from metrology.seams.finding.laps import is_beside, with_laps
 from metrology.seams.finding.lines import detect_lines
 from metrology.seams.finding.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.finding.rough import RoughLine
 from metrology.seams.finding.scratches import scratches_of
 from metrology.seams.places import head_mask, panel_mask
+from metrology.seams.polyline import Course
 from metrology.seams.settings import SeamSettings
 
 # A line without relief is worth showing to a person if it is as long and as marked as a seam.
@@ -61,7 +62,14 @@ def detect_seams(
         elif relief.between_skins and _is_shown(line):
             others.append(SeamLine("", line.centre_px, line.width_px, _SHOWN_CONFIDENCE, False))
     scratches = scratches_of(seams, reconstruction.valid, heads)
-    found = with_laps(seams, reconstruction, usable, settings)
+    found, raised = with_laps(seams, reconstruction, usable, settings)
+    # The picture may show what lies on the skin as a line, too.
+    lying = [(Course(line.centre_px[::4]), 0.5 * line.width_px) for line in raised]
+    others = [line for line in others if not is_beside(line.centre_px[::4], lying)]
+    others += [
+        SeamLine("", line.centre_px, np.full(len(line.centre_px), line.width_px), _SHOWN_CONFIDENCE, False)
+        for line in raised
+    ]
     found = [line for line in found if all(line is not scratch for scratch in scratches)]
     found.sort(key=lambda line: tuple(line.centre_px.mean(axis=0)))
     return [replace(line, seam_id=f"S{number:02d}") for number, line in enumerate([*found, *others], start=1)]

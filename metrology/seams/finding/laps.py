@@ -13,6 +13,7 @@ import numpy as np
 from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.results import SeamLine
+from metrology.seams.finding.raised import RaisedLine, raised_line
 from metrology.seams.finding.relief import Relief, examine_relief
 from metrology.seams.finding.step_edges import LEAST_STEP_MM, find_step_edges, step_course
 from metrology.seams.polyline import Course, polyline_length
@@ -28,8 +29,8 @@ _BLUR_PX = 4.0
 
 def with_laps(
     seams: Sequence[tuple[SeamLine, Relief]], reconstruction: Reconstruction, usable: Mask, settings: SeamSettings
-) -> list[SeamLine]:
-    """Seams found in the picture with their relief, and those that the relief alone shows.
+) -> tuple[list[SeamLine], list[RaisedLine]]:
+    """Seams found in the picture with their relief and those that the relief alone shows; and what lies on the skin.
 
     Parameters
     ----------
@@ -37,24 +38,28 @@ def with_laps(
     usable : (h, w) ndarray of bool
         Pixels with a point, off the rivets.
     """
-    kept = [line for line, _ in seams]
+    kept, raised = [line for line, _ in seams], list[RaisedLine]()
     beside = [(Course(line.centre_px[::4]), 0.5 * float(np.median(line.width_px))) for line in kept]
     for edge in find_step_edges(reconstruction, usable, settings.lines):
-        if _is_beside(edge.points, beside):
+        if is_beside(edge.points, beside):
             continue
         course = step_course(edge.points, reconstruction, usable)
-        if course is None or polyline_length(course) < settings.lines.min_length_px or _is_beside(course, beside):
+        if course is None or polyline_length(course) < settings.lines.min_length_px or is_beside(course, beside):
             continue
         relief = examine_relief(course, _BLUR_PX, reconstruction, usable, settings)
         if not relief.is_seam or relief.step_share < relief.share or abs(relief.step_mm) < LEAST_STEP_MM:
             continue
+        if lying := raised_line(course, reconstruction, usable):
+            raised.append(lying)
+            beside.append((Course(lying.centre_px[::4]), 0.5 * lying.width_px))
+            continue
         kept.append(SeamLine("", course, np.full(len(course), _BLUR_PX), relief.step_share, True, "lap"))
         beside.append((Course(course[::4]), 0.5 * _BLUR_PX))
-    return kept
+    return kept, raised
 
 
-def _is_beside(points: Array, courses: Sequence[tuple[Course, float]]) -> bool:
-    """Whether too little of a line is far from all others."""
+def is_beside(points: Array, courses: Sequence[tuple[Course, float]]) -> bool:
+    """Whether too little of a line is far from all others, each a course and half its width, px."""
     near = np.zeros(len(points), bool)
     for course, half in courses:
         near |= course.beside(points, half + _ECHO_PX)

@@ -112,23 +112,10 @@ def examine_relief(
     most_pieces : int
         So many pieces of the line, evenly spread, are looked at.
     """
-    inner = width_px / 2 + settings.guard_px
-    pieces = _Pieces.along(points, inner + SKIN_PX, usable.shape, most_pieces)
-    if pieces is None:
-        return Relief()
-    beside = pieces.inside & (np.abs(pieces.x) > inner)
-    dark = (reconstruction.flags[pieces.v, pieces.u] & np.uint16(PixelFlag.LOW_MODULATION)) != 0
-    skin = beside & usable[pieces.v, pieces.u]
-    both, evident = _evidence(pieces.x, skin, beside & ~skin & ~dark)
-    if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
-        return Relief(float(both.sum() / max(evident.sum(), _FEWEST_PIECES)))
-    pieces, skin = pieces.some(both), skin[both]
-    inverse = 1.0 / np.where(pieces.inside, reconstruction.points[pieces.v, pieces.u, 2], np.nan).astype(float)
-    sides = _fit_sides(pieces, inverse, skin)
-    joined = np.abs(sides.step_mm) < _MAX_STEP_MM
-    skin_share = float(joined.sum() / evident.sum())
-    if skin_share < _SKIN_SHARE:
-        return Relief(skin_share)
+    beside = _beside(points, width_px / 2 + settings.guard_px, reconstruction, usable, most_pieces)
+    if isinstance(beside, float):
+        return Relief(beside)
+    pieces, skin, inverse, sides, joined = beside.pieces, beside.skin, beside.inverse, beside.sides, beside.joined
     texture = reconstruction.left.texture[pieces.v, pieces.u].astype(float)
     half = max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
     depth, depth_sigma, seen = _depth(pieces, half, sides.at_places(pieces, inverse), texture, skin, sides)
@@ -144,13 +131,87 @@ def examine_relief(
     step, depth = sides.step_mm[joined], depth[joined]
     median = float(np.median(step))
     return Relief(
-        skin_share=skin_share,
+        skin_share=beside.skin_share,
         groove_share=float((depth > depth_limit).mean()),
         raised_share=float((depth < -depth_limit).mean()),
         step_mm=median,
         step_share=float((step * np.sign(median) > step_limit).mean()),
         shallow_share=float(shallow.mean()),
     )
+
+
+@dataclass(frozen=True)
+class SkinProfile:
+    """The median section across a line: heights above the middle of both skins, towards the camera."""
+
+    x: Array
+    """(m,) px across the line, in order."""
+    height_mm: Array
+    """(m,) NaN where no point is seen."""
+    step_mm: float
+    """Between the skins beyond, along the ray."""
+
+
+def skin_profile(points: Array, inner_px: float, reconstruction: Reconstruction, usable: Mask) -> SkinProfile | None:
+    """The section across a line between skins that begin `inner_px` beside it; None where they are not seen.
+
+    Parameters
+    ----------
+    points : (n, 2) ndarray
+        u, v along the line.
+    usable : (h, w) ndarray of bool
+        Pixels with a point, off the rivets.
+    """
+    beside = _beside(points, inner_px, reconstruction, usable, MOST_PIECES)
+    if isinstance(beside, float):
+        return None
+    pieces, sides = beside.pieces, beside.sides
+    between = np.abs(pieces.x) <= inner_px
+    x, y = pieces.x[between], pieces.y[between]
+    coefficients = sides.coefficients
+    fitted = coefficients[:, :2].mean(axis=1)[:, None] + coefficients[:, 2:] @ _design(x, y)[:, 2:].T
+    height = (1.0 / fitted - 1.0 / beside.inverse[:, between])[beside.joined]
+    places = np.unique(x)
+    columns = np.array([height[:, x == place].ravel() for place in places])
+    return SkinProfile(
+        places, row_medians(columns, np.isfinite(columns)), float(np.median(sides.step_mm[beside.joined]))
+    )
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Pieces of a line with skin on both sides, and the fit to those sides."""
+
+    pieces: _Pieces
+    skin: Mask
+    """(p, n) of bool: points of the sides."""
+    inverse: Array
+    """(p, n) 1/z; NaN without a point."""
+    sides: _Sides
+    joined: Mask
+    """(p,) of bool: both sides may be skins that belong together."""
+    skin_share: float
+
+
+def _beside(
+    points: Array, inner: float, reconstruction: Reconstruction, usable: Mask, most_pieces: int
+) -> _Beside | float:
+    """Both sides of a line from `inner` px on; the share of pieces that have them if it is too low."""
+    pieces = _Pieces.along(points, inner + SKIN_PX, usable.shape, most_pieces)
+    if pieces is None:
+        return 0.0
+    beside = pieces.inside & (np.abs(pieces.x) > inner)
+    dark = (reconstruction.flags[pieces.v, pieces.u] & np.uint16(PixelFlag.LOW_MODULATION)) != 0
+    skin = beside & usable[pieces.v, pieces.u]
+    both, evident = _evidence(pieces.x, skin, beside & ~skin & ~dark)
+    if both.sum() < max(_FEWEST_PIECES, _SKIN_SHARE * evident.sum()):
+        return float(both.sum() / max(evident.sum(), _FEWEST_PIECES))
+    pieces, skin = pieces.some(both), skin[both]
+    inverse = 1.0 / np.where(pieces.inside, reconstruction.points[pieces.v, pieces.u, 2], np.nan).astype(float)
+    sides = _fit_sides(pieces, inverse, skin)
+    joined = np.abs(sides.step_mm) < _MAX_STEP_MM
+    share = float(joined.sum() / evident.sum())
+    return _Beside(pieces, skin, inverse, sides, joined, share) if share >= _SKIN_SHARE else share
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,54 @@
+"""What lies on the skin, long and narrow (a cable, a bead, a strip of tape), and has no step: both its flanks look like
+the edge of a sheet from near, but beyond them the skin goes on at the same height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrology.arrays import Array, Mask
+from metrology.cloud import Reconstruction
+from metrology.seams.finding.relief import skin_profile
+from metrology.seams.finding.step_edges import LEAST_STEP_MM
+from metrology.seams.polyline import interpolated, normals, resample
+
+# What lies on the skin is taken to be no wider than this: cables, hoses, tape. Its flank may be on either side.
+_WIDEST_MM = 8.0
+_NODE_PX = 12.0
+
+
+@dataclass(frozen=True)
+class RaisedLine:
+    """Something long on the skin: its middle (n, 2) and how wide it is, px."""
+
+    centre_px: Array
+    width_px: float
+
+
+def raised_line(course: Array, reconstruction: Reconstruction, usable: Mask) -> RaisedLine | None:
+    """What lies on the skin along one of its flanks; None if the skin steps there, or cannot be seen beyond it.
+
+    Parameters
+    ----------
+    course : (n, 2) ndarray
+        u, v along the flank.
+    usable : (h, w) ndarray of bool
+        Pixels with a point, off the rivets.
+    """
+    u, v = np.clip(np.round(course).astype(int), 0, np.array(usable.shape[::-1]) - 1).T
+    z = reconstruction.points[v, u, 2]
+    if not np.isfinite(z).any():
+        return None
+    widest = _WIDEST_MM / float(np.nanmedian(z)) * float(reconstruction.rig.left.K[0, 0])
+    profile = skin_profile(course, widest, reconstruction, usable)
+    if profile is None or abs(profile.step_mm) >= LEAST_STEP_MM:
+        return None
+    raised = profile.height_mm > LEAST_STEP_MM / 2
+    if not raised.any():
+        return None
+    first, last = profile.x[raised][[0, -1]]
+    nodes = resample(course, _NODE_PX)
+    middle = interpolated(nodes + 0.5 * (first + last) * normals(nodes), 1.0)
+    return RaisedLine(middle, float(last - first) + 1.0)
