@@ -28,6 +28,15 @@ SENTENCES = (
     "the {camera} camera's pictures were smoothed, scaled or compressed (neighbouring pixels share {share} of their "
     "noise, expected none): U95 allows for that, gaps are not measured, and what looks like a dent or a bump may be "
     "none; keep pictures as the sensor gives them, without filters and JPEG",
+    "the {camera} camera sees a second, fainter picture of the fringes (phases of its counts miss each other by "
+    "{miss} rad, expected at most {least}): what looks like a dent or a bump may be none; look for a reflection "
+    "within the lens, its filter or a window, or from something bright beside the skin, and for movement between "
+    "the counts",
+    "the brightness of the {camera} camera's frames changes from row to row, in each frame another way ({share}, "
+    "expected at most {least}): what looks like a dent or a bump may be none; light flickers while the shutter "
+    "rolls: expose for whole periods of the light, or take a global shutter",
+    "{share} of the field in view have no points (the largest part, around u {u}, v {v} in the left picture, is "
+    "{cause}): what lies there was not inspected; is something before the skin, or does it reflect?",
     "the {camera} camera's pictures were sharpened (their noise averages out {n} times as fast as a sensor's): gaps "
     "are not measured, and steps and heights beside edges may be off; switch the camera's sharpening off",
     "the cameras see fringes of different shape (harmonics of {first} and {last} of their amplitude, expected the "
@@ -119,6 +128,13 @@ CLAUSES = (
     "pictures of the {camera} camera sharpened",
     "pictures of the {camera} camera cut off at black",
     "crests of the {camera} camera's fringes cut off",
+    "a second picture of the fringes in the {camera} camera",
+    "saturated",
+    "too dark or without fringes",
+    "with fringes that contradict each other",
+    "without a counterpart in the other camera",
+    "out of range",
+    "frames of the {camera} camera whose brightness changes from row to row",
 )
 """Clauses of verdicts and rules."""
 
