@@ -96,6 +96,7 @@ SENTENCES = (
 CLAUSES = (
     "the specification has no acceptance rules",
     "from {first} to {last} mm ({length} mm): {reason}",
+    "at {place} mm: {reason}",
     "worst {quantity} {value} ± {u95} {unit} at {place} mm, expected {limit}",
     "beyond limits that no rule allows to exceed: {names}",
     "within U95 of a limit: {names}",
