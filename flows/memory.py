@@ -5,16 +5,22 @@ from __future__ import annotations
 import ctypes
 import sys
 
-_M_ARENA_MAX = -8  # malloc.h
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
+# What the library itself arrives at once images were freed: larger pieces come from the system each time, and as much
+# as this, twice, is kept.
+_LARGE = 32 << 20
 
 
 def share_heap() -> None:
     """Let all threads of this process take their memory from one heap.
 
     The GNU C library gives threads heaps of their own, and what was freed in one is of no use to the others: with the
-    images of a scan the process would grow from scene to scene.
+    images of a scan the process would grow from scene to scene. Where a variable of the environment sets when memory is
+    given back, as Dask sets it for its workers, every image would come from the system and go back to it.
     """
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
         if mallopt:  # musl has none, and no such heaps
             mallopt(_M_ARENA_MAX, 1)
+            mallopt(_M_MMAP_THRESHOLD, _LARGE)
+            mallopt(_M_TRIM_THRESHOLD, 2 * _LARGE)

@@ -16,6 +16,7 @@ from prefect.futures import PrefectFuture, as_completed
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from flows.assemble_panels import assemble_after
+from flows.dask_workers import dask_workers
 from flows.deliver import deliver_after_run
 from flows.inbox import inspect_folder, inspect_in, inspected_scenes, only_run, plan, write_parquet
 from flows.inbox_folders import put_aside
@@ -146,29 +147,15 @@ def task_runner(
     """What runs the scenes' tasks, and the processes that they inspect in; see `inspect_inbox_flow`.
 
     Prefect's own runner of processes would start Prefect in each of them and set it up again for every task, at half a
-    second per scene. Here its tasks are threads that wait for plain processes.
+    second per scene. Here its tasks are threads that wait for plain processes, or for Dask's.
     """
     with ExitStack() as opened:
-        processes = opened.enter_context(worker_processes(workers)) if kind == "processes" else None
-        runner: TaskRunner[Any] = (
-            dask_runner(workers, dask_address) if kind == "dask" else ThreadPoolTaskRunner(max_workers=workers)
-        )
-        yield opened.enter_context(runner), processes
-
-
-def dask_runner(workers: int, address: str | None) -> TaskRunner[Any]:
-    """Runs tasks on a Dask cluster: the one at `address`, or `workers` processes of this machine."""
-    from metrology.errors import UsageError
-
-    try:
-        from prefect_dask import DaskTaskRunner
-    except ImportError:
-        raise UsageError(
-            "--runner dask: found no prefect-dask, expected it installed: pip install flushline[dask]"
-        ) from None
-    if address:
-        return DaskTaskRunner(address=address)
-    return DaskTaskRunner(cluster_kwargs={"n_workers": workers, "threads_per_worker": 1})
+        processes: Executor | None = None
+        if kind == "dask":
+            processes, workers = opened.enter_context(dask_workers(workers, dask_address))
+        elif kind == "processes":
+            processes = opened.enter_context(worker_processes(workers))
+        yield opened.enter_context(ThreadPoolTaskRunner(max_workers=workers)), processes
 
 
 def flow_parameters(job: InboxJob, way: Way) -> dict[str, Any]:

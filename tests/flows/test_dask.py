@@ -20,7 +20,6 @@ from tests.support.s3 import bundles_uri, emulated_s3
 from tests.support.small_scene import write_small_scene
 
 distributed = pytest.importorskip("distributed", reason="needs flushline[dask]")
-pytest.importorskip("prefect_dask", reason="needs flushline[dask]")
 pytest.importorskip("moto.server", reason="moto[server] emulates S3")
 
 SCENES = 6
