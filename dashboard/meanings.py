@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from functools import cache
 
+from dashboard.reasons import expression_of
 from dashboard.words import _
 from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
 from storage.archive.schema import TABLES
@@ -48,11 +49,7 @@ def meaning(text: str) -> str:
 def _parts(text: str) -> tuple[str, dict[str, str]]:
     """A pattern and what stands in its places; the text itself where none fits."""
     for pattern in _PATTERNS:
-        parts = re.split(r"\{(\w+)\}", pattern)
-        places = (
-            f"(?P<{part}>{_PLACES.get(part, '.+')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)
-        )
-        if found := re.fullmatch("".join(places), text):
+        if found := re.fullmatch(expression_of(pattern, _PLACES), text):
             return pattern, found.groupdict()
     return text, {}
 

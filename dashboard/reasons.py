@@ -121,7 +121,7 @@ def _sentence(text: str) -> str:
 def _quantity(text: str) -> str:
     """A quantity, or what a limit asks of it, as people call it."""
     for pattern in PARTLY:
-        if found := re.fullmatch(_expression(pattern, _PLACE_OF_QUANTITY), text):
+        if found := re.fullmatch(expression_of(pattern, _PLACE_OF_QUANTITY), text):
             values = {
                 name: said if name == "size" else (quantity_words if name == "quantity" else _)(said)
                 for name, said in found.groupdict().items()
@@ -142,10 +142,11 @@ def _fitted(clause: str, patterns: tuple[str, ...]) -> str | None:
 
 @cache
 def _expressions(patterns: tuple[str, ...]) -> dict[str, re.Pattern[str]]:
-    return {pattern: re.compile(_expression(pattern)) for pattern in patterns}
+    return {pattern: re.compile(expression_of(pattern, _PLACES)) for pattern in patterns}
 
 
-def _expression(pattern: str, places: Mapping[str, str] = _PLACES) -> str:
+def expression_of(pattern: str, places: Mapping[str, str]) -> str:
+    """The expression that finds what stands in a pattern's places, each by its name and of what may stand there."""
     parts = re.split(r"\{(\w+)\}", pattern)
     return "".join(
         f"(?P<{part}>{places.get(part, '.+?')})" if i % 2 else re.escape(part) for i, part in enumerate(parts)

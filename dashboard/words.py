@@ -29,15 +29,19 @@ _FOLDER = Path(__file__).parent / "locales"
 _spoken: ContextVar[str | None] = ContextVar("language", default=None)
 
 
+def _known(language: str) -> str:
+    return language if language in LANGUAGES else ENGLISH
+
+
 def speak(language: str) -> None:
     """From now on texts are worded in a language."""
-    _spoken.set(language if language in LANGUAGES else ENGLISH)
+    _spoken.set(_known(language))
 
 
 @contextmanager
 def speaking(language: str) -> Iterator[None]:
     """Texts that are asked for within are worded in a language."""
-    token = _spoken.set(language if language in LANGUAGES else ENGLISH)
+    token = _spoken.set(_known(language))
     try:
         yield
     finally:

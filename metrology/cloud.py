@@ -35,6 +35,12 @@ MISSING = (
 )
 
 
+def main_cause(flags: NDArray[np.uint16]) -> tuple[PixelFlag, float]:
+    """Why most of the pixels with these flags have no point, and the share of them all that it holds for."""
+    shares = {flag: float((flags & np.uint16(flag) != 0).mean()) for flag in PixelFlag if flag & MISSING}
+    return max(shares.items(), key=lambda item: item[1])
+
+
 @dataclass(frozen=True)
 class DecodedView:
     """One camera's frames, decoded."""

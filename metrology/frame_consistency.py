@@ -132,7 +132,7 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
         deviation=largest,
         drift=told.drift / DRIFT,
         rolling=_rolling(fit, lit, rows, max(_BLOCK, _rows_per_band(sample))),
-        disagreement_rad=_disagreement(told, fit, levels, sample),
+        disagreement_rad=_disagreement(told, fit, lit, sample),
     )
 
 
@@ -151,12 +151,11 @@ def _rolling(fit: SinusoidFit, lit: NDArray[np.bool_], rows: int, tall: int) -> 
     return float(np.sqrt(max(np.square(off).mean() - noise, 0.0)))
 
 
-def _disagreement(told: Agreement, fit: SinusoidFit, levels: Float32, sample: FrameSample) -> float | None:
+def _disagreement(told: Agreement, fit: SinusoidFit, lit: NDArray[np.bool_], sample: FrameSample) -> float | None:
     if told.missed is None:
         return None
     counts = tuple(sample.code.counts[k] for k in fit.used)
-    use = told.judged & ~told.contradictory & unclipped(levels, sample.saturation)
-    return disagreement(told.missed, counts, use, len(sample.rows))
+    return disagreement(told.missed, counts, lit & ~told.contradictory, len(sample.rows))
 
 
 def _oddities(
@@ -254,9 +253,8 @@ def frame_deviations(
     (frames, b) ndarray
         0 in bands without lit pixels.
     """
-    number = np.maximum(_per_band(lit, rows, bands), 1)
     level = np.maximum(_per_band(np.where(lit, fit.mean, 0), rows, bands), 1e-6)
-    brightness = _sure_sum(np.where(lit, fit.errors, 0), number, rows, bands, sure) / level
+    brightness = _sure_sum(np.where(lit, fit.errors, 0), lit, rows, bands, sure) / level
     fringes = np.zeros_like(brightness)
     for index, k in enumerate(fit.used):
         own = code.count_of[fit.shows] == k
@@ -264,16 +262,18 @@ def frame_deviations(
             continue
         phasor = np.where(lit, fit.phasors[index], 0)
         power = np.maximum(_per_band(np.abs(phasor) ** 2, rows, bands), 1e-6)
-        fringes[own] = _sure_sum(fit.errors[own] * phasor, number, rows, bands, sure) * 2 / power
+        fringes[own] = _sure_sum(fit.errors[own] * phasor, lit, rows, bands, sure) * 2 / power
     return np.asarray(np.maximum(brightness / _BRIGHTNESS, fringes / _FRINGES))
 
 
-def _sure_sum(values: NDArray, number: NDArray, rows: int, bands: NDArray[np.int64], sure: float) -> Array:
-    """Amount of the sums of (…, n) values over each band's rows, less so many of their standard deviations, (…, b)."""
+def _sure_sum(values: NDArray, lit: NDArray[np.bool_], rows: int, bands: NDArray[np.int64], sure: float) -> Array:
+    """Amount of the sums of (…, n) values, 0 where not lit, over each band's rows, less so many of their standard
+    deviations, (…, b)."""
     amount = np.abs(_per_band(values, rows, bands))
     if sure == 0:
         return np.asarray(amount)
     squares = _per_band(np.square(np.abs(values)), rows, bands)
+    number = np.maximum(_per_band(lit, rows, bands), 1)
     scatter = np.sqrt(np.maximum(squares - amount**2 / number, 0))
     return np.asarray(np.maximum(amount - sure * scatter, 0))
 

@@ -92,14 +92,7 @@ def _depths(rays: Array, wanted: Array, projector: Device, axis: int) -> tuple[A
 
 def _project(seen: Array, device: Device) -> Array:
     """Raw pixels of directions in the device's own frame, NaN where a direction is."""
-    x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
-    k1, k2, p1, p2, k3, k4, k5, k6 = device.distortion8
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    K = device.K
-    return np.stack([K[0, 0] * xd + K[0, 1] * yd + K[0, 2], K[1, 1] * yd + K[1, 2]], axis=-1)
+    return device.through_lens(seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2])
 
 
 def _check_direction(view: DecodedView, rig: Rig, projector: Device, code: FringeCode) -> None:

@@ -131,18 +131,21 @@ class Device:
 
     def _project_many(self, points: Array) -> Array:
         """The same model, all points at a time."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion8.tolist()
         with np.errstate(all="ignore"):  # a point that is nowhere near the image may have no number
             x, y, z = self._rotation @ points.T + self.t[:, None]
             z = np.where(z == 0, 1.0, z)  # as OpenCV has it
-            x, y = x / z, y / z
-            xx, yy, xy = x * x, y * y, 2 * x * y
-            r2 = xx + yy
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            if k4 or k5 or k6:
-                radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-            u = self.K[0, 0] * (x * radial + p1 * xy + p2 * (r2 + 2 * xx)) + self.K[0, 2]
-            v = self.K[1, 1] * (y * radial + p1 * (r2 + 2 * yy) + p2 * xy) + self.K[1, 2]
+            return self.through_lens(x / z, y / z)
+
+    def through_lens(self, x: Array, y: Array) -> Array:
+        """(..., 2) raw pixels of undistorted image coordinates x/z, y/z in the device's own frame."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion8.tolist()
+        xx, yy, xy = x * x, y * y, 2 * x * y
+        r2 = xx + yy
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        if k4 or k5 or k6:
+            radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        u = self.K[0, 0] * (x * radial + p1 * xy + p2 * (r2 + 2 * xx)) + self.K[0, 2]
+        v = self.K[1, 1] * (y * radial + p1 * (r2 + 2 * yy) + p2 * xy) + self.K[1, 2]
         return np.stack([u, v], axis=-1)
 
     def normalized(self, pixels: ArrayLike) -> Array:

@@ -98,9 +98,8 @@ class Stretch:
     @property
     def said(self) -> str:
         """In one line."""
-        where = f"from {self.from_mm:.0f} to {self.to_mm:.0f} mm ({self.length_mm:.0f} mm)"
-        if len(self.rows) == 1:
-            where = f"at {self.from_mm:.0f} mm"
+        stretch = f"from {self.from_mm:.0f} to {self.to_mm:.0f} mm ({self.length_mm:.0f} mm)"
+        where = stretch if len(self.rows) > 1 else f"at {self.from_mm:.0f} mm"
         if not self.excesses:
             return f"{where} {self.decision}" + (f": {self.rows[0].reason}" if self.rows[0].reason else "")
         return f"{where}: " + "; ".join(map(self._said, self.excesses))

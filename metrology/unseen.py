@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from metrology.arrays import Mask
-from metrology.cloud import MISSING, PixelFlag, Reconstruction
+from metrology.cloud import PixelFlag, Reconstruction, main_cause
 
 _CELL_PX = 8
 _SEEN = 0.25  # of a cell's pixels must have points
@@ -50,9 +50,7 @@ def unseen_skin(reconstruction: Reconstruction) -> Unseen | None:
     largest = 1 + int(parts[1:, cv2.CC_STAT_AREA].argmax())
     u, v = (middles[largest] + 0.5) * _CELL_PX - 0.5
     inside = cv2.resize((labels == largest).astype(np.uint8), valid.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
-    flags = reconstruction.flags[inside]
-    causes = [flag for flag in PixelFlag if flag & MISSING]
-    return Unseen(share, float(u), float(v), max(causes, key=lambda flag: int((flags & np.uint16(flag) != 0).sum())))
+    return Unseen(share, float(u), float(v), main_cause(reconstruction.flags[inside])[0])
 
 
 def _hull(seen: Mask) -> Mask:

@@ -112,16 +112,16 @@ def refuse_wrong_frames(scene: Scene, views: Sequence[CheckedFrames], checks: Sc
                 f"pixels of the {view.camera} camera, expected hardly any: frames taken one after the other "
                 "while nothing moved, in the order and with the fringe counts and steps that scene.json says"
             )
-        if any(judged.drift > 1 for judged in view.found) and all(judged.deviation <= 1 for judged in view.found):
-            raise SceneError(
-                f"{scene.folder}: found phases of the {view.camera} camera's counts that miss each other, expected one "
-                "position: frames of one scan, taken while nothing moved, without a second picture of the fringes "
-                "(a reflection within the lens or from something bright beside the skin)"
-            )
         if any(judged.deviation > 1 for judged in view.found):
             raise SceneError(
                 f"{scene.folder}: found frames of the {view.camera} camera that do not fit each other, expected "
                 "frames of one scan, taken while nothing moved and in the same light, alike but for their fringes"
+            )
+        if any(judged.drift > 1 for judged in view.found):
+            raise SceneError(
+                f"{scene.folder}: found phases of the {view.camera} camera's counts that miss each other, expected one "
+                "position: frames of one scan, taken while nothing moved, without a second picture of the fringes "
+                "(a reflection within the lens or from something bright beside the skin)"
             )
 
 

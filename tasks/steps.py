@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from metrology import overlay, reconstruct, registration, rig_health, rivets, seams, tolerance
-from metrology.cloud import MISSING, DecodedView, PixelFlag, Reconstruction
+from metrology.cloud import DecodedView, Reconstruction, main_cause
 from metrology.defects.row import Defect
 from metrology.errors import RigError, SceneError
 from metrology.exposures import check_brightness
@@ -282,9 +282,7 @@ def _check_skin_is_seen(scene: Scene | CloudScene, reconstruction: Reconstructio
     valid = float(reconstruction.valid.mean())
     if valid >= checks.min_valid_fraction:
         return
-    flags = reconstruction.flags
-    causes = {flag: float((flags & flag != 0).mean()) for flag in PixelFlag if flag & MISSING}
-    cause, share = max(causes.items(), key=lambda item: item[1])
+    cause, share = main_cause(reconstruction.flags)
     raise SceneError(
         f"{scene.folder}: found points for {valid:.1%} of the pixels ({share:.0%} {CAUSES[cause]}), "
         f"expected at least {checks.min_valid_fraction:.0%}: a lit skin in the field of both cameras"

@@ -10,19 +10,18 @@ import numpy as np
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
 from metrology.seams.finding.image_line import ImageLine
-from metrology.seams.finding.laps import is_beside, with_laps
+from metrology.seams.finding.laps import band_of, is_beside, with_laps
 from metrology.seams.finding.lines import detect_lines
+from metrology.seams.finding.raised import NO_SEAM
 from metrology.seams.finding.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.finding.rough import RoughLine
 from metrology.seams.finding.scratches import scratches_of
 from metrology.seams.places import head_mask, panel_mask
-from metrology.seams.polyline import Course
 from metrology.seams.settings import SeamSettings
 
 # A line without relief is worth showing to a person if it is as long and as marked as a seam.
 _SHOWN_LENGTH_PX = 400.0
 _SHOWN_CONTRAST = 0.3
-_SHOWN_CONFIDENCE = 0.2
 # Relief that a first look sees over this share of the length may turn out to be a seam's.
 _PROMISING_SHARE = 0.3
 # A head's rim and countersink reach so far beyond its ellipse, px.
@@ -60,17 +59,14 @@ def detect_seams(
         if relief.is_seam:
             seams.append((SeamLine("", line.centre_px, line.width_px, _confidence(line, relief), True), relief))
         elif relief.between_skins and _is_shown(line):
-            others.append(SeamLine("", line.centre_px, line.width_px, _SHOWN_CONFIDENCE, False))
+            others.append(SeamLine("", line.centre_px, line.width_px, NO_SEAM, False))
     scratches = scratches_of(seams, reconstruction.valid, heads)
-    found, raised = with_laps(seams, reconstruction, usable, settings)
+    lines = with_laps(seams, reconstruction, usable, settings)
+    raised = [line for line in lines if not line.relief]
     # The picture may show what lies on the skin as a line, too.
-    lying = [(Course(line.centre_px[::4]), 0.5 * line.width_px) for line in raised]
-    others = [line for line in others if not is_beside(line.centre_px[::4], lying)]
-    others += [
-        SeamLine("", line.centre_px, np.full(len(line.centre_px), line.width_px), _SHOWN_CONFIDENCE, False)
-        for line in raised
-    ]
-    found = [line for line in found if all(line is not scratch for scratch in scratches)]
+    bands = [band_of(line) for line in raised]
+    others = [line for line in others if not is_beside(line.centre_px[::4], bands)] + raised
+    found = [line for line in lines if line.relief and all(line is not scratch for scratch in scratches)]
     found.sort(key=lambda line: tuple(line.centre_px.mean(axis=0)))
     return [replace(line, seam_id=f"S{number:02d}") for number, line in enumerate([*found, *others], start=1)]
 

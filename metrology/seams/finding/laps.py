@@ -13,7 +13,7 @@ import numpy as np
 from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
 from metrology.results import SeamLine
-from metrology.seams.finding.raised import RaisedLine, raised_line
+from metrology.seams.finding.raised import raised_line
 from metrology.seams.finding.relief import Relief, examine_relief
 from metrology.seams.finding.step_edges import LEAST_STEP_MM, find_step_edges, step_course
 from metrology.seams.polyline import Course, polyline_length
@@ -29,8 +29,8 @@ _BLUR_PX = 4.0
 
 def with_laps(
     seams: Sequence[tuple[SeamLine, Relief]], reconstruction: Reconstruction, usable: Mask, settings: SeamSettings
-) -> tuple[list[SeamLine], list[RaisedLine]]:
-    """Seams found in the picture with their relief and those that the relief alone shows; and what lies on the skin.
+) -> list[SeamLine]:
+    """Seams found in the picture with their relief, those that the relief alone shows, and what lies on the skin.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def with_laps(
     usable : (h, w) ndarray of bool
         Pixels with a point, off the rivets.
     """
-    kept, raised = [line for line, _ in seams], list[RaisedLine]()
-    beside = [(Course(line.centre_px[::4]), 0.5 * float(np.median(line.width_px))) for line in kept]
+    kept = [line for line, _ in seams]
+    beside = [band_of(line) for line in kept]
     for edge in find_step_edges(reconstruction, usable, settings.lines):
         if is_beside(edge.points, beside):
             continue
@@ -49,18 +49,22 @@ def with_laps(
         relief = examine_relief(course, _BLUR_PX, reconstruction, usable, settings)
         if not relief.is_seam or relief.step_share < relief.share or abs(relief.step_mm) < LEAST_STEP_MM:
             continue
-        if lying := raised_line(course, reconstruction, usable):
-            raised.append(lying)
-            beside.append((Course(lying.centre_px[::4]), 0.5 * lying.width_px))
-            continue
-        kept.append(SeamLine("", course, np.full(len(course), _BLUR_PX), relief.step_share, True, "lap"))
-        beside.append((Course(course[::4]), 0.5 * _BLUR_PX))
-    return kept, raised
+        line = raised_line(course, reconstruction, usable) or SeamLine(
+            "", course, np.full(len(course), _BLUR_PX), relief.step_share, True, "lap"
+        )
+        kept.append(line)
+        beside.append(band_of(line))
+    return kept
 
 
-def is_beside(points: Array, courses: Sequence[tuple[Course, float]]) -> bool:
-    """Whether too little of a line is far from all others, each a course and half its width, px."""
+def band_of(line: SeamLine) -> tuple[Course, float]:
+    """A line's course and half its width, px."""
+    return Course(line.centre_px[::4]), 0.5 * float(np.median(line.width_px))
+
+
+def is_beside(points: Array, bands: Sequence[tuple[Course, float]]) -> bool:
+    """Whether too little of a line is far from all others."""
     near = np.zeros(len(points), bool)
-    for course, half in courses:
+    for course, half in bands:
         near |= course.beside(points, half + _ECHO_PX)
     return bool(near.mean() > 1.0 - _NEW_SHARE)

@@ -4,12 +4,11 @@ the edge of a sheet from near, but beyond them the skin goes on at the same heig
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metrology.arrays import Array, Mask
 from metrology.cloud import Reconstruction
+from metrology.results import SeamLine
 from metrology.seams.finding.relief import skin_profile
 from metrology.seams.finding.step_edges import LEAST_STEP_MM
 from metrology.seams.polyline import interpolated, normals, resample
@@ -17,18 +16,13 @@ from metrology.seams.polyline import interpolated, normals, resample
 # What lies on the skin is taken to be no wider than this: cables, hoses, tape. Its flank may be on either side.
 _WIDEST_MM = 8.0
 _NODE_PX = 12.0
+NO_SEAM = 0.2
+"""Confidence of a line that is shown and is no seam."""
 
 
-@dataclass(frozen=True)
-class RaisedLine:
-    """Something long on the skin: its middle (n, 2) and how wide it is, px."""
-
-    centre_px: Array
-    width_px: float
-
-
-def raised_line(course: Array, reconstruction: Reconstruction, usable: Mask) -> RaisedLine | None:
-    """What lies on the skin along one of its flanks; None if the skin steps there, or cannot be seen beyond it.
+def raised_line(course: Array, reconstruction: Reconstruction, usable: Mask) -> SeamLine | None:
+    """What lies on the skin along one of its flanks, a line without relief; None if the skin steps there, or cannot be
+    seen beyond it.
 
     Parameters
     ----------
@@ -51,4 +45,4 @@ def raised_line(course: Array, reconstruction: Reconstruction, usable: Mask) -> 
     first, last = profile.x[raised][[0, -1]]
     nodes = resample(course, _NODE_PX)
     middle = interpolated(nodes + 0.5 * (first + last) * normals(nodes), 1.0)
-    return RaisedLine(middle, float(last - first) + 1.0)
+    return SeamLine("", middle, np.full(len(middle), float(last - first) + 1.0), NO_SEAM, False)

@@ -15,6 +15,7 @@ import numpy as np
 from metrology.arrays import Array
 from metrology.results import COVERAGE_95, SeamStation
 from metrology.seams.skins.sections import Section
+from metrology.seams.skins.step import step_gradient
 
 _FEWEST_POINTS = 5  # of each stretch
 _FEWEST_SECTIONS = 8
@@ -64,7 +65,7 @@ def step_moved_by_bends(sections: Sequence[Section | None], edges_mm: Sequence[t
     count, x, residual = np.array(list(misfits.values())).transpose(1, 0, 2)
     first, last = np.array([edges_mm[k] for k in index]).T[..., None]
     a = (x < 0).astype(float)
-    b, middle = 1 - a, 0.5 * (first + last)
+    b = 1 - a
     lines = np.stack([a, a * x, b, b * x, x * x], axis=-1)
     bend = a * (first - x) ** 2 - b * (x - last) ** 2
     weighted = (lines * count[..., None]).transpose(0, 2, 1)
@@ -72,7 +73,7 @@ def step_moved_by_bends(sections: Sequence[Section | None], edges_mm: Sequence[t
     left = bend - (lines @ taken)[..., 0]
     size = (count * left**2).sum(axis=1)
     seen = size > _TOLD * (count * bend**2).sum(axis=1)
-    gradient = np.stack([-np.ones_like(middle), -middle, np.ones_like(middle), middle, np.zeros_like(middle)], axis=-1)
-    step = (gradient @ taken)[:, 0, 0]
+    gradient = np.array([step_gradient(*edges_mm[k]) for k in index])
+    step = (gradient[:, None] @ taken)[:, 0, 0]
     moved[index[seen]] = (step * (count * left * residual).sum(axis=1) / np.where(seen, size, 1.0))[seen]
     return moved
