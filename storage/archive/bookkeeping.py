@@ -7,7 +7,7 @@ takes nothing away, so versions can share a store and what one of them stored is
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version as installed_version
 
@@ -275,6 +275,7 @@ def _has_bookkeeping(connection: duckdb.DuckDBPyConnection) -> bool:
 
 def _add_tables(connection: duckdb.DuckDBPyConnection, tables: Sequence[Table]) -> None:
     there = {table.name: {column.name: column.sql_type for column in table.columns} for table in structure(connection)}
+    full_names = _full_names(connection, {column.sql_type for table in tables for column in table.columns})
     for table in tables:
         held = there.get(table.name)
         if held is None:
@@ -283,7 +284,7 @@ def _add_tables(connection: duckdb.DuckDBPyConnection, tables: Sequence[Table]) 
             continue
         for column in table.columns:
             if column.name in held:
-                _refuse_other_type(connection, table, column, held[column.name])
+                _refuse_other_type(connection, table, column, held[column.name], full_names[column.sql_type])
         added = [column for column in table.columns if column.name not in held]
         for column in added:
             connection.execute(
@@ -295,8 +296,15 @@ def _add_tables(connection: duckdb.DuckDBPyConnection, tables: Sequence[Table]) 
         _note_columns(connection, table.name, [column.name for column in added], last + 1)
 
 
-def _refuse_other_type(connection: duckdb.DuckDBPyConnection, table: Table, column: Column, found: str) -> None:
-    [(expected,)] = connection.execute(f"SELECT typeof(NULL::{column.sql_type})").fetchall()
+def _full_names(connection: duckdb.DuckDBPyConnection, sql_types: Collection[str]) -> dict[str, str]:
+    """Types as an index lists them, by the names that tables are made with."""
+    columns = ", ".join(f"typeof(NULL::{sql_type})" for sql_type in sql_types)
+    return dict(zip(sql_types, connection.execute(f"SELECT {columns}").fetchall()[0], strict=True))
+
+
+def _refuse_other_type(
+    connection: duckdb.DuckDBPyConnection, table: Table, column: Column, found: str, expected: str
+) -> None:
     if found != expected:
         raise StoreError(
             f"index: found {table.name}.{column.name} as {found}, as version {newest_version(connection) or '0.1.0'} "
@@ -306,8 +314,7 @@ def _refuse_other_type(connection: duckdb.DuckDBPyConnection, table: Table, colu
 
 
 def _note_columns(connection: duckdb.DuckDBPyConnection, table: str, names: Sequence[str], addition: int) -> None:
-    for name in names:
-        connection.execute("INSERT INTO bookkeeping.columns VALUES (?, ?, ?)", [table, name, addition])
+    connection.execute("INSERT INTO bookkeeping.columns SELECT $1, unnest($2), $3", [table, list(names), addition])
 
 
 def _make_bookkeeping(connection: duckdb.DuckDBPyConnection) -> None:

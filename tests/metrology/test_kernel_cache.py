@@ -78,6 +78,22 @@ def test_processes_compile_a_kernel_once(tmp_path: Path) -> None:
     assert [sum(map(int, counts)) for counts in zip(*(words[1:] for words in said), strict=True)] == [1, 1]
 
 
+def test_what_was_loaded_is_compiled_into_what_calls_it(tmp_path: Path) -> None:
+    """Loading a kernel reads its machine code alone; a caller that is compiled later needs more of it."""
+    (tmp_path / "lender.py").write_text(
+        "from metrology.jit import kernel\n@kernel\ndef inner(x):\n    return x + 1\nprint(inner(1.5))\n"
+    )
+    (tmp_path / "borrower.py").write_text(
+        "from metrology.jit import kernel\nfrom lender import inner\n[code] = inner.overloads.values()\n"
+        "print(code.library._shared_module)\n@kernel\ndef outer(x):\n    return inner(2 * x)\nprint(outer(1.5))\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    for name, said in (("lender", ["2.5"]), ("borrower", ["2.5", "None", "4.0"])):
+        command = [sys.executable, str(tmp_path / f"{name}.py")]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.split() == said
+
+
 def test_numba_saves_kernels_as_supposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 
