@@ -67,6 +67,11 @@ def own_schema() -> str:
     return schema.schema_hash(*(view.create_sql for view in views.VIEWS))
 
 
+def own_version() -> str:
+    """This version of Flushline."""
+    return installed_version("flushline")
+
+
 def is_known(connection: duckdb.DuckDBPyConnection) -> bool:
     """Whether an index has this version's tables and views."""
     try:
@@ -221,10 +226,8 @@ def shown_runs(connection: duckdb.DuckDBPyConnection, scenes: Sequence[str] | No
 def imitate(connection: duckdb.DuckDBPyConnection, other: duckdb.DuckDBPyConnection) -> None:
     """Make empty tables as another index has them, whose digests come out as there."""
     connection.execute("CREATE SCHEMA bookkeeping")
-    for table in (COLUMNS, RUNS):
-        connection.execute(table.create_sql)
-    for table in structure(other):
-        connection.execute(table.create_sql)
+    for table in (COLUMNS, RUNS, *structure(other)):
+        connection.execute(table.plain_sql)
     for name, groups in additions(other).items():
         for number, group in enumerate(groups):
             _note_columns(connection, name, group, number)
@@ -259,7 +262,7 @@ def is_older(version: str, other: str) -> bool:
 
 
 def _is_older_than(connection: duckdb.DuckDBPyConnection) -> bool:
-    return is_older(installed_version("flushline"), newest_version(connection))
+    return is_older(own_version(), newest_version(connection))
 
 
 def _order(version: str) -> list[int]:
@@ -327,7 +330,7 @@ def _make_bookkeeping(connection: duckdb.DuckDBPyConnection) -> None:
 
 
 def _note_version(connection: duckdb.DuckDBPyConnection) -> None:
-    connection.execute(f"INSERT INTO {VERSIONS.name} VALUES (?, ?)", [own_schema(), installed_version("flushline")])
+    connection.execute(f"INSERT INTO {VERSIONS.name} VALUES (?, ?)", [own_schema(), own_version()])
 
 
 def _make_views(connection: duckdb.DuckDBPyConnection) -> None:

@@ -60,7 +60,7 @@ def publish(layout: Layout, runs: Sequence[Path]) -> dict[Path, str]:
     last = newest(layout)
     with _spare(layout) as spare:
         with _copied(layout, last, spare) as connection:
-            if bookkeeping.bring_up_to_date(connection):
+            if bookkeeping.bring_up_to_date(connection) or not last:
                 refused, note = index.catch_up(connection, layout), None
             else:
                 refused, note = index.take(connection, layout, runs), _news(connection, layout, last, runs)
@@ -73,9 +73,7 @@ def change(layout: Layout, work: Callable[[duckdb.DuckDBPyConnection], None]) ->
     make_folders(layout.generations, layout.root)
     last = newest(layout)
     with _spare(layout) as spare:
-        if last:
-            clone(last, spare)
-            allow_writing(spare)
+        _copy(last, spare)
         with index.connected(spare) as connection:
             bookkeeping.bring_up_to_date(connection)
             work(connection)
@@ -161,11 +159,19 @@ def _copied(layout: Layout, last: Path | None, spare: Path) -> Iterator[duckdb.D
     """A file with what the last generation has, to be changed: the one before it brought up to date, or a copy."""
     with contextlib.ExitStack() as stack:
         connection = _recycled(layout, last, spare, stack) if last else None
-        if last and not connection:
+        if not connection:
             keep_only(layout, last)  # room for the copy
-            clone(last, spare)
-            allow_writing(spare)
+            _copy(last, spare)
         yield connection or stack.enter_context(index.connected(spare))
+
+
+def _copy(last: Path | None, spare: Path) -> None:
+    """Make a file equal to the last generation, or to an index of no runs."""
+    if last:
+        clone(last, spare)
+        allow_writing(spare)
+    else:
+        index.make_empty(spare)
 
 
 def _recycled(layout: Layout, last: Path, spare: Path, stack: contextlib.ExitStack) -> duckdb.DuckDBPyConnection | None:

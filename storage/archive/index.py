@@ -160,5 +160,23 @@ def connected(path: Path) -> Iterator[duckdb.DuckDBPyConnection]:
         connection.close()
 
 
+def make_empty(path: Path) -> None:
+    """Make an index of no runs.
+
+    Writing down hundreds of columns and what they mean takes a fifth of a second, so a process does it once.
+    """
+    key = bookkeeping.own_schema(), bookkeeping.own_version()
+    if key in _EMPTY:
+        path.write_bytes(_EMPTY[key])
+        return
+    with connected(path) as connection:
+        bookkeeping.start(connection)
+    _EMPTY[key] = path.read_bytes()
+
+
+_EMPTY: dict[tuple[str, str], bytes] = {}
+"""Indexes of no runs, by what names their tables and their version."""
+
+
 def _first_line(problem: Exception) -> str:
     return str(problem).splitlines()[0]

@@ -124,7 +124,9 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     signed, bundles = signed_runs(layout.root), Bundles(layout)
     shown = _shown(layout)  # before the lock, which mending the index takes
     removed, damaged = [], []
-    with locked(layout.lock):
+    with locked(layout.lock), duckdb.connect() as connection:
+        bookkeeping.start(connection)
+        rows = Loader(connection, layout)
         remove_pruned(layout)
         protected = {*signed.items(), *shown.items()}
         scenes: dict[str, list[Path]] = {}
@@ -132,7 +134,7 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
             scenes.setdefault(run.parent.name, []).append(run)
         for runs in (runs for _, runs in sorted(scenes.items()) if len(runs) > 1):
             try:
-                replaced = _replaced(bundles, by_preference(runs, signed), keep)
+                replaced = _replaced(bundles, rows, by_preference(runs, signed), keep)
             except StoreError as problem:
                 damaged.append(str(problem))
                 continue
@@ -147,11 +149,13 @@ def prune(layout: Layout, keep: int = 1, older_than: timedelta | None = None) ->
     return removed
 
 
-def _replaced(bundles: Bundles, preferred: list[Path], keep: int) -> list[Path]:
+def _replaced(bundles: Bundles, rows: Loader, preferred: list[Path], keep: int) -> list[Path]:
     """Runs of a scene older than the one to be shown, beyond those to be kept.
 
     Parameters
     ----------
+    rows : Loader
+        Looks at a run's rows.
     preferred : list of Path
         The scene's runs; the first has to be sound.
     """
@@ -159,27 +163,25 @@ def _replaced(bundles: Bundles, preferred: list[Path], keep: int) -> list[Path]:
     older = [run for run in others if run.name < shown.name]
     if len(older) < keep:
         return []
-    _check(bundles, shown)
+    _check(bundles, rows, shown)
     kept = 1
     replaced = []
     for run in older:
         if kept < keep:
             with contextlib.suppress(StoreError):
-                _check(bundles, run)
+                _check(bundles, rows, run)
                 kept += 1
                 continue
         replaced.append(run)
     return replaced
 
 
-def _check(bundles: Bundles, run: Path) -> None:
+def _check(bundles: Bundles, rows: Loader, run: Path) -> None:
     """Refuse a run that could not be shown: of its files, and of its rows."""
     with bundles.as_stored(run) as folder:
         check_bundle(folder)
-    with duckdb.connect() as connection:
-        bookkeeping.start(connection)
-        bundles.bring(run, tables_only=True)
-        outcome = Loader(connection, bundles.layout).load({run: check_bundle(run, only_tables=True)}, keep=False)
+    bundles.bring(run, tables_only=True)
+    outcome = rows.load({run: check_bundle(run, only_tables=True)}, keep=False)
     for problem in outcome.refused.values():
         raise StoreError(problem)
 

@@ -45,10 +45,14 @@ class Table:
     @property
     def create_sql(self) -> str:
         """CREATE TABLE with the comments."""
-        columns = ", ".join(c.create_sql for c in self.columns)
         comments = [f"COMMENT ON TABLE {self.name} IS {_quoted(self.comment)}"]
         comments += [c.comment_sql(self.name) for c in self.columns]
-        return ";\n".join([f"CREATE TABLE {self.name} ({columns})", *comments])
+        return ";\n".join([self.plain_sql, *comments])
+
+    @property
+    def plain_sql(self) -> str:
+        """CREATE TABLE without the comments, which take four fifths of the time."""
+        return f"CREATE TABLE {self.name} ({', '.join(column.create_sql for column in self.columns)})"
 
     @property
     def arrow_schema(self) -> pa.Schema:
@@ -174,7 +178,7 @@ def _of_panel(kind: Kind) -> Table:
     shared = {"aircraft_serial", "panel", "captured_at", "scene_id"}
     own = [
         column
-        for column in _features_table(kind).columns
+        for column in OF_KIND[kind.name].columns
         if column.name not in {*shared, "station", "x_mm", "y_mm", "z_mm"} and not column.name.endswith("_px")
     ]
     comment = f"One row per {kind.one} of each assembled panel, whatever number of scans saw it"
