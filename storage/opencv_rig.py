@@ -15,7 +15,7 @@ import numpy as np
 from metrology.arrays import Array
 from metrology.errors import RigError
 from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
-from metrology.rig_plausibility import check_rig
+from metrology.rig_plausibility import check_rig, doubtful_unit
 from storage import other_rigs
 from storage.archive.files import replacing
 from storage.calibration_documents import flat, read_document
@@ -26,6 +26,9 @@ from storage.projection_matrices import from_projections
 Size = tuple[int, int]
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+READ_OTHERWISE = "read_otherwise"
+"""Key of a rig's `extra`: what of the files was not taken as it stands."""
+_INSTEAD_OF_R = "R of the files is no rotation: R and T are those of their rectification, R1, R2 and P2"
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
 _WRITTEN = {"size": "image_size", "size3": "projector_size"}  # what we call what OpenCV's samples leave out
 _FISHEYE_TERM = 0.002  # of the third and fourth term of four in a column, which of pinhole lenses are p1 and p2
@@ -41,6 +44,7 @@ def load_opencv_rig(
     unit: str | None = None,
     projector: Device | None = None,
     projector_size: Size | None = None,
+    right_size: Size | None = None,
 ) -> Rig:
     """Read a calibration of two cameras, or of one and a projector.
 
@@ -56,6 +60,13 @@ def load_opencv_rig(
         Where the files hold none; a rig may do without.
     projector_size : (int, int), optional
         Where the files hold a projector but not its size.
+    right_size : (int, int), optional
+        Of the right camera's images, where the files do not tell and it is not the left one's.
+
+    Raises
+    ------
+    RigError
+        Where something is missing, no such rig can be built, or the unit is told by nothing and may well be another.
     """
     if unit is not None and unit not in MM_PER_UNIT and not _is_length(unit):
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
@@ -64,7 +75,9 @@ def load_opencv_rig(
     first = first_number((file.stem, file.parent.name) for file in files)
     for file in files:
         found |= _read(file, found, first)
-    found |= other_rigs.pose_of_both(found)
+    pose = other_rigs.pose_of_both(found)
+    extra = {READ_OTHERWISE: _INSTEAD_OF_R} if "R" in found and "R" in pose else {}
+    found |= pose
     named = ", ".join(str(path) for path in paths)
     alone = "M3" in found and "M2" not in found
     missing = [name for name in (_NEEDED[:2] if alone else _NEEDED) if name not in found]
@@ -72,17 +85,23 @@ def load_opencv_rig(
         raise RigError(
             f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}"
         )
-    stated = _size(found.get("size"))
+    stated = _size(found.get("size", found.get("size2")))
     if stated is None and size is None:
-        raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
+        raise RigError(
+            f"{named}: found no image_size, expected the width and height of the camera images to be given (--size WxH)"
+        )
     if projector_size is not None:
         found["size3"] = np.array(projector_size, float)
     try:
-        scale, size = _mm_per_unit(unit, found), size or stated or (0, 0)
+        scale = _mm_per_unit(unit, found)
+        second = right_size or size or _size(found.get("size2")) or stated or (0, 0)
+        size = size or stated or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
-        right = None if alone else _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
-        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)
+        right = None if alone else _device("right", second, found["M2"], found["D2"], found["R"], found["T"] * scale)
+        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector, extra)
         check_rig(rig)
+        if unit is None and "unit" not in found and (doubt := doubtful_unit(rig)):
+            raise RigError(doubt)
         return rig
     except RigError as problem:
         text = str(problem)
