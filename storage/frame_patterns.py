@@ -10,11 +10,10 @@ from pathlib import Path
 from metrology.errors import SceneError
 from storage.scene_names import GREY, PICTURES, SHEET, natural
 
-_TOKEN = re.compile(r"\d+|[A-Za-z]+|[^A-Za-z\d]+")
+_TOKEN = re.compile(r"\d+|(?i:left|right)|(?:(?!(?i:left|right))[A-Za-z])+|[^A-Za-z\d]+")
 _PAIRS = (
     ("left", "right"), ("l", "r"), ("lt", "rt"), ("lft", "rgt"), ("master", "slave"), ("a", "b"), ("cama", "camb"),
-    ("camleft", "camright"), ("leftcam", "rightcam"), ("lcam", "rcam"), ("caml", "camr"), ("imgl", "imgr"),
-    ("iml", "imr"), ("cameral", "camerar"),
+    ("lcam", "rcam"), ("caml", "camr"), ("imgl", "imgr"), ("iml", "imr"), ("cameral", "camerar"),
 )  # fmt: skip
 _CAMERA_WORDS = ("cam", "camera", "c", "view", "cameras", "frames", "sensor", "dev")
 _LEAST_FRAMES = 3
