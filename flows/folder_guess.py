@@ -73,11 +73,16 @@ def _of_pattern(folder: Path, named: NamePattern) -> list[str]:
         ]
     names = sorted({values.get("count", "") for values in found.values()}, key=natural)
     lines += [f"  {_told(run, first)}" for run, first in zip(runs, _firsts(runs), strict=True)]
+    across = any(run.axis == "x" for run in runs)
     for axis in ("x", "y"):
         command = _command(folder, named.pattern, runs, axis, frames["left"], names)
         if command is not None:
             lines.append(f"  {command.text}")
             lines += [f"    {line}" for line in _agreement(command, frames)]
+            if axis == "y" and not across:
+                lines.append(
+                    "    --axis y is for cameras that stand upright; where they lie on their side, leave it out"
+                )
     return lines
 
 

@@ -26,16 +26,18 @@ _RECTIFIED = {"R1": ("rectified1", (3, 3)), "R2": ("rectified2", (3, 3)), "P2": 
 _EXACT = {
     "projector_matrix": "M3", "projector_distortion": "D3", "projector_rotation": "R3", "projector_translation": "T3",
     "projector_size": "size3", "M4": "M3", "D4": "D3", "Rlp": "R3", "Tlp": "T3", "Rlr": "R", "Tlr": "T",
+    "stereo_R": "R", "stereo_T": "T", "R_l2r": "R", "T_l2r": "T", "t_l2r": "T", "R_01": "R", "T_01": "T", "t_01": "T",
+    "MLS": "M1", "dLS": "D1", "MRS": "M2", "dRS": "D2",
     "R_lr": "R", "T_lr": "T", "R_LR": "R", "T_LR": "T", "t_LR": "T", "t_lr": "T", "R12": "R", "T12": "T",
     "S": "size", "roration": "R", "R3": "R3", "T3": "T3",
 }  # fmt: skip
 _ROLES = {
     "M": ("k", "m", "a", "mtx", "matrix", "camk", "int", "intrinsic", "intrinsics", "intrinsicmatrix",
-          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cameraintrinsics", "kmat", "intr",
-          "kk"),
+          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cammats", "cm", "cameraintrinsics", "kmat",
+          "intr", "kk"),
     "D": ("d", "kc", "dist", "distortion", "distcoeff", "distcoeffs", "distcoef", "distcoefs", "coeffs", "discoeff",
           "distortioncoefficients", "distortioncoefficient", "distortioncoeffs", "distortionparameters", "distvec",
-          "distortioncoefs", "distvector", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
+          "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
           "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
           "stereor", "rstereo", "rodrigues", "rotationofcamera"),
@@ -121,6 +123,21 @@ def _size_of(side: int | None) -> str:
     return {2: "size2", 3: "size3"}.get(side or 1, "size")
 
 
+def by_given_names(values: Mapping[str, Any], given: Mapping[str, str]) -> Found:
+    """The values that somebody has named: `given` says what M1, D1 and the like are called."""
+    found: Found = {}
+    for key, name in given.items():
+        if name in values and (array := numbers(values[name])) is not None:
+            found[key] = array.reshape(3, 3) if key[0] in "MR" and array.size == 9 else array
+    return found
+
+
+def told_shapes(values: Mapping[str, Any]) -> list[str]:
+    """Names of the values that may be part of a calibration, each with its shape."""
+    arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
+    return [f"{name} ({'×'.join(map(str, array.shape))})" for name, array in arrays.items() if 2 <= array.size <= 16]
+
+
 def _role_and_side(name: str) -> tuple[str, int | None] | None:
     """Role (M, D, R, T, size) and device (1, 2, 3; 10 + n where it is numbered n) that a name's words tell."""
     parent, _, leaf = name.rpartition(".")
@@ -151,6 +168,8 @@ def _role(words: list[str]) -> str | None:
     """The role that words without any device's spell, by all of them, the last two, or the last."""
     while len(words) > 1 and words[0] in _CAMERA and "".join(words) not in _SPELLED:
         words = words[1:]
+    while len(words) > 1 and words[-1] in _CAMERA and "".join(words) not in _SPELLED:
+        words = words[:-1]
     whole = "".join(words)
     if whole in _SPELLED:
         return _SPELLED[whole]

@@ -19,7 +19,7 @@ from metrology.rig_plausibility import check_rig, doubtful_unit
 from storage import other_rigs
 from storage.archive.files import replacing
 from storage.calibration_documents import flat, read_document
-from storage.calibration_names import first_number, from_names, side_of_file
+from storage.calibration_names import NAMES, by_given_names, first_number, from_names, side_of_file, told_shapes
 from storage.lens_names import check_lens_names
 from storage.projection_matrices import from_projections
 
@@ -31,6 +31,7 @@ READ_OTHERWISE = "read_otherwise"
 _INSTEAD_OF_R = "R of the files is no rotation: R and T are those of their rectification, R1, R2 and P2"
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
 _WRITTEN = {"size": "image_size", "size3": "projector_size"}  # what we call what OpenCV's samples leave out
+_MOST_LISTED = 12
 _FISHEYE_TERM = 0.002  # of the third and fourth term of four in a column, which of pinhole lenses are p1 and p2
 _ENDINGS = (".yml", ".yaml", ".xml", ".json", ".toml", ".ini", ".txt", ".csv", ".npy", ".npz", ".mat", ".h5")
 _PROJECTOR = ("M3", "D3", "R3", "T3", "size3")
@@ -45,6 +46,7 @@ def load_opencv_rig(
     projector: Device | None = None,
     projector_size: Size | None = None,
     right_size: Size | None = None,
+    given: Mapping[str, str] | None = None,
 ) -> Rig:
     """Read a calibration of two cameras, or of one and a projector.
 
@@ -62,6 +64,8 @@ def load_opencv_rig(
         Where the files hold a projector but not its size.
     right_size : (int, int), optional
         Of the right camera's images, where the files do not tell and it is not the left one's.
+    given : mapping, optional
+        What M1, D1, M2, D2, R, T are called in the files, of those whose names do not tell.
 
     Raises
     ------
@@ -73,8 +77,15 @@ def load_opencv_rig(
     found: dict[str, Array] = {}
     files = [file for path in paths for file in _files(Path(path))]
     first = first_number((file.stem, file.parent.name) for file in files)
+    given = dict(given or {})
+    there: dict[str, object] = {}
     for file in files:
         found |= _read(file, found, first)
+        if given or not set(_NEEDED) <= set(found):
+            there |= {} if file.is_dir() else flat(read_document(file))
+    if unknown := sorted(set(given) - set(NAMES)) or sorted(set(given.values()) - set(there)):
+        raise RigError(f"--names: found {unknown[0]!r}, expected {', '.join(NAMES)} = one of {_listed(there)}")
+    found |= by_given_names(there, given)
     pose = other_rigs.pose_of_both(found)
     extra = {READ_OTHERWISE: _INSTEAD_OF_R} if "R" in found and "R" in pose else {}
     found |= pose
@@ -82,8 +93,9 @@ def load_opencv_rig(
     alone = "M3" in found and "M2" not in found
     missing = [name for name in (_NEEDED[:2] if alone else _NEEDED) if name not in found]
     if missing:
+        held = f"; found {_listed(there)}: --names {missing[0]}=NAME … says which is which" if there else ""
         raise RigError(
-            f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}"
+            f"{named}: found no {', '.join(missing)}, expected {', '.join(_NEEDED)} of a stereo calibration{held}"
         )
     stated = _size(found.get("size", found.get("size2")))
     if stated is None and size is None:
@@ -159,6 +171,12 @@ def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Arra
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def _listed(values: Mapping[str, object]) -> str:
+    """The first of the values that may be meant."""
+    told = told_shapes(values)
+    return ", ".join(told[:_MOST_LISTED]) + ", …" * (len(told) > _MOST_LISTED) or "no matrices"
 
 
 def _files(path: Path) -> list[Path]:

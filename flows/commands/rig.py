@@ -31,6 +31,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     load.add_argument("--size", type=parse_size, metavar="WxH", help="camera images, where the files do not tell")
     load.add_argument("--right-size", type=parse_size, metavar="WxH", help="of the right camera, where it differs")
     load.add_argument("--unit", help="of the translations: mm, cm, m, in, or millimetres of one")
+    load.add_argument(
+        "--names",
+        type=_given_name,
+        nargs="+",
+        default=[],
+        metavar="M1=NAME",
+        help="what M1, D1, M2, D2, R, T are called, where their names do not tell",
+    )
     load.add_argument("--projector-size", type=parse_size, metavar="WxH", help="where the files tell only its lens")
     load.add_argument(
         "--calibrated-at",
@@ -110,6 +118,7 @@ def run_import(options: argparse.Namespace) -> int:
         other.projector if other else None,
         options.projector_size,
         options.right_size,
+        dict(options.names),
     )
     if other and rig.projector is other.projector:
         rig = replace(rig, extra={**rig.extra, PROJECTOR_OF: other.id})
@@ -162,6 +171,14 @@ def parse_size(text: str) -> tuple[int, int]:
     if not match:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected width and height such as 1624x1234")
     return int(match[1]), int(match[2])
+
+
+def _given_name(text: str) -> tuple[str, str]:
+    """What a value is, and what it is called, such as M1=CM1."""
+    key, equals, name = text.partition("=")
+    if not (key and equals and name):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected such as M1=CM1")
+    return key, name
 
 
 def _pixels(value: float | None) -> str:

@@ -172,3 +172,21 @@ def test_centimetres_are_asked_for(tmp_path: Path) -> None:
     assert np.allclose(load_opencv_rig([path], "cv", WHEN, unit="mm").with_right().t, t / 10)
     whole = write(tmp_path / "mm.yml", T=t, **said)
     assert np.allclose(load_opencv_rig([whole], "cv", WHEN).with_right().t, t)
+
+
+def test_names_that_tell_nothing_are_asked_for(tmp_path: Path, rig: Rig) -> None:
+    right = rig.with_right()
+    size = (rig.left.width, rig.left.height)
+    path = write(
+        tmp_path / "odd.yml", uno=rig.left.K, due=np.zeros(5), tre=right.K, qua=[0.1, 0, 0, 0], cin=right.R, sei=right.t
+    )
+    with pytest.raises(RigError, match=r"found no M1, .*; found uno \(3×3\), .*--names M1=NAME"):
+        load_opencv_rig([path], "cv", WHEN, size)
+    given = {"M1": "uno", "D1": "due", "M2": "tre", "D2": "qua", "R": "cin", "T": "sei"}
+    found = load_opencv_rig([path], "cv", WHEN, size, given=given).with_right()
+    assert np.allclose(found.R, right.R)
+    assert np.allclose(found.t, right.t)
+    assert found.distortion[0] == 0.1
+    for wrong in ({"M1": "sette"}, {"K1": "uno"}):
+        with pytest.raises(RigError, match="--names: found"):
+            load_opencv_rig([path], "cv", WHEN, size, given=wrong)
