@@ -82,6 +82,10 @@ def _of_group(group: dict[Path, Tokens]) -> NamePattern:
         names[camera] = "{camera}"
         digits = [place for place in digits if columns[place] != columns[camera]]
         names |= {place: "{camera}" for place in varying if columns[place] == columns[camera]}
+    sides = [place for place, name in names.items() if name == "{camera}"]
+    told = [place for place in digits if sides and _one_to_one(columns[place], columns[sides[0]])]
+    names |= dict.fromkeys(told, "*")  # a second word for the camera, as in L/cam0_1.png and R/cam1_1.png
+    digits = [place for place in digits if place not in told]
     distinct = list(dict.fromkeys(columns[place] for place in digits))  # a number may stand twice, as in s1/s1_2.png
     fields = ["{frame}"] if len(distinct) == 1 else ["{count}", "{step}"]
     if len(distinct) > 2:
@@ -90,6 +94,10 @@ def _of_group(group: dict[Path, Tokens]) -> NamePattern:
         names[place] = fields[distinct.index(columns[place])]
     first = next(iter(group.values()))
     return NamePattern("".join(names.get(place, token) for place, token in enumerate(first)), tuple(group))
+
+
+def _one_to_one(a: Tokens, b: Tokens) -> bool:
+    return len(set(zip(a, b, strict=True))) == len(set(a)) == len(set(b))
 
 
 def _numbered_camera(columns: Sequence[Tokens], digits: Sequence[int]) -> int | None:

@@ -74,18 +74,7 @@ def load_opencv_rig(
     """
     if unit is not None and unit not in MM_PER_UNIT and not _is_length(unit):
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
-    found: dict[str, Array] = {}
-    files = [file for path in paths for file in _files(Path(path))]
-    first = first_number((file.stem, file.parent.name) for file in files)
-    given = dict(given or {})
-    there: dict[str, object] = {}
-    for file in files:
-        found |= _read(file, found, first)
-        if given or not set(_NEEDED) <= set(found):
-            there |= {} if file.is_dir() else flat(read_document(file))
-    if unknown := sorted(set(given) - set(NAMES)) or sorted(set(given.values()) - set(there)):
-        raise RigError(f"--names: found {unknown[0]!r}, expected {', '.join(NAMES)} = one of {_listed(there)}")
-    found |= by_given_names(there, given)
+    found, there = _gathered(paths, given or {})
     pose = other_rigs.pose_of_both(found)
     extra = {READ_OTHERWISE: _INSTEAD_OF_R} if "R" in found and "R" in pose else {}
     found |= pose
@@ -118,6 +107,21 @@ def load_opencv_rig(
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(named) else f"{named}: {text}") from None
+
+
+def _gathered(paths: Sequence[Path], given: Mapping[str, str]) -> tuple[dict[str, Array], dict[str, object]]:
+    """What all files say by OpenCV's names; and, where these do not suffice, all that they hold by their own."""
+    found: dict[str, Array] = {}
+    there: dict[str, object] = {}
+    files = [file for path in paths for file in _files(Path(path))]
+    first = first_number((file.stem, file.parent.name) for file in files)
+    for file in files:
+        found |= _read(file, found, first)
+        if given or not set(_NEEDED) <= set(found):
+            there |= {} if file.is_dir() else flat(read_document(file))
+    if unknown := sorted(set(given) - set(NAMES)) or sorted(set(given.values()) - set(there)):
+        raise RigError(f"--names: found {unknown[0]!r}, expected {', '.join(NAMES)} = one of {_listed(there)}")
+    return found | by_given_names(there, given), there
 
 
 def save_opencv_rig(rig: Rig, path: Path) -> None:

@@ -22,6 +22,8 @@ from storage.scene_names import cameras_of, matching
         ([f"{side}/{k}.jpg" for side in "LR" for k in range(1, 9)], "{camera}/{frame}.jpg"),
         ([f"frames{c}_{k}.png" for c in (0, 1) for k in range(26)], "frames{camera}_{frame}.png"),
         ([f"s7/{c}/f{c}_{k}.tiff" for c in ("left", "right") for k in range(9)], "s7/{camera}/f{camera}_{frame}.tiff"),
+        ([f"{s}/cam{c}_2_{k}.bmp" for c, s in enumerate("LR") for k in range(23)], "{camera}/cam*_2_{frame}.bmp"),
+        ([f"pattern_cam{c}_im{k}.png" for c in (1, 2) for k in range(1, 45)], "pattern_cam{camera}_im{frame}.png"),
         ([f"graycode_{k:02d}.png" for k in range(42)], "graycode_{frame}.png"),
         ([f"f{n}_{k}.png" for n in (35, 36) for k in range(8)], "f{count}_{step}.png"),
         ([f"right ({k}).png" for k in range(9)] + [f"left ({k}).png" for k in range(9)], "{camera} ({frame}).png"),
