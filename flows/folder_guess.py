@@ -23,6 +23,10 @@ _PER_STRIPE = (1, 2, 4)  # stripes per fringe that codes have
 _MOST_PATTERNS = 4
 _LEAST_FRAMES = 3
 _LEAST_BITS, _MOST_BITS = 3, 14
+_COUNTS = (
+    "COUNT: how many fringes the projector showed across, in the frames' order; the frames do not tell. Periods in "
+    "projector pixels do as well: --periods in place of --counts"
+)
 _ID = "ID is the rig's, as `flushline rig import --id` has it; whether all is right shows scene new's contact sheet"
 
 
@@ -189,7 +193,7 @@ def _code(
 def _agreement(command: _Command, frames: dict[str, list[Path]]) -> list[str]:
     """What the frames say of the code, where it is known; what else is to be said."""
     if command.code is None:
-        return ["COUNT: how many fringes the projector showed across, in the frames' order; the frames do not tell"]
+        return [_COUNTS]
     found: dict[str, CodeGuess] = {}
     for side, paths in frames.items():
         try:
