@@ -175,8 +175,9 @@ def _code(
     tried: list[tuple[int, ...]] = []
     if gray is not None and len(steps) == 1:
         tried = [(gray.stripes // each,) for each in _PER_STRIPE]
-    elif gray is None and len(steps) == len(names) > 1 and all(name.isdigit() and int(name) > 1 for name in names):
-        tried = [tuple(int(name) for name in names)]
+    elif gray is None and len(steps) == len(names) > 1 and all(name.isdigit() and int(name) > 0 for name in names):
+        said = tuple(int(name) for name in names)
+        tried = [said] if said != tuple(range(1, len(names) + 1)) else []  # which merely number the counts
     frames = np.stack(list(_pictures(paths))) if tried else np.empty(0)
     best: tuple[float, FringeCode] | None = None
     for counts in tried:
