@@ -38,7 +38,7 @@ def _states(folder: Path, options: argparse.Namespace) -> Iterator[tuple[str, Ca
                 yield f"{camera}{several}", check_capture(np.stack(shown.ordered(list(stack))), shown.code)
         return
     if not (folder / MANIFEST).is_file():
-        raise SceneError(f"{folder}: found no {MANIFEST}, expected one, or the frames' names by --pattern")
+        raise SceneError(f"{folder}: found no {MANIFEST}, expected one, or their names by --pattern (scene guess)")
     scene = load_scene(folder)
     for camera in scene.headers:
         for time, frames in zip(scene.exposures, scene.frames(camera), strict=True):

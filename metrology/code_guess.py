@@ -22,7 +22,7 @@ from metrology.unwrap import order_lattice
 _LEAST_AMPLITUDE = 0.02  # of the range
 _LEAST_PIXELS = 500
 _LEAST_AGREEMENT = 0.7  # length of the mean of unit vectors: below, there is no one fraction
-_SAME = 0.04  # of a lattice step: offsets this near are alike
+_SAME = 0.04  # of a lattice step: offsets this near are alike; or as near as the pixels' own fractions are
 _APART = 0.1  # radians: offsets farther apart are not the same one
 _NEAR = 12  # pixels over which stripe numbers are seen to rise
 _USUAL = (0.0, -np.pi / 2, np.pi / 2, np.pi)  # cosine, sine and their negatives
@@ -101,19 +101,22 @@ def _from_counts(turns: Array, code: FringeCode, declared: tuple[float, ...]) ->
             f"expected counts {', '.join(map(str, code.counts))} in this order, their steps even over a whole turn"
         )
     fraction = np.angle(mean) / (2 * np.pi)
+    # What makes the pixels' fractions differ (gamma, light that changes) may well move their mean by as much.
+    same = max(_SAME, float(np.sqrt(-2 * np.log(agreement))) / (2 * np.pi))
     alike = np.ones(len(code.counts)) / (2 * np.pi)
     others: list[float] = []
 
     def missed(psi: float) -> float:
         return float(np.abs(_fraction(lattice.to_lattice @ (alike * psi) - fraction)).max())
 
-    fitting = _alike(missed)
-    if len(set(declared)) == 1 and missed(declared[0]) <= _SAME:
+    fitting = _alike(missed, same)
+    if len(set(declared)) == 1 and missed(declared[0]) <= same:
         offsets = np.array(declared)
     elif fitting:
-        usual = [psi for psi in _USUAL if missed(psi) <= _SAME]
+        usual = [psi for psi in _USUAL if missed(psi) <= same]
         best = usual[0] if usual else min(fitting, key=abs)
-        others = [psi for psi in fitting if abs(np.angle(np.exp(1j * (psi - best)))) > _APART]
+        apart = [psi for psi in fitting if abs(np.angle(np.exp(1j * (psi - best)))) > _APART]
+        others = [psi for psi in apart if not _one_range(psi, best, missed, same)]
         offsets = np.full(len(code.counts), best)
     else:
         f = lattice.counts
@@ -122,12 +125,18 @@ def _from_counts(turns: Array, code: FringeCode, declared: tuple[float, ...]) ->
     return CodeGuess(1, False, told, agreement, others=tuple(others))
 
 
-def _alike(missed: Callable[[float], float]) -> list[float]:
+def _alike(missed: Callable[[float], float], same: float) -> list[float]:
     """Offsets, one for all counts, at which the fractions are hit; counts such as 1, 8, 64 leave several of them."""
     grid = np.linspace(-np.pi, np.pi, 721)[:-1]
     off = np.array([missed(float(psi)) for psi in grid])
-    least = (off <= np.roll(off, 1)) & (off < np.roll(off, -1)) & (off <= _SAME)
+    least = (off <= np.roll(off, 1)) & (off < np.roll(off, -1)) & (off <= same)
     return [float(psi) for psi in grid[least]]
+
+
+def _one_range(a: float, b: float, missed: Callable[[float], float], same: float) -> bool:
+    """Whether all offsets between two, the shorter way round, fit."""
+    between = a + np.linspace(0, 1, 32) * np.angle(np.exp(1j * (b - a)))
+    return all(missed(float(psi)) <= same for psi in between)
 
 
 def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code: FringeCode) -> CodeGuess:

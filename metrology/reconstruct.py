@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.decode import decode_phase
+from metrology.depth_scatter import raised_sigma
 from metrology.edges import flag_neighbourhoods, without_border
 from metrology.epipolar import check_axis
 from metrology.errors import RigError
 from metrology.fringe import FringeCode
+from metrology.gray import runs_along_rows
 from metrology.reconstruction_settings import ReconstructionSettings
 from metrology.rig import Device, Rig
 from metrology.stereo import match
@@ -101,6 +104,8 @@ def triangulate(
     points, sigma_z, flags = match(left, right, rig, settings)
     if left.stripe_px is not None:
         sigma_z *= scatter_ratio(left, points, sigma_z, flags)
+    elif np.isfinite(left.coordinate).any():
+        sigma_z = raised_sigma(points, sigma_z, flags, runs_along_rows(left.coordinate))
     return Reconstruction(rig=rig, left=left, right=right, points=points, sigma_z=sigma_z, flags=flags)
 
 

@@ -31,7 +31,7 @@ from metrology.fringe import Axis
 from metrology.results import Rivet, RivetDetection
 from metrology.rig import PROJECTOR_OF, Rig
 from metrology.robust import MAD
-from metrology.texture_offset import TextureOffsets, measure_offsets
+from metrology.texture_offset import PATCH_PX, TextureOffsets, measure_offsets
 
 Verdict = Literal["ok", "warning", "unjudged", "refused"]
 
@@ -87,6 +87,10 @@ class RigHealth:
 
 _LEAST_PATCHES = 12
 _LEAST_BLOCKS = 12
+# Where patches far apart are too few (a small picture, a small thing in a large one), they lie side by side, up to so
+# many. On bent surfaces their counterparts bend along the epipolar lines, which tells nothing of what lies across.
+_MOST_DENSE = 1500
+_BENT_RMS_PX = 1.0
 _LEAST_BLOCK_PART = 0.1
 # A block's median is known well enough from every eighth row and column, at a sixty-fourth of the projections.
 _STRIDE = 8
@@ -188,14 +192,20 @@ def _judge(
 
 
 def _across(reconstruction: Reconstruction, centres: NDArray[np.int64], settings: HealthSettings) -> _Deviation | None:
-    """Texture across the epipolar lines: patches a few pixels around them, else blocks over the whole image."""
+    """Texture across the epipolar lines: patches a few pixels around them, far apart or else side by side, else blocks
+    over the whole image.
+    """
     rig, refuse = reconstruction.rig, settings.refuse_px
     near = _epipolar(measure_offsets(reconstruction, centres), rig, settings.epipolar_floor_px)
     if near is not None and settings.sigmas * near.sigma <= refuse:
         return near
+    beside = measure_offsets(reconstruction, _dense_centres(reconstruction), _BENT_RMS_PX)
+    dense = _epipolar(beside, rig, settings.epipolar_floor_px)
+    if dense is not None and settings.sigmas * dense.sigma <= refuse:
+        return dense
     # Patches that lie out of reach are found nowhere, or by chance in places that contradict each other.
     far = _epipolar(measure_far_offsets(reconstruction), rig, refuse)
-    for found in (far, near):
+    for found in (far, dense, near):
         if found is not None and settings.sigmas * found.sigma <= max(refuse, found.drift):
             return found
     return None
@@ -220,6 +230,14 @@ def _patch_centres(
     rims = [(r.u_px, r.v_px + side * r.major_px / 2) for r in rivets for side in (-1, 1)]
     extra = np.rint(np.array(rims).reshape(-1, 2)).astype(np.int64)
     return np.concatenate([np.stack(grid, -1).reshape(-1, 2), extra])
+
+
+def _dense_centres(reconstruction: Reconstruction) -> NDArray[np.int64]:
+    """Centres of patches side by side, wherever there are points."""
+    valid = reconstruction.valid
+    spacing = max(PATCH_PX, int(np.sqrt(valid.sum() / _MOST_DENSE)))
+    v, u = np.nonzero(valid[spacing // 2 :: spacing, spacing // 2 :: spacing])
+    return np.stack([u, v], -1) * spacing + spacing // 2
 
 
 def _epipolar(offsets: TextureOffsets, rig: Rig, floor: float) -> _Deviation | None:

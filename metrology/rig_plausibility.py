@@ -23,6 +23,8 @@ Moving = Literal["right", "projector"]
 LEAST_APART_MM, LARGEST_APART_MM = 10.0, 10_000.0
 LEAST_WORKING_MM, LARGEST_WORKING_MM = 80.0, 6_000.0
 LEAST_MM_PER_PX, LARGEST_MM_PER_PX = 0.02, 2.5
+# Two cameras with lenses of their own hardly stand nearer to each other, or to what they measure; numbers in cm do.
+_NEAR_MM, _NEAR_WORKING_MM = 40.0, 120.0
 _LEAST_SHARED = 0.3  # of the left camera's field: what the right one must see of it
 _LEAST_LIT = 0.3  # of what both cameras see: what the projector must reach of it
 _NEAR_BEST = 0.9  # of the largest shared field: where the fields cross, they do so at the working distance
@@ -81,6 +83,39 @@ def _distance(rig: Rig) -> _Misplaced | None:
             expected = f"{LEAST_APART_MM:g} to {LARGEST_APART_MM:g} mm"
             return _Misplaced(name, f"its centre {apart:.4g} mm from the {named}'s (t)", expected)
     return None
+
+
+def doubtful_unit(rig: Rig) -> str | None:
+    """Asks for the unit of a rig of two cameras that can be built in mm, but is far more usual in centimetres."""
+    if rig.right is None or _usual(rig.left, rig.right):
+        return None
+    larger = replace(rig.right, t=10 * rig.right.t)
+    if not _usual(rig.left, larger) or _misplaced(replace(rig, right=larger, projector=None)):
+        return None
+    in_mm, in_cm = (_told_distances(rig.left, device) for device in (rig.right, larger))
+    return (
+        f"right: found t without a unit, and in mm {in_mm}, in cm {in_cm}: expected --unit mm, --unit cm, or the "
+        "millimetres of one (of a board's square, where lengths are counted in squares)"
+    )
+
+
+def _usual(left: Device, right: Device) -> bool:
+    """Whether two cameras stand as far apart, and look as far, as cameras with lenses of their own do."""
+    away = _meeting_mm(left, right)
+    return bool(np.linalg.norm(right.centre) >= _NEAR_MM and (away is None or away >= _NEAR_WORKING_MM))
+
+
+def _meeting_mm(left: Device, right: Device) -> float | None:
+    """How far away two axes meet, along the left one; None where they lead apart or are almost parallel."""
+    a, b = _axes(left, right)
+    along = _along(a, b, right)
+    return float(along[0] * a[2]) if along.min() > 0 and angle_deg(a, b) > 1.0 else None
+
+
+def _told_distances(left: Device, right: Device) -> str:
+    away = _meeting_mm(left, right)
+    meet = "" if away is None else f", their axes meeting {away:.3g} mm away"
+    return f"the cameras stand {np.linalg.norm(right.centre):.3g} mm apart{meet}"
 
 
 def stands_left(right: Device) -> bool:
@@ -162,11 +197,10 @@ def rig_facts(rig: Rig) -> list[str]:
         bare = "" if device.distortion.any() else ", no lens distortion"
         place = ""
         if name != "left":
-            a, b = _axes(rig.left, device)
             x, y, z = device.centre
             place = f"; {np.linalg.norm(device.centre):.4g} mm from the left camera ({x:.4g}, {y:.4g}, {z:.4g})"
-            if _along(a, b, device).min() > 0 and (angle := angle_deg(a, b)) > 1.0:
-                away = _along(a, b, device)[0] * a[2]
+            if (away := _meeting_mm(rig.left, device)) is not None:
+                angle = angle_deg(*_axes(rig.left, device))
                 place += f", their axes meet {away:.4g} mm away at {angle:.0f}°, where a pixel is "
                 place += f"{away / rig.left.K[0, 0]:.2g} mm"
         if name == "right" and stands_left(device):

@@ -53,12 +53,12 @@ def scatter_ratio(left: DecodedView, points: Float32, sigma_z: Float32, flags: N
     stripe = left.stripe_px / float(np.median(gradient))
     if not along_rows:
         near, deviation = near.T, deviation.T
-    off = np.stack([_off(near, deviation, _WINDOW + int(np.ceil(stripes * stripe))) for stripes in _APART])
-    ratio = _by_block(off)
+    off = np.stack([third_differences(near, deviation, _WINDOW + int(np.ceil(stripes * stripe))) for stripes in _APART])
+    ratio = by_block(off)
     return ratio if along_rows else np.ascontiguousarray(ratio.T)
 
 
-def _off(near: Float32, deviation: Float32, apart: int) -> Float32:
+def third_differences(near: Float32, deviation: Float32, apart: int) -> Float32:
     """(h, w) sizes of third differences along rows in units of what `deviation` says of them; NaN where none."""
     height, width = near.shape
     off = np.full((height, width), np.nan, np.float32)
@@ -74,18 +74,27 @@ def _off(near: Float32, deviation: Float32, apart: int) -> Float32:
     return off
 
 
-def _by_block(off: Float32) -> Float32:
-    """(h, w) standard deviation, block by block, of values with the (k, h, w) sizes."""
+def by_block(off: Float32, every: int = 1, least: int = _LEAST) -> Float32:
+    """(h, w) standard deviation, block by block, of values with the (k, h, w) sizes; 1 where too few tell it.
+
+    Parameters
+    ----------
+    every : int
+        Rows of the image of which `off` has one; blocks are square in the image.
+    least : int
+        Values that tell a block's own; others have the whole image's.
+    """
     height, width = off.shape[1:]
     told = off[np.isfinite(off)]
-    if told.size < _LEAST:
+    if told.size < least:
         return np.ones((height, width), np.float32)
-    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
+    tall = _BLOCK // every
+    rows, columns = -(-height // tall), -(-width // _BLOCK)
     blocks = np.full((rows, columns), MAD * np.median(told), np.float32)
     for i, j in np.ndindex(rows, columns):
-        block = off[:, i * _BLOCK : (i + 1) * _BLOCK, j * _BLOCK : (j + 1) * _BLOCK]
+        block = off[:, i * tall : (i + 1) * tall, j * _BLOCK : (j + 1) * _BLOCK]
         seen = block[np.isfinite(block)]
-        if seen.size >= _LEAST:
+        if seen.size >= least:
             blocks[i, j] = MAD * np.median(seen)
-    whole = cv2.resize(blocks, (columns * _BLOCK, rows * _BLOCK), interpolation=cv2.INTER_LINEAR)
+    whole = cv2.resize(blocks, (columns * _BLOCK, rows * tall), interpolation=cv2.INTER_LINEAR)
     return np.asarray(whole[:height, :width], np.float32)

@@ -20,13 +20,16 @@ from metrology.jit import kernel
 from metrology.rig import Device
 
 _HALF_PX = 10  # half-size of a patch
+PATCH_PX = 2 * _HALF_PX + 1
+"""Side of a patch."""
 _SMOOTH_PX = 1.2  # so that linear interpolation does not lean towards whole pixels
 _SEARCH_PX = 8  # across the epipolar line
 _COARSE = 5  # every fifth pixel of a patch is enough to find the whole-pixel shift
 _SPARSE = 5  # so is every fifth row and column for the affine map of a patch, whose points know it to hundredths
 _ITERATIONS = 3
 _LEAST_VALID = 0.6  # of a patch's pixels with a point
-_AFFINE_RMS_PX = 0.3  # a patch over a step is not one plane
+AFFINE_RMS_PX = 0.3
+"""Of a patch's pixels about an affine map: a patch over a step is not one plane."""
 _LEAST_CORRELATION = 0.5
 _ALONG_SIGMA_PX = 0.5  # equal phase fixes the counterpart along the line to better than that
 _WORST_SIGMA_PX = 0.3
@@ -44,13 +47,17 @@ class TextureOffsets:
     """(n,): standard deviation as the patch's own residual tells it."""
 
 
-def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) -> TextureOffsets:
+def measure_offsets(
+    reconstruction: Reconstruction, centres: NDArray[np.int64], affine_rms_px: float = AFFINE_RMS_PX
+) -> TextureOffsets:
     """Register the patches about left pixels.
 
     Parameters
     ----------
     centres : (n, 2) int array
         Left pixels; those without enough texture or points are left out.
+    affine_rms_px : float
+        Patches that depart farther from an affine map are left out.
     """
     left = _smooth(reconstruction.left.texture)
     right = _smooth(reconstruction.with_right().texture)
@@ -61,7 +68,7 @@ def measure_offsets(reconstruction: Reconstruction, centres: NDArray[np.int64]) 
     grid = np.arange(-_HALF_PX, _HALF_PX + 1)
     offset = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     sparse = offset[((offset + _HALF_PX) % _SPARSE == 0).all(axis=1)]
-    centres, origin, matrix, direction = _right_geometry(reconstruction, centres, sparse)
+    centres, origin, matrix, direction = _right_geometry(reconstruction, centres, sparse, affine_rms_px)
     if len(centres) == 0:
         return TextureOffsets(np.empty((0, 2)), np.empty(0), np.empty(0))
     # Across the line, carried into the left patch's frame, in which the shifts are counted.
@@ -123,7 +130,7 @@ def _smooth(texture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _right_geometry(
-    reconstruction: Reconstruction, centres: NDArray[np.int64], offset: NDArray[np.int64]
+    reconstruction: Reconstruction, centres: NDArray[np.int64], offset: NDArray[np.int64], affine_rms_px: float
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
     """Affine map of each patch into the right image, and the epipolar line's direction there.
 
@@ -146,7 +153,7 @@ def _right_geometry(
     rms = np.sqrt((off**2).sum((1, 2)) / valid.sum(1))
     origin, matrix = solution[:, 0], np.swapaxes(solution[:, 1:], 1, 2)
     inside = rig.with_right().inside(origin)
-    keep = (rms < _AFFINE_RMS_PX) & inside & (np.linalg.det(matrix) > 0)
+    keep = (rms < affine_rms_px) & inside & (np.linalg.det(matrix) > 0)
     depth = np.nanmean(np.where(valid, points[..., 2], np.nan), axis=1)
     return (
         centres[keep],

@@ -18,22 +18,26 @@ from storage.calibration_documents import numbers
 
 Found = dict[str, Array]
 
-NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size3")
-_OWN = ("posedR1", "posedT1", "posedR2", "posedT2")  # of a file of one camera: `storage.other_rigs.pose_of_both`
+NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size2", "size3")
+# Of a file of one camera, or of a rectification: `storage.other_rigs.pose_of_both`.
+_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "rectified1", "rectified2", "projection2")
+_RECTIFIED = {"R1": ("rectified1", (3, 3)), "R2": ("rectified2", (3, 3)), "P2": ("projection2", (3, 4))}
 # Names whose device or role their words do not tell.
 _EXACT = {
     "projector_matrix": "M3", "projector_distortion": "D3", "projector_rotation": "R3", "projector_translation": "T3",
     "projector_size": "size3", "M4": "M3", "D4": "D3", "Rlp": "R3", "Tlp": "T3", "Rlr": "R", "Tlr": "T",
+    "stereo_R": "R", "stereo_T": "T", "R_l2r": "R", "T_l2r": "T", "t_l2r": "T", "R_01": "R", "T_01": "T", "t_01": "T",
+    "MLS": "M1", "dLS": "D1", "MRS": "M2", "dRS": "D2",
     "R_lr": "R", "T_lr": "T", "R_LR": "R", "T_LR": "T", "t_LR": "T", "t_lr": "T", "R12": "R", "T12": "T",
     "S": "size", "roration": "R", "R3": "R3", "T3": "T3",
 }  # fmt: skip
 _ROLES = {
     "M": ("k", "m", "a", "mtx", "matrix", "camk", "int", "intrinsic", "intrinsics", "intrinsicmatrix",
-          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cameraintrinsics", "kmat", "intr",
-          "kk"),
+          "intrinsicsmatrix", "cameramatrix", "cammatrix", "cammtx", "cammats", "cm", "cameraintrinsics", "kmat",
+          "intr", "kk"),
     "D": ("d", "kc", "dist", "distortion", "distcoeff", "distcoeffs", "distcoef", "distcoefs", "coeffs", "discoeff",
           "distortioncoefficients", "distortioncoefficient", "distortioncoeffs", "distortionparameters", "distvec",
-          "distortioncoefs", "distvector", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
+          "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
           "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
           "stereor", "rstereo", "rodrigues", "rotationofcamera"),
@@ -93,7 +97,7 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     for role, side, name in told:
         number = side - first + 1 if side is not None and side >= 10 else side
         if role == "size":
-            found.setdefault("size3" if number == 3 else "size", _ordered(name, arrays))
+            found.setdefault(_size_of(number or file_side), _ordered(name, arrays))
         elif role in "MD":
             found.setdefault(f"{role}{number or file_side or (1 if one_camera else 0)}", arrays[name])
         else:
@@ -101,10 +105,37 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     if any(role == "M" and side is None for role, side, _ in told) and file_side and not one_camera:
         poses = {f"posed{key[0]}{file_side}" if key in ("R0", "T0") else key: pose for key, pose in poses.items()}
     found |= {key: value for key, value in poses.items() if key in _OWN}
+    if not placed:
+        turns = {as_: arrays[name] for name, (as_, shape) in _RECTIFIED.items() if _shape(arrays, name) == shape}
+        found |= turns if len(turns) == len(_RECTIFIED) else {}
     found |= {key: value for key, value in _poses(poses).items() if key not in found}
     found |= {key: value for key, value in _scalars(values, file_side).items() if key not in found}
-    found |= {key: value for key, value in _size(arrays).items() if key not in found}
+    found |= {key: value for key, value in _size(arrays, first, file_side).items() if key not in found}
     return _shaped({key: value for key, value in found.items() if key in NAMES + _OWN})
+
+
+def _shape(arrays: Mapping[str, Array], name: str) -> tuple[int, ...]:
+    return arrays[name].shape if name in arrays else ()
+
+
+def _size_of(side: int | None) -> str:
+    """What the size of a device's images is called."""
+    return {2: "size2", 3: "size3"}.get(side or 1, "size")
+
+
+def by_given_names(values: Mapping[str, Any], given: Mapping[str, str]) -> Found:
+    """The values that somebody has named: `given` says what M1, D1 and the like are called."""
+    found: Found = {}
+    for key, name in given.items():
+        if name in values and (array := numbers(values[name])) is not None:
+            found[key] = array.reshape(3, 3) if key[0] in "MR" and array.size == 9 else array
+    return found
+
+
+def told_shapes(values: Mapping[str, Any]) -> list[str]:
+    """Names of the values that may be part of a calibration, each with its shape."""
+    arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
+    return [f"{name} ({'×'.join(map(str, array.shape))})" for name, array in arrays.items() if 2 <= array.size <= 16]
 
 
 def _role_and_side(name: str) -> tuple[str, int | None] | None:
@@ -137,6 +168,8 @@ def _role(words: list[str]) -> str | None:
     """The role that words without any device's spell, by all of them, the last two, or the last."""
     while len(words) > 1 and words[0] in _CAMERA and "".join(words) not in _SPELLED:
         words = words[1:]
+    while len(words) > 1 and words[-1] in _CAMERA and "".join(words) not in _SPELLED:
+        words = words[:-1]
     whole = "".join(words)
     if whole in _SPELLED:
         return _SPELLED[whole]
@@ -236,8 +269,8 @@ def _number_of(parts: Iterable[str]) -> int | None:
     return next((int(match[1]) for match in numbered if match), None)
 
 
-def _size(arrays: Mapping[str, Array]) -> Found:
-    """Width and height told each by itself."""
+def _size(arrays: Mapping[str, Array], first: int, file_side: int | None) -> Found:
+    """Width and height told each by itself; `first` is the left camera in numbered names."""
     found: Found = {}
     for wide, high in (("width", "height"), ("image_width", "image_height"), ("imageWidth", "imageHeight"),
                        ("w", "h"), ("nx", "ny"), ("img_width", "img_height")):  # fmt: skip
@@ -245,8 +278,9 @@ def _size(arrays: Mapping[str, Array]) -> Found:
             head, _, last = name.rpartition(".")
             other = f"{head}.{high}" if head else high
             if last == wide and other in arrays and arrays[name].size == arrays[other].size == 1:
-                side = "size3" if _side_of(head) == 3 else "size"
-                found.setdefault(side, np.array([arrays[name].item(), arrays[other].item()]))
+                side = _side_of(head) or file_side
+                number = side - first + 1 if side is not None and side >= 10 else side
+                found.setdefault(_size_of(number), np.array([arrays[name].item(), arrays[other].item()]))
     return found
 
 

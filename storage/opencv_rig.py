@@ -15,19 +15,23 @@ import numpy as np
 from metrology.arrays import Array
 from metrology.errors import RigError
 from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
-from metrology.rig_plausibility import check_rig
+from metrology.rig_plausibility import check_rig, doubtful_unit
 from storage import other_rigs
 from storage.archive.files import replacing
 from storage.calibration_documents import flat, read_document
-from storage.calibration_names import first_number, from_names, side_of_file
+from storage.calibration_names import NAMES, by_given_names, first_number, from_names, side_of_file, told_shapes
 from storage.lens_names import check_lens_names
 from storage.projection_matrices import from_projections
 
 Size = tuple[int, int]
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+READ_OTHERWISE = "read_otherwise"
+"""Key of a rig's `extra`: what of the files was not taken as it stands."""
+_INSTEAD_OF_R = "R of the files is no rotation: R and T are those of their rectification, R1, R2 and P2"
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
 _WRITTEN = {"size": "image_size", "size3": "projector_size"}  # what we call what OpenCV's samples leave out
+_MOST_LISTED = 12
 _FISHEYE_TERM = 0.002  # of the third and fourth term of four in a column, which of pinhole lenses are p1 and p2
 _ENDINGS = (".yml", ".yaml", ".xml", ".json", ".toml", ".ini", ".txt", ".csv", ".npy", ".npz", ".mat", ".h5")
 _PROJECTOR = ("M3", "D3", "R3", "T3", "size3")
@@ -41,6 +45,8 @@ def load_opencv_rig(
     unit: str | None = None,
     projector: Device | None = None,
     projector_size: Size | None = None,
+    right_size: Size | None = None,
+    given: Mapping[str, str] | None = None,
 ) -> Rig:
     """Read a calibration of two cameras, or of one and a projector.
 
@@ -56,37 +62,66 @@ def load_opencv_rig(
         Where the files hold none; a rig may do without.
     projector_size : (int, int), optional
         Where the files hold a projector but not its size.
+    right_size : (int, int), optional
+        Of the right camera's images, where the files do not tell and it is not the left one's.
+    given : mapping, optional
+        What M1, D1, M2, D2, R, T are called in the files, of those whose names do not tell.
+
+    Raises
+    ------
+    RigError
+        Where something is missing, no such rig can be built, or the unit is told by nothing and may well be another.
     """
     if unit is not None and unit not in MM_PER_UNIT and not _is_length(unit):
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
-    found: dict[str, Array] = {}
-    files = [file for path in paths for file in _files(Path(path))]
-    first = first_number((file.stem, file.parent.name) for file in files)
-    for file in files:
-        found |= _read(file, found, first)
-    found |= other_rigs.pose_of_both(found)
+    found, there = _gathered(paths, given or {})
+    pose = other_rigs.pose_of_both(found)
+    extra = {READ_OTHERWISE: _INSTEAD_OF_R} if "R" in found and "R" in pose else {}
+    found |= pose
     named = ", ".join(str(path) for path in paths)
     alone = "M3" in found and "M2" not in found
     missing = [name for name in (_NEEDED[:2] if alone else _NEEDED) if name not in found]
     if missing:
+        held = f"; found {_listed(there)}: --names {missing[0]}=NAME … says which is which" if there else ""
         raise RigError(
-            f"{named}: found no {', '.join(missing)}, expected an OpenCV stereo calibration's {', '.join(_NEEDED)}"
+            f"{named}: found no {', '.join(missing)}, expected {', '.join(_NEEDED)} of a stereo calibration{held}"
         )
-    stated = _size(found.get("size"))
+    stated = _size(found.get("size", found.get("size2")))
     if stated is None and size is None:
-        raise RigError(f"{named}: found no image_size, expected the width and height of the camera images to be given")
+        raise RigError(
+            f"{named}: found no image_size, expected the width and height of the camera images to be given (--size WxH)"
+        )
     if projector_size is not None:
         found["size3"] = np.array(projector_size, float)
     try:
-        scale, size = _mm_per_unit(unit, found), size or stated or (0, 0)
+        scale = _mm_per_unit(unit, found)
+        second = right_size or size or _size(found.get("size2")) or stated or (0, 0)
+        size = size or stated or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
-        right = None if alone else _device("right", size, found["M2"], found["D2"], found["R"], found["T"] * scale)
-        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector)
+        right = None if alone else _device("right", second, found["M2"], found["D2"], found["R"], found["T"] * scale)
+        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector, extra)
         check_rig(rig)
+        if unit is None and "unit" not in found and (doubt := doubtful_unit(rig)):
+            raise RigError(doubt)
         return rig
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(named) else f"{named}: {text}") from None
+
+
+def _gathered(paths: Sequence[Path], given: Mapping[str, str]) -> tuple[dict[str, Array], dict[str, object]]:
+    """What all files say by OpenCV's names; and, where these do not suffice, all that they hold by their own."""
+    found: dict[str, Array] = {}
+    there: dict[str, object] = {}
+    files = [file for path in paths for file in _files(Path(path))]
+    first = first_number((file.stem, file.parent.name) for file in files)
+    for file in files:
+        found |= _read(file, found, first)
+        if given or not set(_NEEDED) <= set(found):
+            there |= {} if file.is_dir() else flat(read_document(file))
+    if unknown := sorted(set(given) - set(NAMES)) or sorted(set(given.values()) - set(there)):
+        raise RigError(f"--names: found {unknown[0]!r}, expected {', '.join(NAMES)} = one of {_listed(there)}")
+    return found | by_given_names(there, given), there
 
 
 def save_opencv_rig(rig: Rig, path: Path) -> None:
@@ -140,6 +175,12 @@ def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Arra
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def _listed(values: Mapping[str, object]) -> str:
+    """The first of the values that may be meant."""
+    told = told_shapes(values)
+    return ", ".join(told[:_MOST_LISTED]) + ", …" * (len(told) > _MOST_LISTED) or "no matrices"
 
 
 def _files(path: Path) -> list[Path]:

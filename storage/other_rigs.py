@@ -22,6 +22,8 @@ from storage.calibration_names import side_of_file, turned
 Found = dict[str, Array]
 
 _MM_PER_METRE = np.array(1000.0)
+_SIZES = {1: "size", 2: "size2"}  # of the cameras' images
+_ROTATION_ERROR = 1e-3  # by which R Rᵀ of a rotation, rounded as it may be, departs from 1
 _PINHOLE_LENSES = ("radtan", "radial-tangential", "plumb_bob", "none")
 _PREFIXES = ((1, "LEFT."), (2, "RIGHT."), (1, "left."), (2, "right."))
 _RECTIFIED = (
@@ -93,8 +95,8 @@ def _matlab(document: Mapping[str, Any]) -> Found:
         tangential = np.ravel(np.array(camera.get("TangentialDistortion", (0.0, 0.0)), float))
         found[f"M{number}"], found[f"D{number}"] = K, np.array([[*radial[:2], *tangential[:2], radial[2]]])
         size = np.ravel(np.array(camera.get("ImageSize", ()), float))
-        if size.size == 2 and number == 1:
-            found["size"] = size[::-1]
+        if size.size == 2:
+            found[_SIZES[number]] = size[::-1]
     if "RotationOfCamera2" in document:
         found["R"] = np.array(document["RotationOfCamera2"], float).T
         found["T"] = np.ravel(np.array(document["TranslationOfCamera2"], float))
@@ -119,7 +121,9 @@ def _mc_calib(values: Mapping[str, Any]) -> Found:
         found[f"M{number}"] = np.asarray(values[f"{name}.camera_matrix"], float)
         found[f"D{number}"] = np.reshape(np.asarray(values[f"{name}.distortion_vector"], float), (1, -1))
         found[f"placed{number}"] = np.reshape(np.asarray(values[f"{name}.camera_pose_matrix"], float), (4, 4))
-    found["size"] = np.array([float(values["camera_0.img_width"]), float(values["camera_0.img_height"])])
+        if f"{name}.img_width" in values and f"{name}.img_height" in values:
+            wide, high = (float(values[f"{name}.img_{side}"]) for side in ("width", "height"))
+            found[_SIZES[number]] = np.array([wide, high])
     return found
 
 
@@ -144,8 +148,8 @@ def _kalibr(document: Mapping[str, Any]) -> Found:
         fx, fy, cx, cy = (float(value) for value in camera["intrinsics"])
         found[f"M{number}"] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         found[f"D{number}"] = np.array([camera.get("distortion_coeffs", ())], float)
-        if number == 1 and "resolution" in camera:
-            found["size"] = np.array(camera["resolution"], float)
+        if "resolution" in camera:
+            found[_SIZES[number]] = np.array(camera["resolution"], float)
     if "T_cn_cnm1" not in document["cam1"] and "T_cam_imu" in document["cam1"]:
         left, right = (np.reshape(np.array(document[name]["T_cam_imu"], float), (4, 4)) for name in ("cam0", "cam1"))
         return found | _relative(left[:3, :3], left[:3, 3], right[:3, :3], right[:3, 3])
@@ -180,7 +184,7 @@ def _rectified(values: Mapping[str, Any], names: Mapping[str, str], number: int)
     for wide, high in (("image_width", "image_height"), ("width", "height")):
         at = [f"{prefix}.{name}" if prefix else name for name in (wide, high)]
         if all(name in values for name in at):
-            found["size"] = np.array([float(values[name]) for name in at])
+            found[_SIZES[number]] = np.array([float(values[name]) for name in at])
     return found
 
 
@@ -216,8 +220,8 @@ def _kitti_raw(values: Mapping[str, Any]) -> Found:
         found[f"M{number}"] = np.reshape(values[f"K_{name}"], (3, 3))
         found[f"D{number}"] = np.reshape(values[f"D_{name}"], (1, -1))
         poses.append((np.reshape(values[f"R_{name}"], (3, 3)), np.ravel(values[f"T_{name}"])))
-    if "S_00" in values:
-        found["size"] = np.ravel(values["S_00"])
+        if f"S_{name}" in values:
+            found[_SIZES[number]] = np.ravel(values[f"S_{name}"])
     return found | _relative(*poses[0], *poses[1])
 
 
@@ -243,7 +247,9 @@ def _euroc(values: Mapping[str, Any], path: Path) -> Found:
         f"placed{number}": np.reshape(np.asarray(values["T_BS"], float), (4, 4)),
         "unit": _MM_PER_METRE,
     }
-    return found | ({"size": np.ravel(np.asarray(values["resolution"], float))} if "resolution" in values else {})
+    if "resolution" in values:
+        found[_SIZES[number]] = np.ravel(np.asarray(values["resolution"], float))
+    return found
 
 
 def _relative(R1: Array, t1: Array, R2: Array, t2: Array) -> Found:
@@ -261,11 +267,19 @@ def pose_of_both(found: Mapping[str, Array]) -> Found:
         return _relative(*(part for side in posed for part in _posed(found, side)))
     if len(posed) == 1 and "R" not in found:
         return dict(zip("RT", _posed(found, posed[0]), strict=True))
-    if "rectified1" not in found or "rectified2" not in found:
+    if is_rotation(found.get("R")) or not {"rectified1", "rectified2", "projection2"} <= set(found):
         return {}
     left, right, projection = found["rectified1"], found["rectified2"], found["projection2"]
-    base = np.array([projection[0, 3] / projection[0, 0], 0.0, 0.0])
+    base = projection[:, 3] / np.array([projection[0, 0], projection[1, 1], 1.0])
     return {"R": right.T @ left, "T": right.T @ base}
+
+
+def is_rotation(value: Array | None) -> bool:
+    """Whether a value is a rotation: a matrix, or a vector."""
+    if value is None or value.size not in (3, 9) or not np.isfinite(value).all():
+        return False
+    R = turned(value)
+    return bool(np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_ERROR and np.linalg.det(R) > 0)
 
 
 def _posed(found: Mapping[str, Array], side: str) -> tuple[Array, Array]:
@@ -290,7 +304,7 @@ def from_colmap(folder: Path) -> Found:
         terms = [values[place] for place in lens]
         found[f"M{number}"] = np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])  # centres at halves
         found[f"D{number}"] = np.array([terms + [0.0] * (max(4, len(terms)) - len(terms))])
-        found["size"] = np.array([float(width), float(height)])
+        found[_SIZES[number]] = np.array([float(width), float(height)])
         poses.append((_turned([float(q) for q in image[1:5]]), np.array(image[5:8], float)))
     return found | _relative(*poses[0], *poses[1])
 

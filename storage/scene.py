@@ -187,8 +187,10 @@ def read_manifest(manifest: Path) -> dict[str, Any]:
         found = "a file" if folder.is_file() else "a link to nowhere" if folder.is_symlink() else "no such folder"
         raise SceneError(f"{folder}: found {found}, expected a scene folder")
     if not os.path.lexists(manifest):
-        found = "an empty folder" if not any(folder.iterdir()) else f"no {MANIFEST} in it"
-        raise SceneError(f"{folder}: found {found}, expected a scene folder")
+        empty = not any(folder.iterdir())
+        found = "an empty folder" if empty else f"no {MANIFEST} in it"
+        how = "" if empty else "; of a folder of frames, flushline scene guess says how to make one"
+        raise SceneError(f"{folder}: found {found}, expected a scene folder{how}")
     return read_json(manifest, SceneError, MAX_MANIFEST_BYTES)
 
 

@@ -13,7 +13,9 @@ from storage.scene_models import Camera
 
 FIELDS = ("camera", "pose", "exposure", "count", "step", "frame", "bit", "inverse")
 GREY = "grey"
-_PICTURES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".pgm")
+SHEET = "contact-sheet.png"
+"""The picture that `scene new` draws beside the frames."""
+PICTURES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".pgm")
 _LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a")
 
 Values = dict[str, str]
@@ -45,9 +47,11 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
     found, other = {}, []
     for path in sorted(folder.rglob("*")):
         relative = path.relative_to(folder).as_posix()
+        if path.name == SHEET:
+            continue
         if not relative.startswith(f"{GREY}/") and path.is_file() and (fits := wanted.fullmatch(relative)):
             found[path] = fits.groupdict()
-        elif path.suffix.lower() in _PICTURES:
+        elif path.suffix.lower() in PICTURES:
             other.append(relative)
     if not found:
         there = f"; there are {len(other)} others, such as {other[0]}" if other else ""

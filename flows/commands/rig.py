@@ -29,7 +29,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     load.add_argument("--out", type=Path, required=True, metavar="RIG")
     load.add_argument("--id", required=True, metavar="ID")
     load.add_argument("--size", type=parse_size, metavar="WxH", help="camera images, where the files do not tell")
-    load.add_argument("--unit", help="of the translations: mm (default), cm, m, in, or millimetres of one")
+    load.add_argument("--right-size", type=parse_size, metavar="WxH", help="of the right camera, where it differs")
+    load.add_argument("--unit", help="of the translations: mm, cm, m, in, or millimetres of one")
+    load.add_argument(
+        "--names",
+        type=_given_name,
+        nargs="+",
+        default=[],
+        metavar="M1=NAME",
+        help="what M1, D1, M2, D2, R, T are called, where their names do not tell",
+    )
     load.add_argument("--projector-size", type=parse_size, metavar="WxH", help="where the files tell only its lens")
     load.add_argument(
         "--calibrated-at",
@@ -95,7 +104,7 @@ def run_import(options: argparse.Namespace) -> int:
     from metrology.rig import PROJECTOR_OF
     from metrology.rig_plausibility import rig_facts
     from storage.documents import utc_text
-    from storage.opencv_rig import load_opencv_rig
+    from storage.opencv_rig import READ_OTHERWISE, load_opencv_rig
     from storage.rig import load_rig, save_rig
 
     other = load_rig(options.projector_of) if options.projector_of else None
@@ -108,10 +117,14 @@ def run_import(options: argparse.Namespace) -> int:
         options.unit,
         other.projector if other else None,
         options.projector_size,
+        options.right_size,
+        dict(options.names),
     )
     if other and rig.projector is other.projector:
         rig = replace(rig, extra={**rig.extra, PROJECTOR_OF: other.id})
     save_rig(rig, options.out)
+    if said := rig.extra.get(READ_OTHERWISE):
+        print(f"note: {said}")
     print("\n".join([*rig_facts(rig), str(options.out)]))
     return 0
 
@@ -158,6 +171,14 @@ def parse_size(text: str) -> tuple[int, int]:
     if not match:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected width and height such as 1624x1234")
     return int(match[1]), int(match[2])
+
+
+def _given_name(text: str) -> tuple[str, str]:
+    """What a value is, and what it is called, such as M1=CM1."""
+    key, equals, name = text.partition("=")
+    if not (key and equals and name):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected such as M1=CM1")
+    return key, name
 
 
 def _pixels(value: float | None) -> str:

@@ -39,8 +39,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     add_code_options(new)
     new.set_defaults(run=run_new)
     _add_from_cloud(actions, common)
-    guess = actions.add_parser("guess", parents=[common], help="what the frames of a scene say of their code")
-    guess.add_argument("folder", type=Path, metavar="SCENE")
+    guess = actions.add_parser(
+        "guess",
+        parents=[common],
+        help="what the frames of a folder, or of a scene, say of their code",
+        description="Of a folder of frames: which names they have, what they show, and the `scene new` that fits. Of a "
+        "scene folder: the conventions of its code, as its frames tell them.",
+    )
+    guess.add_argument("folder", type=Path, metavar="FOLDER")
     guess.set_defaults(run=run_guess)
 
 
@@ -118,6 +124,7 @@ def run_new(options: argparse.Namespace) -> int:
     from flows.code_options import fringe_model
     from flows.contact_sheet import describe_scene
     from flows.new_scene import exposure_times, frames_by_name, new_scene, untold_labels
+    from storage.scene_names import SHEET
 
     shown = fringe_model(options)
     listed, notes = frames_by_name(options, shown.code)
@@ -130,17 +137,21 @@ def run_new(options: argparse.Namespace) -> int:
     made = new_scene(options.folder, key, options.rig, shown, listed, not options.as_declared, times, labels)
     for line in [*dict.fromkeys(notes), *made]:
         print(line)
-    for line in describe_scene(options.folder, options.sheet or options.folder / "contact-sheet.png"):
+    for line in describe_scene(options.folder, options.sheet or options.folder / SHEET):
         print(line)
     return 0
 
 
 def run_guess(options: argparse.Namespace) -> int:
-    """Say what each camera's frames tell."""
+    """Say what each camera's frames tell; of a folder without scene.json, what it seems to hold."""
+    from flows.folder_guess import guess_folder
     from flows.new_scene import guess_lines, guesses
     from storage.scene import load_manifest
     from storage.scene_models import MANIFEST
 
+    if options.folder.is_dir() and not (options.folder / MANIFEST).exists():
+        print("\n".join(guess_folder(options.folder)))
+        return 0
     model = load_manifest(options.folder / MANIFEST)
     paths: dict[str, list[list[Path]]] = {
         camera: [[options.folder / path for path in paths] for paths in getattr(model.frames, camera)]

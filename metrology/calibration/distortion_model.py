@@ -43,18 +43,19 @@ def choose_terms(
     Parameters
     ----------
     fit : callable
-        Terms to (χ², degrees of freedom) of the whole adjustment.
+        Terms to (χ², degrees of freedom) of the whole adjustment; χ² is infinite where the terms cannot be.
     count : int
         n: measured coordinates.
     """
     fits = [fit(terms) for terms in LADDER]
-    scale = fits[-1][0] / fits[-1][1]
+    fullest = [one for one in fits if np.isfinite(one[0])][-1]
+    scale = fullest[0] / fullest[1]
     bic = np.array([chi2 / scale + (count - freedom) * np.log(count) for chi2, freedom in fits])
     best = int(np.argmin(bic))
     evidence = []
     for k, terms in enumerate(LADDER):
         p_value = None
-        if k:
+        if k and np.isfinite(fits[k - 1][0]) and np.isfinite(fits[k][0]):
             added = fits[k - 1][1] - fits[k][1]
             ratio = (fits[k - 1][0] - fits[k][0]) / added / (fits[k][0] / fits[k][1])
             p_value = float(f_distribution.sf(ratio, added, fits[k][1]))

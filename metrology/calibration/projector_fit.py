@@ -22,6 +22,7 @@ from metrology.calibration.distortion_model import PINHOLE, Evidence, choose_ter
 from metrology.calibration.lens import INTRINSICS, project
 from metrology.calibration.linear_projector import linear_projector
 from metrology.cloud import Reconstruction
+from metrology.device_plausibility import check_device
 from metrology.errors import CalibrationError, RigError
 from metrology.fringe import Axis
 from metrology.rig import Device
@@ -33,6 +34,7 @@ _LEAST_PER_BLOCK = 20
 _LEAST_BLOCKS = 60
 _ROUNDS = 3
 _HUBER = 2.5  # robust standard deviations at which the loss turns linear
+_FAR_OFF = 1e6  # standard deviations: a step that leads there is taken back
 _COVERAGE = 2.0
 _SQUARE = 0.005  # standard deviation of fy/fx − 1 where one of them is not seen
 _WORST_FOCAL = 0.05  # U95 over the focal length from which the scans count as flat
@@ -119,8 +121,15 @@ def fit_projector(scans: Sequence[SeenPoints], size: tuple[int, int]) -> FittedP
     problem = _Problem(scans, size, assumed, device)
 
     def fit(terms: tuple[str, ...]) -> tuple[float, int]:
-        found = problem.solve(terms)
-        return found.chi2, problem.blocks - len(found.names)
+        freedom = problem.blocks - len((*PINHOLE, *terms, *_POSE))
+        try:
+            found = problem.solve(terms)
+            check_device(found.device, projector=True)
+        except (CalibrationError, RigError):
+            if not terms:
+                raise
+            return np.inf, freedom  # terms that no lens has, or that lead nowhere, are not supported by the scans
+        return found.chi2, freedom
 
     terms, evidence = choose_terms("projector", fit, problem.blocks)
     found = problem.solve(terms)
@@ -177,7 +186,7 @@ class _Problem:
 
     def _once(self, device: Device, terms: tuple[str, ...]) -> _Solution:
         names = (*PINHOLE, *terms, *_POSE)
-        x = _packed(device, names)
+        x = start = _packed(device, names)
         observed = [
             _coordinate(device, scan.axis, middle) + _block_medians(scan, device)
             for scan, middle in zip(self.scans, self.middles, strict=True)
@@ -186,7 +195,12 @@ class _Problem:
         shown = self._middle_of_light(device, rows)
 
         def residuals(x: Array) -> Array:
-            tried = _unpacked(x, names, self.size)
+            try:
+                tried = _unpacked(x, names, self.size)
+            except CalibrationError:
+                if x is start:
+                    raise
+                return np.full(self.blocks + 3 * (self.assumed is not None), _FAR_OFF)  # a step beyond all bounds
             parts = [
                 (_coordinate(tried, scan.axis, middle) - seen) / scale
                 for scan, middle, seen in zip(self.scans, self.middles, observed, strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -331,3 +332,37 @@ def test_gray_code_alone_from_the_finest_bit_on(
     assert run("scene", "new", folder, *arguments, *(["--inverse"] if inverse else [])) == 0
     assert "from the finest bit on" in capsys.readouterr().out
     assert abs(np.median(measured(folder))) < 0.1
+
+
+def test_a_folder_tells_the_command_that_makes_a_scene_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = FringeCode("x", 4, (16,), GrayCode(32, True))
+    uniform = {
+        side: np.stack([np.full_like(frames[0], level) for level in (190, 30)]) for side, frames in scan(code).items()
+    }
+    views = {side: np.concatenate([uniform[side], frames[4:], frames[:4]]) for side, frames in scan(code, -1).items()}
+    folder = save(tmp_path / "raw", views, [f"cam_{{camera}}/IMG {k + 1}.bmp" for k in range(code.frames + 2)])
+    assert run("scene", "guess", folder) == 0
+    said = capsys.readouterr().out
+    assert "steps backward" in said
+    assert "frames 3 to 12: stripes along x, each followed by its inverse" in said
+    (command,) = [line.strip() for line in said.splitlines() if "scene new" in line and "--counts" in line]
+    assert "--counts 16 --steps 4 --gray 32 --inverse --sequence white black gray fringes" in command
+    assert run(*shlex.split(command.replace("--rig ID", "--rig small"))[1:]) == 0
+    assert np.quantile(np.abs(measured(folder)), 0.99) < 1.5
+
+
+def test_what_the_frames_of_a_folder_do_not_tell_is_left_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    views = scan(FringeCode("x", 4, (7, 6, 5)))
+    save(tmp_path / "numbered", views, SINGLE[:12])
+    save(tmp_path / "named", views, COUNTS)
+    assert run("scene", "guess", tmp_path / "numbered") == 0
+    said = capsys.readouterr().out
+    assert "--counts COUNT1 COUNT2 COUNT3 --steps 4" in said
+    assert "the frames do not tell" in said
+    assert run("scene", "guess", tmp_path / "named") == 0
+    assert "--counts 5 6 7 --steps 4" in capsys.readouterr().out
+    assert run("scene", "guess", tmp_path / "numbered" / "nowhere") == 2

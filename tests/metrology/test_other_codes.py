@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from metrology.cloud import Reconstruction
+from metrology.code_guess import guess_code
 from metrology.decode import decode_phase
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
@@ -193,3 +194,24 @@ def test_borders_that_the_projector_displaces_are_no_error_of_the_depth(rng: np.
 def test_codes_that_contradict_themselves_are_refused(arguments: tuple, said: str) -> None:
     with pytest.raises(SceneError, match=said):
         FringeCode(*arguments)
+
+
+def test_offsets_are_no_better_told_than_the_pixels_agree() -> None:
+    """Counts 40 and 41 multiply errors of a phase by 40; fractions that differ by so much say no odd offset."""
+    v, u = np.mgrid[:40, :400]
+    place = (u + 0.5) / 400
+
+    def frames(off: float, wave: float) -> NDArray[np.uint8]:
+        error = off + wave * np.sin(2 * np.pi * v / 20)  # turns
+        levels = []
+        for count, steps, moved in ((40, 16, 0.0), (41, 8, error)):
+            for step in range(steps):
+                levels.append(100 + 80 * np.cos(2 * np.pi * (count * place + moved + step / steps)))
+        return np.rint(levels).astype(np.uint8)
+
+    code = FringeCode("x", (16, 8), (40, 41))
+    rough, smooth = (guess_code(frames(0.0012, wave), code, 250) for wave in (0.0028, 0.0))
+    assert rough.code.phase_offsets_rad == ()
+    assert not rough.others
+    assert smooth.code.phase_offsets_rad != ()
+    assert rough.agreement < 0.92 < smooth.agreement

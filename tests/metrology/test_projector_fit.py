@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from metrology.calibration.distortion_model import LADDER, choose_terms
 from metrology.calibration.projector_fit import SeenPoints, fit_projector
 from metrology.errors import CalibrationError
 from metrology.fringe import Axis
@@ -92,3 +93,12 @@ def test_a_code_that_runs_backwards_is_named(rng: np.random.Generator) -> None:
     rows = seen("y", rng)
     with pytest.raises(CalibrationError, match="mirror each other"):
         fit_projector([seen("x", rng), replace(rows, coordinate=SIZE[1] - 1 - rows.coordinate)], SIZE)
+
+
+def test_terms_that_no_lens_can_have_are_no_candidates() -> None:
+    chi2 = dict.fromkeys(LADDER, 300.0) | {LADDER[0]: 900.0, LADDER[-1]: np.inf}
+    terms, evidence = choose_terms("projector", lambda terms: (chi2[terms], 300 - len(terms)), 300)
+    assert terms == LADDER[1]
+    assert evidence[-1].bic == np.inf
+    assert evidence[-1].p_value is None
+    assert evidence[1].p_value is not None

@@ -54,6 +54,18 @@ def test_the_true_rig_is_well(rig: Rig, views: tuple[DecodedView, DecodedView]) 
     assert found.n > 60
 
 
+def test_where_patches_far_apart_are_too_few_they_lie_side_by_side(
+    rig: Rig, views: tuple[DecodedView, DecodedView]
+) -> None:
+    apart = HealthSettings(patch_spacing_px=300, block_px=48)
+    cameras = replace(rig, projector=None)
+    found = epipolar_health(triangulate(*views, cameras), settings=apart)
+    assert found.verdict == "ok"
+    assert found.n > 300
+    moved = replace(cameras, right=turned(rig.with_right(), 2, 0.1))
+    assert epipolar_health(triangulate(*views, moved), settings=apart).verdict in ("warning", "refused")
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("name", ["right", "projector"])
 def test_a_device_turned_by_a_twentieth_of_a_degree_shows(

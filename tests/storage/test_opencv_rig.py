@@ -124,3 +124,69 @@ def test_another_convention_is_refused_on_import(
         load_opencv_rig([path, changed], "cv", WHEN)
     assert "changed.yml" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_rotation_that_is_none_is_taken_from_the_rectification(tmp_path: Path, rig: Rig) -> None:
+    """OpenCV's own test data hold P2 under the name of R."""
+    left, right = rig.left, rig.with_right()
+    size = (left.width, left.height)
+    none = np.zeros(5)
+    R1, R2, P1, P2 = cv2.stereoRectify(left.K, none, right.K, none, size, right.R, right.t[:, None])[:4]
+    said = {"M1": left.K, "D1": none, "M2": right.K, "D2": none, "T": right.t, "R1": R1, "R2": R2, "P1": P1, "P2": P2}
+    found = load_opencv_rig([write(tmp_path / "p.yml", R=P2, **said)], "cv", WHEN, size)
+    assert np.allclose(found.with_right().R, right.R, atol=1e-9)
+    assert np.allclose(found.with_right().t, right.t, atol=1e-6)
+    assert "rectification" in found.extra["read_otherwise"]
+    sound = load_opencv_rig([write(tmp_path / "s.yml", R=right.R, **said)], "cv", WHEN, size)
+    assert "read_otherwise" not in sound.extra
+    with pytest.raises(RigError, match="R"):
+        load_opencv_rig([write(tmp_path / "n.yml", R=P2, **{**said, "R1": P1})], "cv", WHEN, size)
+
+
+def test_cameras_of_two_sizes(tmp_path: Path, rig: Rig) -> None:
+    left, right = rig.left, rig.with_right()
+    K = right.K.copy()
+    K[:2] /= 2
+    half = (right.width // 2, right.height // 2)
+    said = {"M1": left.K, "D1": np.zeros(5), "M2": K, "D2": np.zeros(5), "R": right.R, "T": right.t}
+    plain = write(tmp_path / "plain.yml", **said)
+    given = load_opencv_rig([plain], "cv", WHEN, (left.width, left.height), right_size=half).with_right()
+    assert (given.width, given.height) == half
+    with pytest.raises(RigError, match=r"K is that of images 0\.5 times the size"):
+        load_opencv_rig([plain], "cv", WHEN, (left.width, left.height))
+    told = write(tmp_path / "told.yml", image_size_1=[left.width, left.height], image_size_2=list(half), **said)
+    found = load_opencv_rig([told], "cv", WHEN)
+    assert (found.left.width, found.with_right().width) == (left.width, half[0])
+
+
+def test_centimetres_are_asked_for(tmp_path: Path) -> None:
+    """A rig of 30 mm in place of 300 could be built; the file does not tell."""
+    K = [[1400.0, 0, 639.5], [0, 1400.0, 479.5], [0, 0, 1]]
+    R = np.asarray(cv2.Rodrigues(np.array([0.0, 0.4, 0.0]))[0])
+    t = -R @ np.array([300.0, 0.0, 0.0])
+    said = {"M1": K, "D1": np.zeros(5), "M2": K, "D2": np.zeros(5), "R": R, "image_size": [1280, 960]}
+    path = write(tmp_path / "cm.yml", T=t / 10, **said)
+    with pytest.raises(RigError, match="--unit mm, --unit cm"):
+        load_opencv_rig([path], "cv", WHEN)
+    assert np.allclose(load_opencv_rig([path], "cv", WHEN, unit="cm").with_right().t, t)
+    assert np.allclose(load_opencv_rig([path], "cv", WHEN, unit="mm").with_right().t, t / 10)
+    whole = write(tmp_path / "mm.yml", T=t, **said)
+    assert np.allclose(load_opencv_rig([whole], "cv", WHEN).with_right().t, t)
+
+
+def test_names_that_tell_nothing_are_asked_for(tmp_path: Path, rig: Rig) -> None:
+    right = rig.with_right()
+    size = (rig.left.width, rig.left.height)
+    path = write(
+        tmp_path / "odd.yml", uno=rig.left.K, due=np.zeros(5), tre=right.K, qua=[0.1, 0, 0, 0], cin=right.R, sei=right.t
+    )
+    with pytest.raises(RigError, match=r"found no M1, .*; found uno \(3×3\), .*--names M1=NAME"):
+        load_opencv_rig([path], "cv", WHEN, size)
+    given = {"M1": "uno", "D1": "due", "M2": "tre", "D2": "qua", "R": "cin", "T": "sei"}
+    found = load_opencv_rig([path], "cv", WHEN, size, given=given).with_right()
+    assert np.allclose(found.R, right.R)
+    assert np.allclose(found.t, right.t)
+    assert found.distortion[0] == 0.1
+    for wrong in ({"M1": "sette"}, {"K1": "uno"}):
+        with pytest.raises(RigError, match="--names: found"):
+            load_opencv_rig([path], "cv", WHEN, size, given=wrong)
