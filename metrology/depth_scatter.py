@@ -9,15 +9,17 @@ the distance.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from metrology.arrays import Float32
-from metrology.stripe_scatter import by_block, third_differences
+from metrology.robust import MAD
+from metrology.stripe_scatter import BLOCK, by_block, third_differences
 
 _APART = (6, 9)  # pixels: no farther than the match takes pixels together, plus one; and half as far again
 _BENT = (_APART[1] / _APART[0]) ** 6  # by which a bent surface's squares grow from one distance to the other
 _EVERY = 4  # rows that tell it
-_LEAST_VALUES = 700  # of the 1024 in a block: fewer would tell its scatter to worse than a tenth
+_FIRST_LOOK = 16  # rows that tell whether there is anything to be told
+_LEAST_SEEN = 0.68  # of the values in a block (700 of 1024): fewer would tell its scatter to worse than a tenth
 _LEAST = 1.2  # of σ: what is below is left as it is
 
 
@@ -36,19 +38,28 @@ def raised_sigma(points: Float32, sigma_z: Float32, flags: NDArray[np.uint16], a
     -------
     (h, w) float32, mm
     """
-    part = np.s_[::_EVERY] if along_rows else np.s_[:, ::_EVERY]
-    depth = points[..., 2][part]
-    good = flags[part] == 0
-    near = np.where(good, 1 / np.where(good, depth, 1), np.nan).astype(np.float32)  # of a plane straight along the rows
-    deviation = np.where(good, sigma_z[part] * near**2, np.nan).astype(np.float32)
     if not along_rows:
-        near, deviation = np.ascontiguousarray(near.T), np.ascontiguousarray(deviation.T)
-    short, long = (
-        by_block(third_differences(near, deviation, apart)[None], _EVERY, _LEAST_VALUES) ** 2 for apart in _APART
-    )
-    ratio = np.sqrt(np.maximum((_BENT * short - long) / (_BENT - 1), 0))
-    if not np.median(ratio) >= _LEAST:  # a dent or a joint alone bends more than the model of bending takes off
+        return np.ascontiguousarray(raised_sigma(points.transpose(1, 0, 2), sigma_z.T, flags.T, True).T)
+    told = [off[np.isfinite(off)] for off in _off(points, sigma_z, flags, _FIRST_LOOK)]
+    # A dent or a joint alone bends more than the model of bending takes off.
+    if not all(off.size for off in told) or _without_bending(*(MAD * np.median(off) for off in told)) < _LEAST:
         return sigma_z
-    raised = np.where(ratio >= _LEAST, ratio, 1).astype(np.float32).repeat(_EVERY, axis=0)[: max(sigma_z.shape)]
-    raised = raised if along_rows else raised.T
-    return sigma_z * raised[: sigma_z.shape[0], : sigma_z.shape[1]]
+    least = int(_LEAST_SEEN * BLOCK**2 / _EVERY)
+    ratio = _without_bending(*(by_block(off[None], _EVERY, least) for off in _off(points, sigma_z, flags, _EVERY)))
+    raised = np.where(ratio >= _LEAST, ratio, 1).astype(np.float32).repeat(_EVERY, axis=0)
+    return sigma_z * raised[: len(sigma_z)]
+
+
+def _off(points: Float32, sigma_z: Float32, flags: NDArray[np.uint16], every: int) -> list[Float32]:
+    """Third differences of depths along every so many rows, over both distances, in units of their σ."""
+    good = flags[::every] == 0
+    # Of a plane it runs straight along the rows.
+    near = np.where(good, 1 / np.where(good, points[::every, :, 2], 1), np.nan).astype(np.float32)
+    deviation = np.where(good, sigma_z[::every] * near**2, np.nan).astype(np.float32)
+    return [third_differences(near, deviation, apart) for apart in _APART]
+
+
+def _without_bending(short: ArrayLike, long: ArrayLike) -> Float32:
+    """What depths scatter, in units of their σ, from what third differences over both distances do."""
+    squared = (_BENT * np.square(short) - np.square(long)) / (_BENT - 1)
+    return np.asarray(np.sqrt(np.maximum(squared, 0)), np.float32)

@@ -21,7 +21,7 @@ from metrology.robust import MAD
 _APART = (3, 4, 5)
 _WINDOW = 5  # pixels that the match takes together
 _THIRD = (1.0, -3.0, 3.0, -1.0)  # third differences, which no plane and no bent skin shows
-_BLOCK = 64  # pixels
+BLOCK = 64  # pixels
 _LEAST = 200  # differences in a block that tell its scatter
 
 
@@ -88,13 +88,13 @@ def by_block(off: Float32, every: int = 1, least: int = _LEAST) -> Float32:
     told = off[np.isfinite(off)]
     if told.size < least:
         return np.ones((height, width), np.float32)
-    tall = _BLOCK // every
-    rows, columns = -(-height // tall), -(-width // _BLOCK)
+    tall = BLOCK // every
+    rows, columns = -(-height // tall), -(-width // BLOCK)
     blocks = np.full((rows, columns), MAD * np.median(told), np.float32)
     for i, j in np.ndindex(rows, columns):
-        block = off[:, i * tall : (i + 1) * tall, j * _BLOCK : (j + 1) * _BLOCK]
+        block = off[:, i * tall : (i + 1) * tall, j * BLOCK : (j + 1) * BLOCK]
         seen = block[np.isfinite(block)]
         if seen.size >= least:
             blocks[i, j] = MAD * np.median(seen)
-    whole = cv2.resize(blocks, (columns * _BLOCK, rows * tall), interpolation=cv2.INTER_LINEAR)
+    whole = cv2.resize(blocks, (columns * BLOCK, rows * tall), interpolation=cv2.INTER_LINEAR)
     return np.asarray(whole[:height, :width], np.float32)
