@@ -22,6 +22,7 @@ from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
 from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 from storage.saved_queries import SavedQueries
+from storage.templates import rendered
 
 TITLE = N_("SQL")
 _EXAMPLES = {**QUESTIONS, **MORE}
@@ -207,27 +208,23 @@ def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chos
 
 
 def _describe_tables() -> None:
+    """What there is to ask of: plain HTML, for hundreds of columns of Markdown take a browser most of a second."""
     st.markdown(_("**Tables and views**"))
+    told = [
+        {"name": table.name, "meaning": meaning(table.comment), "columns": [
+            (column.name, column.sql_type, meaning(column.comment)) for column in table.columns
+        ]}
+        for table in TABLES
+    ]  # fmt: skip
+    for name, what, columns in (
+        ("decisions", _("Everything that people decided, from the first entry on"), DECISIONS_COLUMNS),
+        ("dispositions", _("The last disposition of each feature that has one"), DISPOSITIONS_COLUMNS),
+        ("rigs", _("Each calibration with its last verification, and what is due when"), RIGS_COLUMNS),
+        ("verifications", _("Each measure of each verification of a rig"), VERIFICATIONS_COLUMNS),
+    ):
+        told.append({"name": name, "meaning": what, "columns": [
+            (column, "", meaning(comment)) for column, comment in columns.items()
+        ]})  # fmt: skip
+    told += [{"name": view.name, "meaning": meaning(view.comment), "columns": []} for view in VIEWS]
     with st.container(border=False, key="tables"):  # as high as the screen, see the style of the pages
-        for table in TABLES:
-            with st.expander(f"`{table.name}`"):
-                st.caption(plain(meaning(table.comment)))
-                _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
-        for name, what, columns in (
-            ("decisions", _("Everything that people decided, from the first entry on"), DECISIONS_COLUMNS),
-            ("dispositions", _("The last disposition of each feature that has one"), DISPOSITIONS_COLUMNS),
-            ("rigs", _("Each calibration with its last verification, and what is due when"), RIGS_COLUMNS),
-            ("verifications", _("Each measure of each verification of a rig"), VERIFICATIONS_COLUMNS),
-        ):
-            with st.expander(f"`{name}`"):
-                st.caption(what)
-                _columns([(column, "", comment) for column, comment in columns.items()])
-        for view in VIEWS:
-            with st.expander(f"`{view.name}`"):
-                st.caption(plain(meaning(view.comment)))
-
-
-def _columns(columns: list[tuple[str, str, str]]) -> None:
-    st.markdown(
-        "\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(meaning(comment))}" for name, kind, comment in columns)
-    )
+        st.html(rendered("dashboard", "tables.html", tables=told))
