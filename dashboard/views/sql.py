@@ -8,7 +8,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from dashboard.address import one_of, put
 from dashboard.figures.answer import answer_figure
-from dashboard.frame import PageContext, plain
+from dashboard.frame import PageContext, plain, told
 from dashboard.meanings import meaning
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.review_report import csv_report
@@ -51,7 +51,7 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
     try:
         return saved.read()
     except FlushlineError as problem:
-        st.warning(plain(problem), icon=":material/warning:")
+        st.warning(told(problem), icon=":material/warning:")
         return {}
 
 
@@ -130,7 +130,7 @@ def _run(context: PageContext, sql: str) -> None:
         queue.empty()
     except FlushlineError as problem:
         st.session_state[_RUN] = False
-        st.error(plain(problem), icon=":material/error:")
+        st.error(told(problem), icon=":material/error:")
         return
     st.session_state[_RUN] = False
     asked = [sql, *(earlier for earlier in st.session_state.get(_HISTORY, []) if earlier != sql)]
@@ -204,7 +204,7 @@ def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chos
                 saved.save(names[chosen], None)
                 st.rerun()
         except FlushlineError as problem:
-            st.error(plain(problem))
+            st.error(told(problem))
 
 
 def _describe_tables() -> None:
