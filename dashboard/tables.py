@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
@@ -87,7 +87,11 @@ def styled_table(
     present = {name: heading for name, heading in columns.items() if name in rows.columns}
     shown = rows[list(present)].rename(columns=present).reset_index(drop=True)
     formats = {heading: _writer(name, rows[name], locale) for name, heading in present.items()}
-    styled = _in_words(shown, {heading: writer for heading, writer in formats.items() if writer is not None})
+    for heading, write in formats.items():
+        # Words are the cell itself: what is copied out of the table, or read aloud, says them, too.
+        if write is not None and _is_text(shown[heading]):
+            shown[heading] = [None if empty else write(value) for value, empty in _cells(shown[heading])]
+    styled = _in_words(shown, {h: f for h, f in formats.items() if f is not None and not _is_text(shown[h])})
     config = {
         heading: st.column_config.Column(
             width=reason_px if name == "reason" else "small", help=_(_HELP[name]) if name in _HELP else None
@@ -108,7 +112,7 @@ def _in_words(rows: pd.DataFrame, writers: Mapping[str, Callable[[object], str]]
     def words_of(column: int) -> list[dict[str, str]]:
         values = rows.iloc[:, column]
         write = writers.get(str(rows.columns[column]), str)
-        words = [NOTHING if empty else write(value) for value, empty in zip(values, values.isna(), strict=True)]
+        words = [NOTHING if empty else write(value) for value, empty in _cells(values)]
         return [{"id": f"row{row}_col{column}", "display_value": said} for row, said in enumerate(words)]
 
     def translated(*_options: bool) -> dict[str, Any]:
@@ -117,6 +121,15 @@ def _in_words(rows: pd.DataFrame, writers: Mapping[str, Callable[[object], str]]
     styler = rows.style
     styler._translate = translated
     return styler
+
+
+def _cells(values: pd.Series) -> Iterator[tuple[Any, bool]]:
+    """Each value, and whether there is none."""
+    return zip(values, values.isna(), strict=True)
+
+
+def _is_text(values: pd.Series) -> bool:
+    return bool(pd.api.types.is_string_dtype(values.dtype) or values.dtype == object)
 
 
 _NARROW = ("reason",)

@@ -177,8 +177,8 @@ def test_reasons_are_worded_clause_by_clause(stored: str, english: str, german: 
         ),
         (
             "in/s1: found that the frames fit rig 'rig-7' when left and right are exchanged and all frames are "
-            "mirrored left to right, expected scene.json to list them as the rig's cameras are and frames as the cameras "
-            "gave them when the rig was calibrated",
+            "mirrored left to right, expected scene.json to list them as the rig's cameras are and frames as the "
+            "cameras gave them when the rig was calibrated",
             "in/s1: die Bilder passen zum Messkopf 'rig-7', wenn links und rechts vertauscht sind und alle Bilder "
             "seitenverkehrt sind; erwartet: scene.json nennt sie, wie die Kameras des Messkopfs stehen und Bilder, wie "
             "sie die Kameras bei der Kalibrierung gaben",
