@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 import streamlit as st
@@ -182,11 +182,12 @@ def _choose(key: str, disposition: str) -> None:
     st.session_state[key] = None if st.session_state.get(key) == disposition else disposition
 
 
-def ask_who(context: PageContext) -> None:
-    """A field for the name, where nobody logs in."""
+def ask_who(context: PageContext, width: int | Literal["stretch"] = "stretch") -> None:
+    """A field for the name, where nobody logs in; `width` in pixels."""
     if not context.person.verified:
         st.text_input(
             _("Your name"), key="who", max_chars=120, placeholder=_("Your name"), label_visibility="collapsed",
+            width=width,
             help=_("Nobody logs in here, so the log keeps the name you give."),
         )  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 import streamlit as st
@@ -29,7 +29,7 @@ _SIGNED = (
 )
 
 
-_REASON_PX, _WIDE_REASON_PX = 200, 540
+_REASON_PX, _WIDE_REASON_PX, _VERDICT_PX, _FEATURE_PX = 200, 540, 145, 118
 _ANY_HEIGHT = 10_000
 
 
@@ -93,11 +93,9 @@ def styled_table(
             shown[heading] = [None if empty else write(value) for value, empty in _cells(shown[heading])]
     styled = _in_words(shown, {h: f for h, f in formats.items() if f is not None and not _is_text(shown[h])})
     config = {
-        heading: st.column_config.Column(
-            width=reason_px if name == "reason" else "small", help=_(_HELP[name]) if name in _HELP else None
-        )
+        heading: st.column_config.Column(width=_width(name, reason_px), help=_(_HELP[name]) if name in _HELP else None)
         for name, heading in present.items()
-        if name in _NARROW or name in _HELP
+        if name in _HELP or _width(name, reason_px) != "small"
     }
     return styled, config
 
@@ -132,7 +130,15 @@ def _is_text(values: pd.Series) -> bool:
     return bool(pd.api.types.is_string_dtype(values.dtype) or values.dtype == object)
 
 
-_NARROW = ("reason",)
+def _width(name: str, reason_px: int) -> int | Literal["small"]:
+    """Of a column, px: reasons have what is left, and a verdict has room for its words where they have room."""
+    if name == "reason":
+        return reason_px
+    if name == "feature_id" and reason_px != _WIDE_REASON_PX:
+        return _FEATURE_PX
+    return _VERDICT_PX if name == "decision" and reason_px == _WIDE_REASON_PX else "small"
+
+
 _WORDS = ("state", "disposition", "rig_verdict", "status", "what", "kind", "change", "verdict")
 """Columns of words that have a translation."""
 _HELP = {

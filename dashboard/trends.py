@@ -279,16 +279,36 @@ def options(archive: Archive, kind: str, panel: str, station: str) -> Sequence[s
     return [str(name) for name in rows["name"]]
 
 
-def failing_panels(archive: Archive, selection: Selection) -> dict[str, int]:
-    """Findings outside their limits on the newest scans, by panel."""
+PARETO = {
+    N_("panel"): "panel",
+    N_("cause"): "trim(regexp_extract(coalesce(reason, ''), '^[a-z ]+'))",
+    N_("fastener type"): "CASE WHEN {type} IS NOT NULL THEN printf('%g mm', {type}) END",
+    N_("station"): "station",
+    N_("operator"): "operator",
+    N_("aircraft"): "aircraft_serial",
+}
+"""What findings are counted by, and its SQL for a row; a cause is what a reason begins with."""
+
+
+def outside_by(archive: Archive, selection: Selection, by: str) -> dict[str, int]:
+    """Findings outside their limits on the newest scans, by what is alike in them; a stretch of a seam is one."""
     condition, parameters = selection.where()
-    outside = " UNION ALL ".join(f"SELECT scene_id, panel FROM {kind.table} WHERE {OUTSIDE_SQL}" for kind in KINDS)
+    parts = []
+    for kind in KINDS:
+        one = f"coalesce(stretch, {kind.id_sql})" if kind.is_course else kind.id_sql
+        named = PARETO[by].format(type=TYPE_SQL if kind is RIVET else "NULL::DOUBLE")
+        parts.append(
+            f"SELECT scene_id, '{kind.name}' AS kind, {one} AS finding, any_value({named}) AS name FROM {kind.table} "
+            f"JOIN (SELECT scene_id, operator FROM latest_scenes WHERE {condition}) USING (scene_id) "
+            f"WHERE {OUTSIDE_SQL} GROUP BY ALL"
+        )
     rows = archive.rows(
-        f"SELECT panel, count(*) AS n FROM ({outside}) "
-        f"SEMI JOIN (SELECT scene_id FROM latest_scenes WHERE {condition}) USING (scene_id) GROUP BY 1",
-        parameters,
+        f"SELECT name, count(*) AS n FROM ({' UNION ALL '.join(parts)}) "
+        f"WHERE name IS NOT NULL OR {by != FASTENER_TYPE} GROUP BY 1",
+        parameters * len(KINDS),
     )
-    return dict(zip(rows["panel"].astype(str), rows["n"].astype(int), strict=True))
+    names = ["" if pd.isna(name) else str(name) for name in rows["name"]]
+    return dict(zip(names, rows["n"].astype(int), strict=True))
 
 
 def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selection, standard: Standard) -> pd.DataFrame:
@@ -301,7 +321,7 @@ def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selectio
     column, *positions = quantity.kind.id_columns
     name = " || ' @ ' || ".join([column, *(f"round({position})::INT" for position in positions)])
     rows = archive.rows(
-        f"SELECT station, {name} AS name, avg(v) AS mean, stddev_samp(v) AS sd, count(v) AS n, "
+        f"SELECT station, {column} AS named, {name} AS name, avg(v) AS mean, stddev_samp(v) AS sd, count(v) AS n, "
         f"avg(({OUTSIDE_SQL})::INT) AS outside, "
         "median(x_panel_mm) AS x_panel, median(y_panel_mm) AS y_panel, median(u_px) AS u, median(v_px) AS v "
         f"FROM ({values}) GROUP BY ALL ORDER BY 1, 2",

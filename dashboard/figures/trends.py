@@ -197,8 +197,8 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
 
 
 def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: Locale, height: int = 380) -> go.Figure:
-    """Features at their places on the panel, coloured by mean or by share outside."""
-    fig = figure(locale, height)
+    """Features at their places on the panel, coloured by mean or share outside; each carries its station and name."""
+    fig = figure(locale, height, clickmode="event+select")
     outside = measure == "outside"
     limit = float(np.nanpercentile(np.abs(rows["mean"]), 98)) if rows["mean"].notna().any() else 1.0
     text = [
@@ -234,6 +234,7 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
             **scale,
         },
         text=text,
+        customdata=rows[["station", "named"]].to_numpy(dtype=object),
         hovertemplate="%{text}<extra></extra>",
         showlegend=False,
     )

@@ -104,7 +104,7 @@ def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
 
 def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
-    first, second, third, fourth = st.columns([7, 4, 2, 2])
+    first, second, third, fourth = st.columns([6.4, 4.9, 2, 2])
     decisions = first.pills(
         _("Verdict"),
         OPEN_DECISIONS,

@@ -191,6 +191,13 @@ def _overlay(context: PageContext, row: Any) -> None:
         st.image(str(path), width="stretch")
     except OSError:  # what Pillow raises for a damaged picture
         raise StoreError(f"{path}: found no readable picture, expected the scene's overlay") from None
+    st.caption(
+        _(
+            "The picture's own words: OK meets the limits, OUT is slightly outside, SERIOUS seriously, NOT JUDGED was "
+            "not judged. Values in mm: height of rivets; step | gap of seams. * nearer to a limit than its "
+            "uncertainty, ? not measured."
+        )
+    )
     name = f"{row.scene_id}_overlay.png"
     with st.container(horizontal=True):
         st.download_button(_("Download for the projector (PNG)"), path.read_bytes(), name, "image/png")

@@ -25,5 +25,5 @@ def wording_in(language: str) -> Wording | None:
     from dashboard.words import LANGUAGES
 
     if language not in LANGUAGES:
-        raise UsageError(f"--language: found {language!r}, expected one of {', '.join(LANGUAGES)}")
+        raise UsageError(f"--language: found language {language!r}, expected one of {', '.join(LANGUAGES)}")
     return wording_of(Locale("de" if language == "de" else "iso"), language)

@@ -84,7 +84,7 @@ def verification_page(model: VerificationModel, rig: Mapping[str, Any]) -> str:
 
 def _identification(model: VerificationModel, rig: Mapping[str, Any]) -> list[tuple[str, str]]:
     known = rig_facts(rig)
-    certificate = model.artefact.certificate
+    certificate, kind = model.artefact.certificate, model.artefact.kind
     calibrated = moment(known.calibrated_at) + (
         f", {_('due {time}', time=moment(known.due_at))}" if known.due_at else ""
     )
@@ -100,7 +100,7 @@ def _identification(model: VerificationModel, rig: Mapping[str, Any]) -> list[tu
                 certificate=known.certificate or _("not stated"),
             ),
         ),
-        (_("artefact"), f"{_(model.artefact.kind)} {model.artefact.id}"),
+        (_("artefact"), f"{_(kind) if kind in ARTEFACTS else kind} {model.artefact.id}"),
         (_("certificate of the artefact"), str(certificate) if certificate else _("none")),
         (_("scans taken"), moment(model.verified_at)),
         (_("evaluated"), moment(model.processed_at)),
@@ -118,7 +118,7 @@ def _table(measures: Iterable[MeasureModel]) -> str:
     for m in measures:
         digits = 4 if m.unit.startswith("mm") else 3
         rows.append(
-            [_(m.name), m.of, m.unit, number(m.measured, digits), number(m.certified, digits),
+            [_(m.name) if m.name in MEASURES else m.name, m.of, m.unit, number(m.measured, digits), number(m.certified, digits),
              number(m.value, digits, sign=m.certified is not None), number(m.u95, digits), number(m.limit, digits),
              badge(m.decision), worded(m.note)]
         )  # fmt: skip

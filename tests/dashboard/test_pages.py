@@ -16,8 +16,10 @@ from streamlit.testing.v1 import AppTest
 from dashboard.access import Person
 from dashboard.app import PAGES
 from dashboard.data import Archive
+from dashboard.findings import Selection, Wanted, findings
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.sql_runner import run_query
+from dashboard.trends import PARETO, outside_by
 from metrology.kinds import HOLE, RIVET
 from metrology.results import Hole
 from metrology.tolerance import judge
@@ -288,6 +290,23 @@ def test_trends_of_every_subject(what: str, filled: Path, open_page: Open) -> No
     page = clean(open_page("trends", filled, what=what))
     assert [metric.label for metric in page.metric] == ["Cp", "Cpk", "Pp", "Ppk"]
     assert page.metric[3].value != "–"
+
+
+def test_findings_are_counted_by_what_is_alike_in_them(filled: Path, open_page: Open) -> None:
+    archive = Archive(filled)
+    counted = {by: outside_by(archive, Selection(), by) for by in PARETO}
+    # The review's list, where a stretch is one line, too.
+    found = findings(archive, Wanted(state="all"))
+    outside = found[found["decision"].isin(["fail", "conditional fail"])]
+    for by, column in (("panel", "panel"), ("station", "station"), ("aircraft", "aircraft_serial")):
+        assert counted[by] == outside[column].value_counts().to_dict()
+    of_kind = outside["feature_kind"].value_counts()
+    assert counted["cause"] == {"height": of_kind["rivet"], "step": of_kind["seam station"]}
+    assert sum(counted["fastener type"].values()) == of_kind["rivet"]
+    assert counted["operator"] == {"M. Weber": len(outside)}
+    assert (
+        "Findings by" in clean(open_page("trends", filled, view="Pareto of panels", by="cause")).button_group[1].label
+    )
 
 
 def test_a_damaged_index_is_one_line(writable: Path, open_page: Open) -> None:
