@@ -118,9 +118,9 @@ def _table(measures: Iterable[MeasureModel]) -> str:
     for m in measures:
         digits = 4 if m.unit.startswith("mm") else 3
         rows.append(
-            [_(m.name) if m.name in MEASURES else m.name, m.of, m.unit, number(m.measured, digits), number(m.certified, digits),
-             number(m.value, digits, sign=m.certified is not None), number(m.u95, digits), number(m.limit, digits),
-             badge(m.decision), worded(m.note)]
+            [_(m.name) if m.name in MEASURES else m.name, m.of, m.unit, number(m.measured, digits),
+             number(m.certified, digits), number(m.value, digits, sign=m.certified is not None), number(m.u95, digits),
+             number(m.limit, digits), badge(m.decision), worded(m.note)]
         )  # fmt: skip
     heads = [
         _("measure"),

@@ -294,4 +294,7 @@ def test_a_report_in_german_from_the_command_line(
     assert "Rückführbarkeit" in path.read_text()
     assert "the store says the same" in verify(path, Store(filled))
     assert main([*asked, "--language", "tlh"]) == 2
+    panel = ["overlay", "--aircraft", "MSN-0425", "--panel", "LH-F12", "--store", str(filled), "--out"]
+    assert main([*panel, str(path.parent / "overlays"), "--language", "de"]) == 0
+    assert "Projektionsbilder von MSN-0425 LH-F12" in (path.parent / "overlays" / "index.html").read_text()
     assert "found language 'tlh', expected one of en, de" in capsys.readouterr().err
