@@ -20,6 +20,7 @@ import streamlit as st
 
 from dashboard.findings import names_of, standings_words
 from dashboard.frame import PageContext, link, plain, told
+from dashboard.suggestions import suggest_comments
 from dashboard.words import _
 from metrology.errors import FlushlineError, OutdatedError
 from storage.archive.decisions import close_work, dispose, sign_off_all, undo
@@ -141,6 +142,7 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
             _("Comment"), key=comment_key, max_chars=MAX_COMMENT, placeholder=_("Comment: what and why"),
             label_visibility="collapsed",
         )  # fmt: skip
+        suggest_comments(context.archive.review())
         named = _named(context, shown)
         st.form_submit_button(
             _("Record *{decision}* for {named}", decision=_(disposition), named=named)

@@ -74,6 +74,8 @@ def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
     choose(first, "scrap")
     record(first, f"Record scrap for {name}")
     assert [words(entry) for entry in entries_of(root, "MSN-0421")] == [feature, feature]
+    # What was said of earlier decisions is offered.
+    assert "checked by hand" in first.locator("#flushline-comments").inner_html()
     # The second tab decides about what it shows.
     other = shown_name(second)
     choose(second, "scrap", who="K. Ito")

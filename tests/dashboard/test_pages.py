@@ -618,6 +618,7 @@ def test_a_question_is_answered_by_one_click_and_kept(filled: Path, open_page: O
     rows = page.dataframe[0].value
     assert list(rows["rivet_id"]) == ["R09", "R09"]  # it drifts on both stations
     assert list(rows["aircraft"]) == [4, 4]
+    assert next(b for b in page.button if str(b.key).startswith("asked-0")).label.startswith("SELECT")
     page.toggle(key="sql_chart").set_value(True)
     clean(page.run())
 
