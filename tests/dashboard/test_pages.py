@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 
 from dashboard.access import Person
 from dashboard.app import PAGES
+from dashboard.comparing import differences
 from dashboard.data import Archive
 from dashboard.findings import Selection, Wanted, findings
 from dashboard.questions import MORE, QUESTIONS
+from dashboard.scenes import load_features, load_scene_row
 from dashboard.sql_runner import run_query
 from dashboard.trends import PARETO, outside_by
 from metrology.kinds import HOLE, RIVET
@@ -290,6 +293,28 @@ def test_trends_of_every_subject(what: str, filled: Path, open_page: Open) -> No
     page = clean(open_page("trends", filled, what=what))
     assert [metric.label for metric in page.metric] == ["Cp", "Cpk", "Pp", "Ppk"]
     assert page.metric[3].value != "–"
+
+
+def test_two_scans_are_compared_with_the_uncertainty_of_each_change(filled: Path) -> None:
+    archive = Archive(filled)
+    names = archive.rows("SELECT scene_id FROM scenes WHERE station = 'S2' ORDER BY captured_at DESC LIMIT 2")[
+        "scene_id"
+    ]
+    after, before = (load_features(archive, load_scene_row(archive, str(name))) for name in names)
+    rows = differences(before, after)
+    worst = rows.iloc[0]
+    assert (worst["feature_id"], worst["quantity"]) == ("R04", "height")
+    one, other = (side["rivet"].set_index("rivet_id").loc["R04"] for side in (before, after))
+    assert worst["difference_mm"] == other["height_mean_mm"] - one["height_mean_mm"]
+    assert worst["difference_u95_mm"] == pytest.approx(np.hypot(one["height_u95_mm"], other["height_u95_mm"]))
+    steps, seams = rows[rows["quantity"] == "step"], before["seam station"]
+    assert len(steps) == len(seams)
+    # Places of both scans, half a step apart: each has its nearest; a scan without the seam leaves them alone.
+    shifted = {**after, "seam station": after["seam station"].assign(s_mm=after["seam station"]["s_mm"] + 0.5)}
+    again = differences(before, shifted)
+    assert again[again["quantity"] == "step"]["difference_mm"].notna().all()
+    alone = differences(before, {**after, "seam station": after["seam station"].iloc[:0]})
+    assert alone[alone["quantity"] == "step"]["difference_mm"].isna().all()
 
 
 def test_findings_are_counted_by_what_is_alike_in_them(filled: Path, open_page: Open) -> None:
