@@ -189,7 +189,16 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
         hovertemplate="%{y:.0%}<extra></extra>",
     )
     fig.update_layout(
-        yaxis2={"overlaying": "y", "side": "right", "range": [0, 1.02], "tickformat": ".0%", "showgrid": False}
+        yaxis2={
+            "overlaying": "y",
+            "side": "right",
+            "range": [0, 1.02],
+            "tickformat": ".0%",
+            "showgrid": False,
+            "tickmode": "linear",
+            "tick0": 0,
+            "dtick": 0.2,
+        }
     )
     fig.update_xaxes(type="category", tickangle=-60)
     fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})

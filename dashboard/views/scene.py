@@ -191,13 +191,6 @@ def _overlay(context: PageContext, row: Any) -> None:
         st.image(str(path), width="stretch")
     except OSError:  # what Pillow raises for a damaged picture
         raise StoreError(f"{path}: found no readable picture, expected the scene's overlay") from None
-    st.caption(
-        _(
-            "The picture's own words: OK meets the limits, OUT is slightly outside, SERIOUS seriously, NOT JUDGED was "
-            "not judged. Values in mm: height of rivets; step | gap of seams. * nearer to a limit than its "
-            "uncertainty, ? not measured."
-        )
-    )
     name = f"{row.scene_id}_overlay.png"
     with st.container(horizontal=True):
         st.download_button(_("Download for the projector (PNG)"), path.read_bytes(), name, "image/png")
@@ -210,6 +203,13 @@ def _overlay(context: PageContext, row: Any) -> None:
         for label, what, work_alone in drawings:
             draw = partial(_redrawn, context, str(row.scene_id), work_alone)
             st.download_button(label, draw, f"{row.scene_id}_{what}.png", "image/png", on_click="ignore")
+    st.caption(
+        _(
+            "The picture's own words: OK meets the limits, OUT is slightly outside, SERIOUS seriously, NOT JUDGED was "
+            "not judged. Values in mm: height of rivets; step | gap of seams. * nearer to a limit than its "
+            "uncertainty, ? not measured."
+        )
+    )
 
 
 def _redrawn(context: PageContext, scene_id: str, work_alone: bool) -> bytes:
