@@ -22,6 +22,8 @@ from metrology.tolerance import Limit, PanelSpec
 from storage.archive.views import OUTSIDE_SQL, TAKEN_AT
 
 _BINS = 60
+_ROUND = "row_number() OVER (PARTITION BY aircraft_serial, panel, station ORDER BY captured_at, scene_id)"
+"""Which scan of its station a scene is."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,11 @@ class Subject:
         return " AND ".join(conditions), parameters
 
     @property
+    def of_aircraft(self) -> bool:
+        """Whether a point of the series is of an aircraft, over several scans."""
+        return self.kind not in BY_SUBJECT
+
+    @property
     def averaged(self) -> bool:
         """Whether a point of the series is a mean of many values."""
         kind = BY_SUBJECT.get(self.kind)
@@ -156,10 +163,11 @@ def _values(subject: Subject, quantity: Quantity, selection: Selection, standard
         scales = [value for scale in standard.scales for value in scale]
     value = f"({quantity.measured} - l.middle) / l.reach" if scaled else quantity.measured
     sql = (
-        f"SELECT q.*, s.taken_at, s.rig_id, s.software_version, s.config_hash, s.panel_spec, s.bundle_path, "
+        f"SELECT q.*, s.taken_at, s.round, s.rig_id, s.software_version, s.config_hash, s.panel_spec, s.bundle_path, "
         f"{quantity.downstream} AS downstream, {value} AS v "
         f"FROM (SELECT * REPLACE (coalesce(zone, '') AS zone) FROM {quantity.table} WHERE {condition}) q "
-        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, rig_id, software_version, bundle_path, "
+        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, {_ROUND if subject.of_aircraft else '1'} AS round, "
+        "rig_id, software_version, bundle_path, "
         "coalesce(config_hash, '') AS config_hash, "
         f"coalesce(panel_spec, '') AS panel_spec FROM scenes WHERE {limited}) s USING (scene_id) {scaled}"
     )
@@ -169,18 +177,20 @@ def _values(subject: Subject, quantity: Quantity, selection: Selection, standard
 def series(
     archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard = PLAIN
 ) -> pd.DataFrame:
-    """One row per scan (rivet, seam) or aircraft (panel, type), in the order of time.
+    """One row per scan (rivet, seam) or round of scans of an aircraft (panel, type), in the order of time.
+
+    A round has one scan of each station: what was scanned again after rework is not averaged with what was before.
 
     Columns: captured_at, value (mean), n (values in it), variance (of them), aircraft_serial, scene_id (the newest),
     rig_id, software_version.
     """
     values, parameters = _values(subject, quantity, selection, standard)
-    by = "scene_id" if subject.kind in BY_SUBJECT else "aircraft_serial"
+    by = "t.aircraft_serial, t.round" if subject.of_aircraft else "t.scene_id"
     return archive.rows(
         "SELECT max(taken_at) AS captured_at, avg(v) AS value, count(v) AS n, "
         "var_samp(v) AS variance, any_value(t.aircraft_serial) AS aircraft_serial, max(t.scene_id) AS scene_id, "
         "arg_max(rig_id, t.taken_at) AS rig_id, arg_max(software_version, t.taken_at) AS software_version "
-        f"FROM ({values}) t GROUP BY t.{by} ORDER BY 1, 5",
+        f"FROM ({values}) t GROUP BY {by} ORDER BY 1, 5",
         parameters,
     )
 

@@ -143,7 +143,11 @@ def _control(
     with left:
         fig = control_figure(rows, chart, violations, shown, limit, events(rows), context.locale)
         clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False}, above=345)
-        each = _("the mean over each aircraft") if subject.kind in ("panel", FASTENER_TYPE) else _("one scan")
+        each = (
+            _("the mean over one scan of each station of an aircraft")
+            if subject.kind in ("panel", FASTENER_TYPE)
+            else _("one scan")
+        )
         st.caption(_("Each point is {each}; click one to open the scan. Dashed: tolerance limits.", each=each))
         _rules(rules, tests, violations, len(rows))
     if values is not None:

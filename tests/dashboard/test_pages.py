@@ -6,6 +6,7 @@ import os
 import tarfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from dashboard.findings import Selection, Wanted, findings
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.sql_runner import run_query
-from dashboard.trends import PARETO, outside_by
+from dashboard.trends import PARETO, QUANTITIES, Subject, outside_by, series
 from metrology.kinds import HOLE, RIVET
 from metrology.results import Hole
 from metrology.tolerance import judge
@@ -293,6 +294,20 @@ def test_trends_of_every_subject(what: str, filled: Path, open_page: Open) -> No
     page = clean(open_page("trends", filled, what=what))
     assert [metric.label for metric in page.metric] == ["Cp", "Cpk", "Pp", "Ppk"]
     assert page.metric[3].value != "–"
+
+
+def test_a_scan_after_rework_is_not_averaged_with_the_one_before(writable: Path) -> None:
+    panel = Subject("panel", "LH-F12")
+    before = series(Archive(writable), panel, QUANTITIES["height"], Selection())
+    sound = recipe(5, "S2")
+    again = replace(sound.key, captured_at=sound.key.captured_at + timedelta(hours=3))
+    Store(writable).publish(synthetic_result(replace(sound, key=again, heights_mm=(0.5,) * 12)))
+    after = series(Archive(writable), panel, QUANTITIES["height"], Selection())
+    assert len(after) == len(before) + 1
+    last = after[after["aircraft_serial"] == again.aircraft_serial].sort_values("captured_at")
+    assert list(last["n"]) == [before["n"].iloc[-1], 12]
+    assert last["value"].iloc[0] == before["value"].iloc[-1]
+    assert last["value"].iloc[1] == pytest.approx(0.5, abs=0.01)
 
 
 def test_two_scans_are_compared_with_the_uncertainty_of_each_change(filled: Path) -> None:
