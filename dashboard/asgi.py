@@ -9,6 +9,8 @@ from starlette.middleware import Middleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from streamlit.starlette import App
 
+from dashboard.first_files import FirstFiles
+
 # Streamlit's pages need inline scripts and styles, so the policy says nothing about these.
 HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'; object-src 'none'; base-uri 'self'",
@@ -43,4 +45,4 @@ class SecurityHeaders:
         await self.app(scope, receive, with_headers if scope["type"] == "http" else send)
 
 
-app = App(Path(__file__).with_name("app.py"), middleware=[Middleware(SecurityHeaders)])
+app = App(Path(__file__).with_name("app.py"), middleware=[Middleware(SecurityHeaders), Middleware(FirstFiles)])

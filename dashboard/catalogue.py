@@ -18,7 +18,8 @@ from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
 
 from dashboard import meanings
-from dashboard.reasons import PARTLY, PATTERNS
+from dashboard.reasons import AND, PARTLY, PATTERNS
+from dashboard.refusals import GENERAL, HALVES, REFUSALS
 from dashboard.sentences import SENTENCES, WORDS
 from dashboard.words import ENGLISH, LANGUAGES, po_file
 from metrology.acceptance import PanelVerdict
@@ -78,6 +79,10 @@ def declared() -> Iterator[str]:
         *PATTERNS,
         *PARTLY,
         *SENTENCES,
+        *REFUSALS,
+        *GENERAL,
+        *HALVES,
+        AND,
         *WORDS,
         RULE,
         AT,

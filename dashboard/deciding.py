@@ -13,13 +13,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 import streamlit as st
 
 from dashboard.findings import names_of, standings_words
-from dashboard.frame import PageContext, link, plain
+from dashboard.frame import PageContext, link, plain, told
+from dashboard.suggestions import suggest_comments
 from dashboard.words import _
 from metrology.errors import FlushlineError, OutdatedError
 from storage.archive.decisions import close_work, dispose, sign_off_all, undo
@@ -98,7 +99,7 @@ def decide(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> N
     """
     review = context.archive.review()
     if review.problem:
-        st.error(plain(review.problem), icon=":material/error:")
+        st.error(told(review.problem), icon=":material/error:")
         return
     signed = next((entry for s in shown if (entry := review.sign_offs().get(s.scene_id))), None)
     if signed:
@@ -141,6 +142,7 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
             _("Comment"), key=comment_key, max_chars=MAX_COMMENT, placeholder=_("Comment: what and why"),
             label_visibility="collapsed",
         )  # fmt: skip
+        suggest_comments(context.archive.review())
         named = _named(context, shown)
         st.form_submit_button(
             _("Record *{decision}* for {named}", decision=_(disposition), named=named)
@@ -182,11 +184,12 @@ def _choose(key: str, disposition: str) -> None:
     st.session_state[key] = None if st.session_state.get(key) == disposition else disposition
 
 
-def ask_who(context: PageContext) -> None:
-    """A field for the name, where nobody logs in."""
+def ask_who(context: PageContext, width: int | Literal["stretch"] = "stretch") -> None:
+    """A field for the name, where nobody logs in; `width` in pixels."""
     if not context.person.verified:
         st.text_input(
             _("Your name"), key="who", max_chars=120, placeholder=_("Your name"), label_visibility="collapsed",
+            width=width,
             help=_("Nobody logs in here, so the log keeps the name you give."),
         )  # fmt: skip
 
@@ -211,7 +214,8 @@ def _record(
             return
         comment = f"{concession}: {comment}" if comment else concession
     text = _("Recorded *{decision}* for {named}.", decision=_(disposition), named=_named(context, shown))
-    _try(lambda: dispose(context.archive.root, who, shown, disposition, comment), text, shown[0].scene_id, done)
+    act = partial(dispose, context.archive.root, who, shown, disposition, comment)
+    _try(context, act, text, shown[0].scene_id, done)
 
 
 def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
@@ -285,7 +289,8 @@ def _record_reason(context: PageContext, shown: tuple[ShownFinding, ...], act: _
     if not who or not reason.strip():
         st.session_state[_OUTCOME] = _Outcome("hint", _("Give your name and the reason."))
         return
-    _try(lambda: act.record(context.archive.root, who, shown, reason), act.said, shown[0].scene_id, act.done)
+    record = partial(act.record, context.archive.root, who, shown, reason)
+    _try(context, record, act.said, shown[0].scene_id, act.done)
 
 
 def offer_sign_off(context: PageContext, scene: Any) -> None:
@@ -357,6 +362,7 @@ def _counted(decided: Sequence[Entry]) -> str:
 
 def _record_sign_off(context: PageContext, shown: Sequence[ShownScene], place: str, meaning: str) -> None:
     _try(
+        context,
         lambda: sign_off_all(context.archive.root, _who(context), shown, meaning),
         _("Signed off {place}.", place=place),
         None,
@@ -364,17 +370,19 @@ def _record_sign_off(context: PageContext, shown: Sequence[ShownScene], place: s
     )
 
 
-def _try(act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:
+def _try(context: PageContext, act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:
     try:
         act()
     except OutdatedError as problem:
         refusal = _(
             "**Not recorded**, nothing was changed. {problem}. What is there now is shown below.",
-            problem=plain(problem),
+            problem=plain(context.locale.reason(problem)),
         )
         st.session_state[_OUTCOME] = _Outcome("refused", refusal)
     except FlushlineError as problem:
-        st.session_state[_OUTCOME] = _Outcome("refused", _("**Not recorded.** {problem}", problem=plain(problem)))
+        st.session_state[_OUTCOME] = _Outcome(
+            "refused", _("**Not recorded.** {problem}", problem=plain(context.locale.reason(problem)))
+        )
     else:
         st.session_state[_OUTCOME] = _Outcome("done", text, scene_id)
         done()

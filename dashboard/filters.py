@@ -52,10 +52,15 @@ def scene_filters(archive: Archive, more: bool = False, period: str = "any time"
     if more:
         stations = _several(columns[3], archive, _("Station"), "station", "station")
         rigs = _several(columns[4], archive, _("Rig"), "rig", "rig_id")
-    since = start_of(chosen, newest_scan(archive))
-    # A whole second, so that the same filter is the same query.
-    since = since.replace(microsecond=0) - timedelta(seconds=1) if since else None
+    since = began(archive, chosen)
     return Selection(tuple(aircraft), tuple(panels), tuple(stations), tuple(rigs), since)
+
+
+def began(archive: Archive, period: str) -> datetime | None:
+    """When a period began, counted back from the newest scan."""
+    since = start_of(period, newest_scan(archive))
+    # A whole second, so that the same filter is the same query.
+    return since.replace(microsecond=0) - timedelta(seconds=1) if since else None
 
 
 def _several(box: Any, archive: Archive, title: str, name: str, column: str) -> list[str]:

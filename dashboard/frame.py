@@ -16,6 +16,7 @@ from dashboard.access import Person, current_person, log_out, login_configured
 from dashboard.address import one_of, unknown_values
 from dashboard.data import Archive
 from dashboard.locale import STYLE_NAMES, Locale, locale_of
+from dashboard.reasons import worded
 from dashboard.settings import SettingsModel, load_settings, store_root
 from dashboard.words import ENGLISH, KEPT, LANGUAGES, _, language, speak
 from metrology.errors import FlushlineError
@@ -49,7 +50,7 @@ def guarded(title: str, render: Callable[[PageContext], None], needs_results: bo
             speak_their_language()
             _page(title, render, needs_results)
         except FlushlineError as problem:
-            st.error(plain(problem), icon=":material/error:")
+            st.error(told(problem), icon=":material/error:")
         except Exception as problem:  # whatever is in the store or the URL
             _LOG.exception("page %s", title)
             st.error(
@@ -164,6 +165,11 @@ def _context(name: str) -> str | None:
 def plain(text: object) -> str:
     """Text from the store or the URL for use in Markdown: shown as it is, never as markup."""
     return re.sub(r"([\\`*_{}\[\]()#+!|<>~$:-])", r"\\\1", " ".join(str(text).split()))
+
+
+def told(problem: object) -> str:
+    """A refusal, for use in Markdown: in the person's language, and never as markup."""
+    return plain(worded(str(problem)))
 
 
 def remember_pages(pages: dict[str, Any]) -> None:

@@ -140,6 +140,13 @@ def locations(archive: Archive, view: PanelView) -> dict[str, str]:
     return locations_of(_judged_by(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}"))))
 
 
+def airflows(archive: Archive, view: PanelView) -> dict[str, tuple[float, float]]:
+    """Where the air flows over each seam, in x and y of the panel, where the specification says it."""
+    spec = _judged_by(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}")))
+    flows = {str(seam["id"]): seam.get("airflow") for seam in spec.get("seams") or ()}
+    return {name: (float(flow[0]), float(flow[1])) for name, flow in flows.items() if flow}
+
+
 def with_courses(archive: Archive, view: PanelView) -> PanelView:
     """The view with `course` in its coverage: places (n, 3) along each stretch of a nominal seam, None of all else."""
     spec = _judged_by(str(archive.file(f"{view.row.bundle_path}/{MANIFEST}")))

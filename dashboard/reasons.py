@@ -12,6 +12,7 @@ from functools import cache, lru_cache
 
 from dashboard.causes import CAUSES
 from dashboard.palette import quantity_words
+from dashboard.refusals import GENERAL, HALVES, REFUSALS
 from dashboard.sentences import CLAUSES, SENTENCES, WORDS
 from dashboard.words import _, language
 from metrology.kinds import KINDS
@@ -73,11 +74,15 @@ PATTERNS = (
 )
 """What reasons say, by the places in it; the first that fits is taken."""
 _MORE = re.compile(r" and (\d+) more$")
-_TEXTS, _NAMES = ("reason", "said", "what", "advice", "cause"), ("defect", "many", "per", "subject", "camera", "extent")
+_TEXTS, _NAMES = (
+    ("reason", "said", "what", "advice", "cause"),
+    ("defect", "many", "per", "subject", "camera", "extent", "decision"),
+)
 _WORDED = {
     "quantity": lambda text: _quantity(text),
     "names": lambda text: _MORE.sub(lambda found: f" {_('and {n} more', n=found[1])}", text),
     **dict.fromkeys(_TEXTS, lambda text: worded(text)),
+    **dict.fromkeys(("found", "expected"), lambda text: _half(text)),
     **dict.fromkeys(_NAMES, lambda text: _(text)),
 }
 """Places that hold words of ours."""
@@ -99,6 +104,8 @@ _PLACES = {
 }  # fmt: skip
 """What may stand in a place, where not anything may."""
 _PLACE_OF_QUANTITY = {**_PLACES, "quantity": _QUANTITIES}
+AND = " and "
+"""Between parts of what was found."""
 SEPARATOR = " · "
 """Between warnings that stand in one text."""
 
@@ -115,7 +122,24 @@ def _of_language(_language: str, text: str) -> str:
 
 def _sentence(text: str) -> str:
     whole = _fitted(text, SENTENCES) or (_fitted(text, PATTERNS) if text.startswith("from ") else None)
-    return whole or "; ".join(_fitted(clause, PATTERNS) or clause for clause in text.split("; "))
+    whole = whole or _fitted(text, REFUSALS)
+    return whole or "; ".join(map(_clause, text.split("; ")))
+
+
+def _clause(text: str) -> str:
+    return _fitted(text, PATTERNS) or _fitted(text, HALVES) or _fitted(text, GENERAL) or text
+
+
+def _half(text: str) -> str:
+    """What was found or expected, each part of it that is worded: the longest parts first."""
+    parts, said = text.split(AND), list[str]()
+    while parts:
+        ends = range(len(parts), 0, -1)
+        end = next((end for end in ends if _fitted(AND.join(parts[:end]), HALVES)), 1)
+        part = AND.join(parts[:end])
+        said.append(_fitted(part, HALVES) or part)
+        del parts[:end]
+    return _(AND).join(said)
 
 
 def _quantity(text: str) -> str:

@@ -35,7 +35,7 @@ def offer_report(name: str, locale: Locale, made: Callable[[Wording], Report]) -
         Gives the report in these words.
     """
     words = wording_of(locale, language())
-    with st.container(horizontal=True, vertical_alignment="center"):
+    with st.container(horizontal=True, vertical_alignment="center", width="content"):
         for label, suffix, kind in (
             (_("Report (PDF)"), ".pdf", "application/pdf"),
             (_("Report (HTML)"), ".html", "text/html"),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
-from metrology.kinds import BY_NAME, KINDS
+from metrology.kinds import BY_NAME, KINDS, Kind
 from metrology.requirements import Requirement
 from metrology.requirements import requirements as what_is_required
 from metrology.tolerance import PanelSpec
@@ -24,7 +25,7 @@ def load_scene_row(archive: Archive, scene_id: str) -> Any | None:
     return next(rows.itertuples(), None)
 
 
-def load_features(archive: Archive, scene: Any) -> SceneFeatures:
+def load_features(archive: Archive, scene: Any, kinds: Sequence[Kind] = KINDS) -> SceneFeatures:
     """What was found on a row of `scenes`."""
     # The time adds nothing but speed: rows lie about in its order, so most of a table need not be looked at.
     key = [scene.captured_at.to_pydatetime(), str(scene.scene_id)]
@@ -34,7 +35,7 @@ def load_features(archive: Archive, scene: Any) -> SceneFeatures:
             f"WHERE captured_at = ? AND scene_id = ? ORDER BY {', '.join(kind.id_columns)}",
             key,
         )
-        for kind in KINDS
+        for kind in kinds
     }
     # What is not finite is not a measurement.
     return {name: rows.replace([np.inf, -np.inf], np.nan) for name, rows in found.items()}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 import streamlit as st
+from pandas.io.formats.style import Styler
 
 from dashboard.findings import feature_words
 from dashboard.locale import NOTHING, Locale
@@ -28,7 +29,7 @@ _SIGNED = (
 )
 
 
-_REASON_PX, _WIDE_REASON_PX = 200, 540
+_REASON_PX, _WIDE_REASON_PX, _VERDICT_PX, _FEATURE_PX = 200, 540, 145, 118
 _ANY_HEIGHT = 10_000
 
 
@@ -86,18 +87,58 @@ def styled_table(
     present = {name: heading for name, heading in columns.items() if name in rows.columns}
     shown = rows[list(present)].rename(columns=present).reset_index(drop=True)
     formats = {heading: _writer(name, rows[name], locale) for name, heading in present.items()}
-    styled = shown.style.format({h: f for h, f in formats.items() if f is not None}, na_rep=NOTHING)
+    for heading, write in formats.items():
+        # Words are the cell itself: what is copied out of the table, or read aloud, says them, too.
+        if write is not None and _is_text(shown[heading]):
+            shown[heading] = [None if empty else write(value) for value, empty in _cells(shown[heading])]
+    styled = _in_words(shown, {h: f for h, f in formats.items() if f is not None and not _is_text(shown[h])})
     config = {
-        heading: st.column_config.Column(
-            width=reason_px if name == "reason" else "small", help=_(_HELP[name]) if name in _HELP else None
-        )
+        heading: st.column_config.Column(width=_width(name, reason_px), help=_(_HELP[name]) if name in _HELP else None)
         for name, heading in present.items()
-        if name in _NARROW or name in _HELP
+        if name in _HELP or _width(name, reason_px) != "small"
     }
     return styled, config
 
 
-_NARROW = ("reason",)
+def _in_words(rows: pd.DataFrame, writers: Mapping[str, Callable[[object], str]]) -> Styler:
+    """A frame, numbered from 0, with each of its cells in words, and no style.
+
+    pandas prepares a page of HTML from all that a cell may be given, of which Streamlit takes the words alone: for 500
+    rows that is half of what a list costs. (Streamlit knows a Styler by its name, so it cannot be a class of ours.)
+    """
+
+    def words_of(column: int) -> list[dict[str, str]]:
+        values = rows.iloc[:, column]
+        write = writers.get(str(rows.columns[column]), str)
+        words = [NOTHING if empty else write(value) for value, empty in _cells(values)]
+        return [{"id": f"row{row}_col{column}", "display_value": said} for row, said in enumerate(words)]
+
+    def translated(*_options: bool) -> dict[str, Any]:
+        return {"body": list(zip(*map(words_of, range(len(rows.columns))), strict=True))}
+
+    styler = rows.style
+    styler._translate = translated
+    return styler
+
+
+def _cells(values: pd.Series) -> Iterator[tuple[Any, bool]]:
+    """Each value, and whether there is none."""
+    return zip(values, values.isna(), strict=True)
+
+
+def _is_text(values: pd.Series) -> bool:
+    return bool(pd.api.types.is_string_dtype(values.dtype) or values.dtype == object)
+
+
+def _width(name: str, reason_px: int) -> int | Literal["small"]:
+    """Of a column, px: reasons have what is left, and a verdict has room for its words where they have room."""
+    if name == "reason":
+        return reason_px
+    if name == "feature_id" and reason_px != _WIDE_REASON_PX:
+        return _FEATURE_PX
+    return _VERDICT_PX if name == "decision" and reason_px == _WIDE_REASON_PX else "small"
+
+
 _WORDS = ("state", "disposition", "rig_verdict", "status", "what", "kind", "change", "verdict")
 """Columns of words that have a translation."""
 _HELP = {

@@ -22,6 +22,8 @@ from metrology.tolerance import Limit, PanelSpec
 from storage.archive.views import OUTSIDE_SQL, TAKEN_AT
 
 _BINS = 60
+_ROUND = "row_number() OVER (PARTITION BY aircraft_serial, panel, station ORDER BY captured_at, scene_id)"
+"""Which scan of its station a scene is."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,11 @@ class Subject:
         return " AND ".join(conditions), parameters
 
     @property
+    def of_aircraft(self) -> bool:
+        """Whether a point of the series is of an aircraft, over several scans."""
+        return self.kind not in BY_SUBJECT
+
+    @property
     def averaged(self) -> bool:
         """Whether a point of the series is a mean of many values."""
         kind = BY_SUBJECT.get(self.kind)
@@ -156,10 +163,11 @@ def _values(subject: Subject, quantity: Quantity, selection: Selection, standard
         scales = [value for scale in standard.scales for value in scale]
     value = f"({quantity.measured} - l.middle) / l.reach" if scaled else quantity.measured
     sql = (
-        f"SELECT q.*, s.taken_at, s.rig_id, s.software_version, s.config_hash, s.panel_spec, s.bundle_path, "
+        f"SELECT q.*, s.taken_at, s.round, s.rig_id, s.software_version, s.config_hash, s.panel_spec, s.bundle_path, "
         f"{quantity.downstream} AS downstream, {value} AS v "
         f"FROM (SELECT * REPLACE (coalesce(zone, '') AS zone) FROM {quantity.table} WHERE {condition}) q "
-        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, rig_id, software_version, bundle_path, "
+        f"JOIN (SELECT scene_id, {TAKEN_AT} AS taken_at, {_ROUND if subject.of_aircraft else '1'} AS round, "
+        "rig_id, software_version, bundle_path, "
         "coalesce(config_hash, '') AS config_hash, "
         f"coalesce(panel_spec, '') AS panel_spec FROM scenes WHERE {limited}) s USING (scene_id) {scaled}"
     )
@@ -169,18 +177,20 @@ def _values(subject: Subject, quantity: Quantity, selection: Selection, standard
 def series(
     archive: Archive, subject: Subject, quantity: Quantity, selection: Selection, standard: Standard = PLAIN
 ) -> pd.DataFrame:
-    """One row per scan (rivet, seam) or aircraft (panel, type), in the order of time.
+    """One row per scan (rivet, seam) or round of scans of an aircraft (panel, type), in the order of time.
+
+    A round has one scan of each station: what was scanned again after rework is not averaged with what was before.
 
     Columns: captured_at, value (mean), n (values in it), variance (of them), aircraft_serial, scene_id (the newest),
     rig_id, software_version.
     """
     values, parameters = _values(subject, quantity, selection, standard)
-    by = "scene_id" if subject.kind in BY_SUBJECT else "aircraft_serial"
+    by = "t.aircraft_serial, t.round" if subject.of_aircraft else "t.scene_id"
     return archive.rows(
         "SELECT max(taken_at) AS captured_at, avg(v) AS value, count(v) AS n, "
         "var_samp(v) AS variance, any_value(t.aircraft_serial) AS aircraft_serial, max(t.scene_id) AS scene_id, "
         "arg_max(rig_id, t.taken_at) AS rig_id, arg_max(software_version, t.taken_at) AS software_version "
-        f"FROM ({values}) t GROUP BY t.{by} ORDER BY 1, 5",
+        f"FROM ({values}) t GROUP BY {by} ORDER BY 1, 5",
         parameters,
     )
 
@@ -279,16 +289,36 @@ def options(archive: Archive, kind: str, panel: str, station: str) -> Sequence[s
     return [str(name) for name in rows["name"]]
 
 
-def failing_panels(archive: Archive, selection: Selection) -> dict[str, int]:
-    """Findings outside their limits on the newest scans, by panel."""
+PARETO = {
+    N_("panel"): "panel",
+    N_("cause"): "trim(regexp_extract(coalesce(reason, ''), '^[a-z ]+'))",
+    N_("fastener type"): "CASE WHEN {type} IS NOT NULL THEN printf('%g mm', {type}) END",
+    N_("station"): "station",
+    N_("operator"): "operator",
+    N_("aircraft"): "aircraft_serial",
+}
+"""What findings are counted by, and its SQL for a row; a cause is what a reason begins with."""
+
+
+def outside_by(archive: Archive, selection: Selection, by: str) -> dict[str, int]:
+    """Findings outside their limits on the newest scans, by what is alike in them; a stretch of a seam is one."""
     condition, parameters = selection.where()
-    outside = " UNION ALL ".join(f"SELECT scene_id, panel FROM {kind.table} WHERE {OUTSIDE_SQL}" for kind in KINDS)
+    parts = []
+    for kind in KINDS:
+        one = f"coalesce(stretch, {kind.id_sql})" if kind.is_course else kind.id_sql
+        named = PARETO[by].format(type=TYPE_SQL if kind is RIVET else "NULL::DOUBLE")
+        parts.append(
+            f"SELECT scene_id, '{kind.name}' AS kind, {one} AS finding, any_value({named}) AS name FROM {kind.table} "
+            f"JOIN (SELECT scene_id, operator FROM latest_scenes WHERE {condition}) USING (scene_id) "
+            f"WHERE {OUTSIDE_SQL} GROUP BY ALL"
+        )
     rows = archive.rows(
-        f"SELECT panel, count(*) AS n FROM ({outside}) "
-        f"SEMI JOIN (SELECT scene_id FROM latest_scenes WHERE {condition}) USING (scene_id) GROUP BY 1",
-        parameters,
+        f"SELECT name, count(*) AS n FROM ({' UNION ALL '.join(parts)}) "
+        f"WHERE name IS NOT NULL OR {by != FASTENER_TYPE} GROUP BY 1",
+        parameters * len(KINDS),
     )
-    return dict(zip(rows["panel"].astype(str), rows["n"].astype(int), strict=True))
+    names = ["" if pd.isna(name) else str(name) for name in rows["name"]]
+    return dict(zip(names, rows["n"].astype(int), strict=True))
 
 
 def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selection, standard: Standard) -> pd.DataFrame:
@@ -301,7 +331,7 @@ def layout(archive: Archive, panel: str, quantity: Quantity, selection: Selectio
     column, *positions = quantity.kind.id_columns
     name = " || ' @ ' || ".join([column, *(f"round({position})::INT" for position in positions)])
     rows = archive.rows(
-        f"SELECT station, {name} AS name, avg(v) AS mean, stddev_samp(v) AS sd, count(v) AS n, "
+        f"SELECT station, {column} AS named, {name} AS name, avg(v) AS mean, stddev_samp(v) AS sd, count(v) AS n, "
         f"avg(({OUTSIDE_SQL})::INT) AS outside, "
         "median(x_panel_mm) AS x_panel, median(y_panel_mm) AS y_panel, median(u_px) AS u, median(v_px) AS v "
         f"FROM ({values}) GROUP BY ALL ORDER BY 1, 2",

@@ -12,7 +12,8 @@ import threading
 import time
 
 from dashboard.data import Archive
-from dashboard.findings import Wanted, findings
+from dashboard.filters import began
+from dashboard.findings import PERIODS, Selection, Wanted, findings
 from dashboard.margins import with_margins
 from dashboard.settings import store_root
 from storage.archive.changes import drift_sql
@@ -31,9 +32,11 @@ def keep_warm() -> None:
 
 
 def read_ahead(archive: Archive) -> None:
-    """Read what the review and the overview show at first."""
+    """Read what the review and the overview show at first, and the review for each of its periods."""
     with_margins(archive, findings(archive, Wanted()))
     archive.shared_rows(drift_sql("true"))
+    for period in PERIODS:
+        with_margins(archive, findings(archive, Wanted(selection=Selection(since=began(archive, period)))))
 
 
 def _watch() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
@@ -9,16 +11,17 @@ import plotly.graph_objects as go
 from dashboard.figures.base import escape, figure
 from dashboard.figures.scene import add_features, mark_chosen
 from dashboard.locale import Locale
-from dashboard.palette import DIVERGING, INK, ORANGE, SEVERITY_COLOURS, quantity_words
+from dashboard.palette import BLUE, DIVERGING, INK, ORANGE, SEVERITY_COLOURS, quantity_words
 from dashboard.panels import PanelPicture, PanelView
 from dashboard.words import _
 from metrology.assembly.picture import FINER, Stitched
-from metrology.kinds import BY_NAME, KINDS
+from metrology.kinds import BY_NAME, KINDS, SEAM_STATION
 from metrology.verdicts import SEVERITIES
 from storage.review import Feature
 
 _MOST_NAMES = 150
 _WIDTH, _LOWEST, _TALLEST = 640, 250, 440  # px
+_ARROW_PX = 46
 _SHADOW = "0 0 3px #000, 0 0 2px #000"
 _LABELLED = 0.03  # of the map's width: shorter stretches have no label
 _SCALE_PERCENT = 95  # of the deviations lie within the colours' range
@@ -27,7 +30,7 @@ _MOST_CELLS = 150_000  # of the map of deviations: a browser draws them at once
 
 def panel_figure(
     view: PanelView, chosen: Feature | None, locale: Locale, picture: PanelPicture | None = None,
-    deviation: bool = False,
+    deviation: bool = False, airflows: Mapping[str, tuple[float, float]] | None = None,
 ) -> go.Figure:  # fmt: skip
     """A click on a feature comes back with its URL parameter as customdata; axes are mm of the panel, y upwards.
 
@@ -37,6 +40,8 @@ def panel_figure(
         What lies under the features.
     deviation : bool
         Whether that is the map of deviations rather than the picture.
+    airflows : mapping of str to (x, y), optional
+        Where the air flows over a seam: an arrow at its middle.
     """
     x, y = _extent(view, picture.stitched if picture else None)
     fig = figure(locale, _height(x, y), dragmode="pan", clickmode="event+select")
@@ -51,6 +56,7 @@ def panel_figure(
             add_features(fig, kind, view.features[kind.name], severity, locale)
     _add_uncovered(fig, view.coverage, locale)
     _add_names(fig, view, over_picture=picture is not None)
+    _add_airflows(fig, view, airflows or {})
     mark_chosen(fig, view.features, chosen, INK)
     ticks = _ticks(*y)
     fig.update_yaxes(
@@ -102,7 +108,7 @@ def _add_deviation(fig: go.Figure, picture: Stitched) -> None:
 def _height(x: tuple[float, float], y: tuple[float, float]) -> int:
     """As much of the page as the panel's shape needs."""
     ratio = (y[1] - y[0]) / max(x[1] - x[0], 1.0)
-    return int(min(_TALLEST, max(_LOWEST, 170 + _WIDTH * ratio)))
+    return int(min(_TALLEST, max(_LOWEST, 130 + _WIDTH * ratio)))
 
 
 def _ticks(low: float, high: float) -> list[int]:
@@ -135,6 +141,23 @@ def _add_stretches(fig: go.Figure, view: PanelView, locale: Locale, labelled_mm:
             x=middle["u_px"], y=middle["v_px"], showarrow=False, yshift=18 if labelled % 2 else -18,
             text=escape(f"{quantity_words(row.quantity)} {worst}, {locale.number(row.length_mm, 0)} mm"),
             font={"size": 11, "color": "white"}, bgcolor="rgba(0,0,0,0.6)", borderpad=2,
+        )  # fmt: skip
+
+
+def _add_airflows(fig: go.Figure, view: PanelView, airflows: Mapping[str, tuple[float, float]]) -> None:
+    """An arrow over each seam: where the air flows."""
+    rows = view.features[SEAM_STATION.name]
+    for name, (x, y) in airflows.items():
+        course = rows[(rows["seam_id"] == name) & rows["u_px"].notna()]
+        length = float(np.hypot(x, y))
+        if course.empty or length == 0:
+            continue
+        middle = course.iloc[len(course) // 2]
+        # Plotly's arrow begins ax, ay pixels from its tip, y downwards.
+        fig.add_annotation(
+            x=middle["u_px"], y=middle["v_px"], ax=-_ARROW_PX * x / length, ay=_ARROW_PX * y / length, showarrow=True,
+            arrowhead=2, arrowwidth=2.5, arrowcolor=BLUE, text=_("air"), font={"size": 11, "color": "white"},
+            bgcolor="rgba(0,0,0,0.6)", borderpad=1,
         )  # fmt: skip
 
 

@@ -189,7 +189,16 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
         hovertemplate="%{y:.0%}<extra></extra>",
     )
     fig.update_layout(
-        yaxis2={"overlaying": "y", "side": "right", "range": [0, 1.02], "tickformat": ".0%", "showgrid": False}
+        yaxis2={
+            "overlaying": "y",
+            "side": "right",
+            "range": [0, 1.02],
+            "tickformat": ".0%",
+            "showgrid": False,
+            "tickmode": "linear",
+            "tick0": 0,
+            "dtick": 0.2,
+        }
     )
     fig.update_xaxes(type="category", tickangle=-60)
     fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})
@@ -197,8 +206,8 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
 
 
 def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: Locale, height: int = 380) -> go.Figure:
-    """Features at their places on the panel, coloured by mean or by share outside."""
-    fig = figure(locale, height)
+    """Features at their places on the panel, coloured by mean or share outside; each carries its station and name."""
+    fig = figure(locale, height, clickmode="event+select")
     outside = measure == "outside"
     limit = float(np.nanpercentile(np.abs(rows["mean"]), 98)) if rows["mean"].notna().any() else 1.0
     text = [
@@ -234,6 +243,7 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
             **scale,
         },
         text=text,
+        customdata=rows[["station", "named"]].to_numpy(dtype=object),
         hovertemplate="%{text}<extra></extra>",
         showlegend=False,
     )

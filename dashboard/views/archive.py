@@ -9,6 +9,7 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of
+from dashboard.comparing import differences
 from dashboard.data import Archive
 from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
@@ -22,7 +23,7 @@ from dashboard.scenes import load_features, load_scene_row
 from dashboard.tables import show_table
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError
-from metrology.kinds import KINDS, RIVET
+from metrology.kinds import KINDS
 from storage.archive.views import TAKEN_AT
 from storage.archive.work import ATTENTION
 
@@ -191,7 +192,7 @@ def _thumbnail(path: str) -> str:
 
 
 def _compare(context: PageContext, first: str, second: str) -> None:
-    """Two scans side by side, and how their rivets differ."""
+    """Two scans side by side, and how what they show differs."""
     if st.button(_("Back to the list"), icon=":material/arrow_back:"):
         go("archive")
     sides, stations = [], []
@@ -214,20 +215,18 @@ def _compare(context: PageContext, first: str, second: str) -> None:
             stations.append(str(row.station))
     if len(set(stations)) > 1:
         st.caption(_("These are different stations: rivets of the same name need not be the same rivet."))
-    before, after = (side[RIVET.name][["rivet_id", "height_mean_mm", "height_u95_mm", "decision"]] for side in sides)
-    both = before.merge(after, on="rivet_id", how="outer", suffixes=("_left", "_right"))
-    both["difference_mm"] = both["height_mean_mm_right"] - both["height_mean_mm_left"]
-    both = both.sort_values("difference_mm", key=abs, ascending=False, na_position="last")
-    st.markdown(_("**Rivets on both scans**, the largest change first"))
+    st.markdown(_("**On both scans**, the largest change first"))
     show_table(
-        both,
+        differences(*sides),
         {
-            "rivet_id": _("Rivet"),
-            "height_mean_mm_left": _("Height left, mm"),
+            "feature_id": _("Feature"),
+            "quantity": _("Quantity"),
+            "value_mm_left": _("Left, mm"),
             "decision_left": _("Verdict left"),
-            "height_mean_mm_right": _("Height right, mm"),
+            "value_mm_right": _("Right, mm"),
             "decision_right": _("Verdict right"),
             "difference_mm": _("Change, mm"),
+            "difference_u95_mm": _("± U95"),
         },
         context.locale,
         key="differences",

@@ -11,7 +11,7 @@ from dashboard.figures.closeup import rivet_map, rivet_section, seam_figure
 from dashboard.figures.limits import limit_bar
 from dashboard.figures.scene import SceneFeatures
 from dashboard.findings import feature_parameter, feature_words
-from dashboard.frame import PageContext, link, plain
+from dashboard.frame import PageContext, link, plain, told
 from dashboard.palette import DECISION_BADGES, decision_words, quantity_words
 from dashboard.scenes import find_feature, required_by, requirements
 from dashboard.views.defect import show_defect
@@ -79,7 +79,7 @@ def close_up(context: PageContext, row: Any, features: SceneFeatures, chosen: Fe
     try:
         cloud, fits = context.archive.cloud(row.cloud_path), context.archive.fits(row.bundle_path)
     except FlushlineError as problem:
-        st.info(_("No close-up: {problem}", problem=plain(problem)))
+        st.info(_("No close-up: {problem}", problem=told(problem)))
         return
     if kind is RIVET:
         _rivet(context, row, measured, rivet_close_up(cloud, measured, fits.head(chosen.id)))

@@ -17,6 +17,7 @@ from dashboard.locale import Locale
 from dashboard.panels import (
     InScan,
     PanelView,
+    airflows,
     earlier_scans,
     in_scan,
     load_panel,
@@ -29,6 +30,7 @@ from dashboard.picking import clickable_chart
 from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
+from dashboard.seam_course import seam_names
 from dashboard.views.feature import close_up
 from dashboard.views.panel_tables import (
     look_at,
@@ -39,6 +41,7 @@ from dashboard.views.panel_tables import (
     show_rules,
     show_scans,
 )
+from dashboard.views.seam import show_seam
 from dashboard.words import N_, _
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
@@ -47,6 +50,7 @@ from storage.review import Feature
 from storage.wording import capital
 
 TITLE = N_("Panel")
+_NAME_PX = 150
 _BADGES = {
     "accepted": ("green", ":material/check:"),
     "accepted with conditions": ("orange", ":material/rule:"),
@@ -56,7 +60,7 @@ _BADGES = {
 }
 _PICTURE, _DEVIATION, _PLAIN = N_("Picture"), N_("Deviation map"), N_("Marks only")
 _CLOSE_UP, _FINDINGS, _CHANGES, _RULES = N_("Close-up"), N_("Findings"), N_("Changes"), N_("Rules")
-_COVERAGE, _SCANS = N_("Coverage"), N_("Scans")
+_COVERAGE, _SCANS, _SEAM = N_("Coverage"), N_("Scans"), N_("Seam")
 
 
 def render(context: PageContext) -> None:
@@ -75,8 +79,9 @@ def render(context: PageContext) -> None:
     left, right = st.columns([11, 9])
     with left:
         _map(context, view, chosen)
-        _report(context, aircraft, panel)
-        _sign(context, view, scenes)
+        with st.container(horizontal=True, vertical_alignment="center", gap="small"):
+            _report(context, aircraft, panel)
+            _sign(context, view, scenes)
     with right:
         _beside(context, view, scenes, chosen)
 
@@ -196,7 +201,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
         )
         picture = None if shown == _PLAIN else picture
     view = with_courses(context.archive, view)
-    fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION)
+    fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION, airflows(context.archive, view))
     clickable_chart(fig, "panel-map", look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
     st.caption(_("In the panel's own frame. Click a feature for its close-up; scroll to zoom, drag to move."))
 
@@ -224,7 +229,7 @@ def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
     row = view.row
     if all(s.scene_id in context.archive.review().sign_offs() for s in scenes):
         return
-    ask_who(context)
+    ask_who(context, _NAME_PX)
     _offer(context, scenes, str(row.aircraft_serial), str(row.panel), f"{row.verdict}: {row.verdict_reason}")
 
 
@@ -234,7 +239,8 @@ def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: st
 
 
 def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen: Feature | None) -> None:
-    names = [_CLOSE_UP, _FINDINGS, _CHANGES, _RULES, _COVERAGE, _SCANS]
+    seams = seam_names(view)
+    names = [_CLOSE_UP, *([_SEAM] if seams else []), _FINDINGS, _CHANGES, _RULES, _COVERAGE, _SCANS]
     shown = st.segmented_control(_("View"), names, format_func=_, label_visibility="collapsed", **one_of("view", names))
     if shown == _FINDINGS:
         show_findings(context, view)
@@ -247,6 +253,8 @@ def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen
         show_coverage(context, view)
     elif shown == _SCANS:
         show_scans(context, scenes)
+    elif shown == _SEAM and seams:
+        show_seam(context, view, seams, chosen)
     elif chosen is None:
         st.info(_("Nothing was found on this panel."))
     else:

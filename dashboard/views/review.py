@@ -26,6 +26,7 @@ from dashboard.findings import (
     place_of,
 )
 from dashboard.frame import PageContext, link, plain
+from dashboard.keys import keep_order
 from dashboard.locale import NOTHING
 from dashboard.margins import with_margins
 from dashboard.palette import OPEN_DECISIONS, decision_words
@@ -93,6 +94,7 @@ def render(context: PageContext) -> None:
         if ticked:
             _several(context, ticked)
         _one(context, names, at, alone=not ticked)
+    keep_order()
 
 
 def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
@@ -102,7 +104,7 @@ def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
 
 def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
-    first, second, third, fourth = st.columns([7, 4, 2, 2])
+    first, second, third, fourth = st.columns([6.4, 4.9, 2, 2])
     decisions = first.pills(
         _("Verdict"),
         OPEN_DECISIONS,
@@ -286,7 +288,7 @@ def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> 
     if scene is None or shown is None:
         st.info(_("This finding is not in the store any more; choose another one."))
         return
-    features = load_features(context.archive, scene)
+    features = load_features(context.archive, scene, [BY_NAME[feature.kind]])
     # What is long scrolls within the box (see the style of the pages): the buttons below stay on the screen.
     with st.container(border=True, key="finding"):
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):

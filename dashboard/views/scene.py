@@ -203,6 +203,13 @@ def _overlay(context: PageContext, row: Any) -> None:
         for label, what, work_alone in drawings:
             draw = partial(_redrawn, context, str(row.scene_id), work_alone)
             st.download_button(label, draw, f"{row.scene_id}_{what}.png", "image/png", on_click="ignore")
+    st.caption(
+        _(
+            "The picture's own words: OK meets the limits, OUT is slightly outside, SERIOUS seriously, NOT JUDGED was "
+            "not judged. Values in mm: height of rivets; step | gap of seams. * nearer to a limit than its "
+            "uncertainty, ? not measured."
+        )
+    )
 
 
 def _redrawn(context: PageContext, scene_id: str, work_alone: bool) -> bytes:

@@ -8,12 +8,13 @@ from streamlit.delta_generator import DeltaGenerator
 
 from dashboard.address import one_of, put
 from dashboard.figures.answer import answer_figure
-from dashboard.frame import PageContext, plain
+from dashboard.frame import PageContext, plain, told
 from dashboard.meanings import meaning
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.review_report import csv_report
 from dashboard.room import room, show_chart
 from dashboard.sql_runner import AT_ONCE, MOST_ROWS, MOST_SECONDS, run_query
+from dashboard.suggestions import suggest_names
 from dashboard.tables import fitting
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError, UsageError
@@ -22,6 +23,7 @@ from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
 from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 from storage.saved_queries import SavedQueries
+from storage.templates import rendered
 
 TITLE = N_("SQL")
 _EXAMPLES = {**QUESTIONS, **MORE}
@@ -30,6 +32,10 @@ _LONGEST_LINK = 4000
 _ANY_HEIGHT = 10_000
 _TEXT, _NAME, _ANSWER, _HISTORY = "sql_text", "sql_of", "answer", "sql_history"  # kept while one looks at other pages
 _RUN = "sql_run"
+_OTHERS = {
+    "decisions": DECISIONS_COLUMNS, "dispositions": DISPOSITIONS_COLUMNS, "rigs": RIGS_COLUMNS,
+    "verifications": VERIFICATIONS_COLUMNS,
+}  # fmt: skip
 
 
 def render(context: PageContext) -> None:
@@ -50,7 +56,7 @@ def _saved(saved: SavedQueries) -> dict[str, str]:
     try:
         return saved.read()
     except FlushlineError as problem:
-        st.warning(plain(problem), icon=":material/warning:")
+        st.warning(told(problem), icon=":material/warning:")
         return {}
 
 
@@ -62,7 +68,10 @@ def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], sav
     )
     sql = _text(known, str(name))
     with st.container(horizontal=True, vertical_alignment="bottom"):
-        run = st.button(_("Run"), type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter")
+        if st.button(_("Run"), type="primary", icon=":material/play_arrow:", shortcut="Ctrl+Enter"):
+            st.session_state[_RUN] = True
+        if st.session_state.get(_RUN) and sql.strip():
+            _remember(sql)
         _keep(context, names, saved, str(name), sql)
         _history()
         st.caption(
@@ -72,8 +81,6 @@ def _ask(context: PageContext, known: dict[str, str], names: dict[str, str], sav
                 seconds=context.locale.number(MOST_SECONDS, 0),
             )
         )
-    if run:
-        st.session_state[_RUN] = True
     if st.session_state.get(_RUN):  # also where the page was drawn anew before the answer had come
         _run(context, sql)
     _show(context)
@@ -111,7 +118,15 @@ def _text(known: dict[str, str], name: str) -> str:
         _("Query"), key="sql", height=130, on_change=_typed, args=(known.get(name, ""),),
         help=_("DuckDB SQL. Ctrl+Enter takes the text over; it cannot change anything."),
     )  # fmt: skip
+    suggest_names(_columns())
     return str(sql or "")
+
+
+def _columns() -> dict[str, list[str]]:
+    """Of each table, and of the views."""
+    columns = {table.name: [column.name for column in table.columns] for table in TABLES}
+    columns |= {name: list(own) for name, own in _OTHERS.items()}
+    return columns | {view.name: [] for view in VIEWS}
 
 
 def _typed(example: str) -> None:
@@ -129,9 +144,13 @@ def _run(context: PageContext, sql: str) -> None:
         queue.empty()
     except FlushlineError as problem:
         st.session_state[_RUN] = False
-        st.error(plain(problem), icon=":material/error:")
+        st.error(told(problem), icon=":material/error:")
         return
     st.session_state[_RUN] = False
+
+
+def _remember(sql: str) -> None:
+    """Keep what is asked, also what turns out to be wrong: it can be taken up and mended."""
     asked = [sql, *(earlier for earlier in st.session_state.get(_HISTORY, []) if earlier != sql)]
     st.session_state[_HISTORY] = asked[:_MOST_KEPT]
 
@@ -203,31 +222,27 @@ def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chos
                 saved.save(names[chosen], None)
                 st.rerun()
         except FlushlineError as problem:
-            st.error(plain(problem))
+            st.error(told(problem))
 
 
 def _describe_tables() -> None:
+    """What there is to ask of: plain HTML, for hundreds of columns of Markdown take a browser most of a second."""
     st.markdown(_("**Tables and views**"))
+    told = [
+        {"name": table.name, "meaning": meaning(table.comment), "columns": [
+            (column.name, column.sql_type, meaning(column.comment)) for column in table.columns
+        ]}
+        for table in TABLES
+    ]  # fmt: skip
+    for name, what in (
+        ("decisions", _("Everything that people decided, from the first entry on")),
+        ("dispositions", _("The last disposition of each feature that has one")),
+        ("rigs", _("Each calibration with its last verification, and what is due when")),
+        ("verifications", _("Each measure of each verification of a rig")),
+    ):
+        told.append({"name": name, "meaning": what, "columns": [
+            (column, "", meaning(comment)) for column, comment in _OTHERS[name].items()
+        ]})  # fmt: skip
+    told += [{"name": view.name, "meaning": meaning(view.comment), "columns": []} for view in VIEWS]
     with st.container(border=False, key="tables"):  # as high as the screen, see the style of the pages
-        for table in TABLES:
-            with st.expander(f"`{table.name}`"):
-                st.caption(plain(meaning(table.comment)))
-                _columns([(c.name, c.sql_type, c.comment) for c in table.columns])
-        for name, what, columns in (
-            ("decisions", _("Everything that people decided, from the first entry on"), DECISIONS_COLUMNS),
-            ("dispositions", _("The last disposition of each feature that has one"), DISPOSITIONS_COLUMNS),
-            ("rigs", _("Each calibration with its last verification, and what is due when"), RIGS_COLUMNS),
-            ("verifications", _("Each measure of each verification of a rig"), VERIFICATIONS_COLUMNS),
-        ):
-            with st.expander(f"`{name}`"):
-                st.caption(what)
-                _columns([(column, "", comment) for column, comment in columns.items()])
-        for view in VIEWS:
-            with st.expander(f"`{view.name}`"):
-                st.caption(plain(meaning(view.comment)))
-
-
-def _columns(columns: list[tuple[str, str, str]]) -> None:
-    st.markdown(
-        "\n".join(f"- `{name}` :gray[:small[{kind}]] {plain(meaning(comment))}" for name, kind, comment in columns)
-    )
+        st.html(rendered("dashboard", "tables.html", tables=told))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from functools import partial
 from typing import Any
 
 import streamlit as st
 
-from dashboard.address import one_of
+from dashboard.address import one_of, put
 from dashboard.figures.trends import control_figure, histogram, layout_figure, pareto_figure
 from dashboard.filters import names, newest_scan
 from dashboard.findings import PERIODS, Selection, start_of
@@ -19,16 +21,17 @@ from dashboard.standard import has_capability, standard_of
 from dashboard.trends import (
     BY_SUBJECT,
     FASTENER_TYPE,
+    PARETO,
     QUANTITIES,
     SUBJECTS,
     Quantity,
     Subject,
     capability_of,
     events,
-    failing_panels,
     layout,
     limit_groups,
     options,
+    outside_by,
     series,
     spread,
 )
@@ -51,6 +54,12 @@ _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
 _VIEWS = (N_("Control chart and capability"), N_("Pareto of panels"), N_("Map of the panel"))
 # Points from which control limits are usually taken as settled (Montgomery, Statistical Quality Control).
 _SETTLED = 20
+CAUSES = (
+    N_("wrong fastener"), N_("perhaps a wrong fastener"), N_("missing fastener"), N_("missing"),
+    N_("temporary fastener"), N_("open hole"), N_("filled hole"), N_("lap joint"), N_("dent"), N_("bump"),
+    N_("scratch"), N_("something lies on the skin"),
+)  # fmt: skip
+"""What reasons of findings begin with, beside quantities."""
 _MEASURES = {N_("mean value"): "mean", N_("share outside"): "outside"}
 
 
@@ -61,7 +70,11 @@ def render(context: PageContext) -> None:
         st.info(_("There is nothing of this kind on that panel and station."))
         return
     view = st.segmented_control(
-        _("View"), _VIEWS, format_func=_, label_visibility="collapsed", **one_of("view", _VIEWS)
+        _("View"),
+        _VIEWS,
+        format_func=lambda name: _("Pareto") if name == _VIEWS[1] else _(name),
+        label_visibility="collapsed",
+        **one_of("view", _VIEWS),
     )
     if view == _VIEWS[1]:
         _pareto(context, selection)
@@ -130,7 +143,11 @@ def _control(
     with left:
         fig = control_figure(rows, chart, violations, shown, limit, events(rows), context.locale)
         clickable_chart(fig, "control", lambda scene: go("scene", scene=scene), {"displaylogo": False}, above=345)
-        each = _("the mean over each aircraft") if subject.kind in ("panel", FASTENER_TYPE) else _("one scan")
+        each = (
+            _("the mean over one scan of each station of an aircraft")
+            if subject.kind in ("panel", FASTENER_TYPE)
+            else _("one scan")
+        )
         st.caption(_("Each point is {each}; click one to open the scan. Dashed: tolerance limits.", each=each))
         _rules(rules, tests, violations, len(rows))
     if values is not None:
@@ -204,17 +221,39 @@ def _interval(index: Index | None, locale: Locale) -> str:
 
 
 def _pareto(context: PageContext, selection: Selection) -> None:
-    bars = pareto(failing_panels(context.archive, selection))
+    by = st.segmented_control(_("Findings by"), list(PARETO), format_func=_, **one_of("by", list(PARETO)))
+    by = str(by or next(iter(PARETO)))
+    counts = outside_by(context.archive, selection, by)
+    named: Counter[str] = Counter()
+    for name, n in counts.items():
+        named[_named(by, name)] += n
+    bars = pareto(named)
     if not bars:
         st.success(_("No finding of the newest scans is outside its limits."))
         return
-    show_chart(pareto_figure(bars, context.locale, 380), "pareto", above=385)
+    show_chart(pareto_figure(bars, context.locale, 380), "pareto", above=440)
     st.caption(
         _(
-            "Rivets and positions along seams outside their limits on the newest scan of every station, "
-            "all aircraft together."
+            "Findings outside their limits on the newest scan of every station, all aircraft together; a stretch of a "
+            "seam is one."
         )
     )
+
+
+def _named(by: str, name: str) -> str:
+    """What a bar of the Pareto chart stands for."""
+    if not name:
+        return _("not stated")
+    if by != "cause":
+        return name
+    cause = name.split(" without ")[0].split(" for a ")[0].removesuffix(" of")
+    return quantity_words(next((known for known in QUANTITIES if cause.startswith(known)), cause))
+
+
+def _follow(panel: str, subject: str, place: list[str]) -> None:
+    """The control chart of a place that was clicked on the map."""
+    station, name = place
+    put(what=subject, panel=panel, station=station, name=name, view=None)
 
 
 def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: Selection) -> None:
@@ -228,7 +267,7 @@ def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: 
         st.info(_("Nothing was measured on this panel in that time."))
         return
     fig = layout_figure(rows, _MEASURES.get(str(measure), "mean"), quantity.against(standard), context.locale)
-    show_chart(fig, "layout", above=385)
+    clickable_chart(fig, "layout", partial(_follow, subject.panel, quantity.kind.subject), {"displaylogo": False}, 385)
     frame = (
         _("in the panel's frame")
         if rows.attrs.get("registered")

@@ -6,6 +6,8 @@ import argparse
 import shutil
 from pathlib import Path
 
+from flows.commands.language import add_language, wording_in
+
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
     """Add `overlay`."""
@@ -30,6 +32,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument(
         "--work", action="store_true", help="drawn anew, with names: only rework, repair and re-scan that is open"
     )
+    add_language(parser)
     parser.set_defaults(run=run)
 
 
@@ -62,8 +65,10 @@ def _anew(options: argparse.Namespace) -> int:
     from storage.archive.store import Store
     from storage.png import encode
     from storage.report.redrawn import redrawn_overlay
+    from storage.wording import written_in
 
-    overlay = redrawn_overlay(Store(options.store), options.scene_id, options.work)
+    with written_in(wording_in(options.language)):
+        overlay = redrawn_overlay(Store(options.store), options.scene_id, options.work)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     if options.out.suffix.lower() == ".svg":
         options.out.write_text(overlay.svg(), encoding="utf-8")
@@ -77,7 +82,9 @@ def _panel(options: argparse.Namespace) -> int:
     from storage.archive.store import Store
     from storage.report import panel_record
     from storage.report.overlays import write_overlays
+    from storage.wording import written_in
 
     store = Store(options.store)
-    print(write_overlays(store, panel_record(store, options.aircraft, options.panel), options.out))
+    with written_in(wording_in(options.language)):
+        print(write_overlays(store, panel_record(store, options.aircraft, options.panel), options.out))
     return 0

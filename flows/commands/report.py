@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flows.commands.language import add_language, wording_in
+
 if TYPE_CHECKING:
     from storage.archive import Store
     from storage.archive.schema import Table
     from storage.report import Report
-    from storage.wording import Wording
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
@@ -33,7 +34,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument("--stations", action="store_true", help="a panel station by station, with their pictures")
     parser.add_argument("--store", type=Path, metavar="DIR")
     parser.add_argument("--out", type=Path, metavar="FILE", help=".pdf, else HTML")
-    parser.add_argument("--language", default="en", metavar="LANGUAGE", help="en or de (default: en)")
+    add_language(parser)
     parser.add_argument("--csv", action="store_true", help="write FILE-rivets.csv and its like beside it")
     parser.set_defaults(run=run)
 
@@ -64,27 +65,12 @@ def _report(options: argparse.Namespace, store: Store) -> Report:
     from storage.report import panel_report, scene_report
 
     if len(options.what) == 1 and not (options.aircraft or options.panel):
-        return scene_report(store, options.what[0], _wording(options.language))
+        return scene_report(store, options.what[0], wording_in(options.language))
     if options.aircraft and options.panel and not options.what:
         return panel_report(
-            store, PanelKey(options.aircraft, options.panel), options.stations, _wording(options.language)
+            store, PanelKey(options.aircraft, options.panel), options.stations, wording_in(options.language)
         )
     raise UsageError("report: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL, or verify FILE")
-
-
-def _wording(language: str) -> Wording | None:
-    """The words of a language, which the pages have, too; None for English."""
-    from metrology.errors import UsageError
-
-    if language == "en":
-        return None
-    from dashboard.locale import Locale
-    from dashboard.reports import wording_of
-    from dashboard.words import LANGUAGES
-
-    if language not in LANGUAGES:
-        raise UsageError(f"report: found language {language!r}, expected one of {', '.join(LANGUAGES)}")
-    return wording_of(Locale("de" if language == "de" else "iso"), language)
 
 
 def _verify(options: argparse.Namespace, files: list[str]) -> int:

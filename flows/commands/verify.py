@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from flows.commands.language import add_language, wording_in
+
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
     """Add `verify`."""
@@ -26,6 +28,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     parser.add_argument("--operator", default="", help="who scanned, where the scans do not say so")
     parser.add_argument("--place", default="", help="where it was done")
     parser.add_argument("--temperature", type=float, metavar="C", help="of the air, °C")
+    add_language(parser)
     parser.set_defaults(run=run)
 
 
@@ -36,13 +39,14 @@ def run(options: argparse.Namespace) -> int:
     from flows.verify import Conditions, Request, verify
     from storage.archive import Store
     from storage.documents import printable
+    from storage.wording import written_in
     from tasks.settings import load_settings
 
     conditions = Conditions(options.operator, options.place, options.temperature)
     request = Request(
         options.scans, options.artefact, options.rig, Store(options.store), load_settings(options.settings), conditions
     )
-    with progress_bar() as progress:
+    with progress_bar() as progress, written_in(wording_in(options.language)):
         bar = progress.add_task("", total=len(options.scans))
         model, path = verify(
             request, lambda done, what: progress.update(bar, completed=done, description=printable(what))

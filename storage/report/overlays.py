@@ -9,6 +9,7 @@ from storage.archive.bundle import sound_file
 from storage.report.markup import badge, moment, page
 from storage.report.record import PanelRecord
 from storage.report.verdicts import gravest
+from storage.wording import _, named
 
 INDEX = "index.html"
 
@@ -33,10 +34,10 @@ def write_overlays(store: Store, record: PanelRecord, folder: Path) -> Path:
                 "station": station,
                 "verdict": badge(gravest(scene.features)),
                 "captured": moment(scene.scene["captured_at"]),
-                "outside": scene.manifest.get("outside_overlay") or [],
+                "outside": [named(str(name)) for name in scene.manifest.get("outside_overlay") or []],
             }
         )
     index = folder / INDEX
-    title = f"Overlays of {record.aircraft_serial} {record.panel}"
+    title = _("Overlays of {aircraft} {panel}", aircraft=record.aircraft_serial, panel=record.panel)
     index.write_text(page("overlays.html", title, cards=cards), encoding="utf-8")
     return index

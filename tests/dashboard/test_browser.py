@@ -29,6 +29,15 @@ MIDDLE_STATION = """() => {
 }"""
 
 
+# Where Plotly drew the middle one of the positions that have a colour, in the last chart's upper part.
+SEAM_POINT = """() => {
+    const plot = [...document.querySelectorAll('.js-plotly-plot')].at(-1);
+    const trace = plot._fullData.find(t => t.customdata), k = Math.floor(trace.x.length / 2);
+    const box = plot.getBoundingClientRect(), x = plot._fullLayout.xaxis, y = plot._fullLayout.yaxis;
+    return [box.x + x._offset + x.d2p(trace.x[k]), box.y + y._offset + y.d2p(trace.y[k])];
+}"""
+
+
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where screenshots go."""
@@ -144,6 +153,23 @@ def test_pages_fit_a_small_screen(server: tuple[str, Path], chromium: Any, pictu
         assert page.evaluate("document.querySelector('[data-testid=stMain]').scrollWidth") <= 1366
         if path in ("archive", "runs"):
             shoot(page, pictures, path)
+
+
+def test_a_click_on_a_seam_s_chart_opens_the_close_up(server: tuple[str, Path], chromium: Any, pictures: Path) -> None:
+    page = new_page(chromium)
+    page.goto(f"{server[0]}/panel?aircraft=MSN-0425&panel=LH-F12&view=Seam&seam=M02")
+    page.get_by_text("Coloured bands").wait_for()
+    settle(page)
+    place = page.evaluate(SEAM_POINT)
+    page.mouse.move(place[0] - 3, place[1])
+    page.mouse.move(*place)
+    page.locator(".hoverlayer .hovertext").filter(visible=True).first.wait_for()
+    shoot(page, pictures, "panel")
+    page.mouse.click(*place)
+    page.get_by_text("Seam M02 at").filter(visible=True).first.wait_for()
+    settle(page)
+    assert "feature=station%3AM02" in page.url
+    assert "view=" not in page.url
 
 
 def test_the_home_page_by_its_name(server: tuple[str, Path], chromium: Any) -> None:

@@ -40,3 +40,22 @@ def test_a_language_is_kept_over_pages_and_clicks_are_answered_in_it(server: tup
     page.get_by_role("link", name="Trends").first.click()
     page.get_by_text("Run rules").wait_for()
     assert "language" not in page.url
+
+
+def test_sql_names_are_completed(server: tuple[str, Path], chromium: Any) -> None:
+    page = new_page(chromium)
+    page.goto(f"{server[0]}/sql?sql=+")
+    field = page.get_by_role("textbox", name="Query")
+    field.wait_for()
+    settle(page)
+    field.fill("")
+    page.keyboard.type("SELECT count(*) AS n FROM seam_st")
+    page.locator(".flushline-names span").first.wait_for()
+    page.keyboard.press("Tab")
+    page.keyboard.type(" WHERE seam_stations.width_m")
+    page.locator(".flushline-names span").first.wait_for()
+    page.keyboard.press("Tab")
+    assert field.input_value() == "SELECT count(*) AS n FROM seam_stations WHERE seam_stations.width_mm"
+    page.keyboard.type(" > 0")
+    page.keyboard.press("Control+Enter")
+    page.get_by_text("1 row", exact=True).wait_for()

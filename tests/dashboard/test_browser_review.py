@@ -13,7 +13,7 @@ from dashboard.locale import Locale
 from storage.archive.store import Store
 from storage.archive.work import standings
 from storage.review import Entry, Feature, ReviewLog, ShownFinding
-from tests.support.browser import choose, click_row, entries_of, new_page, record, settle
+from tests.support.browser import choose, click_row, entries_of, new_page, record, settle, wait
 from tests.support.synthetic_scene import synthetic_result
 from tests.support.week import recipe
 
@@ -74,6 +74,8 @@ def test_two_tabs(tabs: tuple[Any, Any, Path]) -> None:
     choose(first, "scrap")
     record(first, f"Record scrap for {name}")
     assert [words(entry) for entry in entries_of(root, "MSN-0421")] == [feature, feature]
+    # What was said of earlier decisions is offered.
+    assert "checked by hand" in first.locator("#flushline-comments").inner_html()
     # The second tab decides about what it shows.
     other = shown_name(second)
     choose(second, "scrap", who="K. Ito")
@@ -203,11 +205,21 @@ def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: 
     click_row(page, 0)  # the same cell again
     page.get_by_role("button", name=f"Record for {first}").wait_for()
     settle(page)
-    # Two keys for a finding; the next one is looked at.
+    # Two keys for a finding; the next one is looked at. No key waits for the page: what is pressed at once is acted on
+    # in order, each on the finding that the one before led to.
     page.evaluate("document.activeElement.blur()")
-    page.keyboard.press("w")
-    page.get_by_role("button", name=f"Record rework for {first}").wait_for()
+    for key in ("j", "k", "w", "Enter", "s", "Enter"):
+        page.keyboard.press(key)
+    wait(lambda: len(entries_of(root, "MSN-0425")) == len(before) + 2)
+    rework, scrap = entries_of(root, "MSN-0425")[len(before) :]
+    assert (rework.disposition, words(rework)) == ("rework", first.split(" (")[0])
+    assert (scrap.disposition, words(scrap)) == ("scrap", second.split(" (")[0])
+    # Enter on a button opens that, and records nothing.
+    settle(page)
+    page.keyboard.press("u")
+    page.get_by_role("button", name="Record use as is for").wait_for()
+    page.get_by_role("button", name="Export").focus()
     page.keyboard.press("Enter")
-    page.get_by_role("button", name=f"Record for {second}").wait_for()
-    (entry,) = entries_of(root, "MSN-0425")[len(before) :]
-    assert (entry.disposition, entry.feature_id) == ("rework", first.split(" ")[0])
+    page.get_by_role("button", name="HTML report").wait_for()
+    settle(page)
+    assert len(entries_of(root, "MSN-0425")) == len(before) + 2

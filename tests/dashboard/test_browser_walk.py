@@ -21,6 +21,7 @@ from storage.archive import Store
 from storage.archive.panel_bundle import panel_document
 from storage.report import verify
 from storage.review import ReviewLog
+from storage.wording import capital
 from tasks.panel import assemble
 from tests.support.browser import LARGE, SMALL, TABLET, click_row, new_page, served, settle, wait
 from tests.support.synthetic_scene import Recipe, synthetic_result
@@ -168,7 +169,7 @@ def test_a_shift_from_the_morning_to_the_signed_panel(
     hand.open_first_row()
     page.wait_for_url(f"**/scene?scene={recipe.key.scene_id}**", wait_until="commit")
     settle(page)
-    assert page.get_by_text(f"{said('Rivet')} R04").count()
+    assert page.get_by_text(f"{capital(said('rivet'))} R04").count()
     hand.see(f"mm {said('outside')}")
     limit = "+0,100" if walk.language == "de" else "+0.100"
     assert page.get_by_text(f"mm {said('outside')}").filter(has_text=f"… {limit}").count()

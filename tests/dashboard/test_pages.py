@@ -6,18 +6,24 @@ import os
 import tarfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import duckdb
+import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 
 from dashboard.access import Person
 from dashboard.app import PAGES
+from dashboard.comparing import differences
 from dashboard.data import Archive
+from dashboard.findings import Selection, Wanted, findings
 from dashboard.questions import MORE, QUESTIONS
+from dashboard.scenes import load_features, load_scene_row
 from dashboard.sql_runner import run_query
+from dashboard.trends import PARETO, QUANTITIES, Subject, outside_by, series
 from metrology.kinds import HOLE, RIVET
 from metrology.results import Hole
 from metrology.tolerance import judge
@@ -288,6 +294,59 @@ def test_trends_of_every_subject(what: str, filled: Path, open_page: Open) -> No
     page = clean(open_page("trends", filled, what=what))
     assert [metric.label for metric in page.metric] == ["Cp", "Cpk", "Pp", "Ppk"]
     assert page.metric[3].value != "–"
+
+
+def test_a_scan_after_rework_is_not_averaged_with_the_one_before(writable: Path) -> None:
+    panel = Subject("panel", "LH-F12")
+    before = series(Archive(writable), panel, QUANTITIES["height"], Selection())
+    sound = recipe(5, "S2")
+    again = replace(sound.key, captured_at=sound.key.captured_at + timedelta(hours=3))
+    Store(writable).publish(synthetic_result(replace(sound, key=again, heights_mm=(0.5,) * 12)))
+    after = series(Archive(writable), panel, QUANTITIES["height"], Selection())
+    assert len(after) == len(before) + 1
+    last = after[after["aircraft_serial"] == again.aircraft_serial].sort_values("captured_at")
+    assert list(last["n"]) == [before["n"].iloc[-1], 12]
+    assert last["value"].iloc[0] == before["value"].iloc[-1]
+    assert last["value"].iloc[1] == pytest.approx(0.5, abs=0.01)
+
+
+def test_two_scans_are_compared_with_the_uncertainty_of_each_change(filled: Path) -> None:
+    archive = Archive(filled)
+    names = archive.rows("SELECT scene_id FROM scenes WHERE station = 'S2' ORDER BY captured_at DESC LIMIT 2")[
+        "scene_id"
+    ]
+    after, before = (load_features(archive, load_scene_row(archive, str(name))) for name in names)
+    rows = differences(before, after)
+    worst = rows.iloc[0]
+    assert (worst["feature_id"], worst["quantity"]) == ("R04", "height")
+    one, other = (side["rivet"].set_index("rivet_id").loc["R04"] for side in (before, after))
+    assert worst["difference_mm"] == other["height_mean_mm"] - one["height_mean_mm"]
+    assert worst["difference_u95_mm"] == pytest.approx(np.hypot(one["height_u95_mm"], other["height_u95_mm"]))
+    steps, seams = rows[rows["quantity"] == "step"], before["seam station"]
+    assert len(steps) == len(seams)
+    # Places of both scans, half a step apart: each has its nearest; a scan without the seam leaves them alone.
+    shifted = {**after, "seam station": after["seam station"].assign(s_mm=after["seam station"]["s_mm"] + 0.5)}
+    again = differences(before, shifted)
+    assert again[again["quantity"] == "step"]["difference_mm"].notna().all()
+    alone = differences(before, {**after, "seam station": after["seam station"].iloc[:0]})
+    assert alone[alone["quantity"] == "step"]["difference_mm"].isna().all()
+
+
+def test_findings_are_counted_by_what_is_alike_in_them(filled: Path, open_page: Open) -> None:
+    archive = Archive(filled)
+    counted = {by: outside_by(archive, Selection(), by) for by in PARETO}
+    # The review's list, where a stretch is one line, too.
+    found = findings(archive, Wanted(state="all"))
+    outside = found[found["decision"].isin(["fail", "conditional fail"])]
+    for by, column in (("panel", "panel"), ("station", "station"), ("aircraft", "aircraft_serial")):
+        assert counted[by] == outside[column].value_counts().to_dict()
+    of_kind = outside["feature_kind"].value_counts()
+    assert counted["cause"] == {"height": of_kind["rivet"], "step": of_kind["seam station"]}
+    assert sum(counted["fastener type"].values()) == of_kind["rivet"]
+    assert counted["operator"] == {"M. Weber": len(outside)}
+    assert (
+        "Findings by" in clean(open_page("trends", filled, view="Pareto of panels", by="cause")).button_group[1].label
+    )
 
 
 def test_a_damaged_index_is_one_line(writable: Path, open_page: Open) -> None:
@@ -599,6 +658,7 @@ def test_a_question_is_answered_by_one_click_and_kept(filled: Path, open_page: O
     rows = page.dataframe[0].value
     assert list(rows["rivet_id"]) == ["R09", "R09"]  # it drifts on both stations
     assert list(rows["aircraft"]) == [4, 4]
+    assert next(b for b in page.button if str(b.key).startswith("asked-0")).label.startswith("SELECT")
     page.toggle(key="sql_chart").set_value(True)
     clean(page.run())
 

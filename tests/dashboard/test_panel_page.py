@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from streamlit.testing.v1 import AppTest
@@ -17,14 +18,19 @@ from streamlit.testing.v1 import AppTest
 from dashboard import panels
 from dashboard.data import Archive
 from dashboard.figures.panel import panel_figure
+from dashboard.figures.seam import seam_course_figure
 from dashboard.locale import locale_of
 from dashboard.panels import PanelPicture, load_panel, stitched_pictures
+from dashboard.seam_course import seam_course, seam_names
 from metrology.results import PanelKey
 from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
+from storage.archive.panel_bundle import panel_document
 from storage.archive.panel_changes import runs_of_panel
 from storage.review import Feature, ReviewLog
+from tasks.panel import assemble
 from tests.support.panel_store import two_nights
+from tests.support.week import AIRCRAFT
 
 Open = Callable[..., AppTest]
 ADDRESS = {"aircraft": "MSN-1", "panel": "P"}
@@ -125,3 +131,49 @@ def test_what_became_of_rework(nights: Path, tmp_path: Path, open_page: Open) ->
     dispose(root, "m.weber", [shown], "rework")
     [rows] = frames(open_page("panel", root, **ADDRESS, view="Changes"), "Outcome")
     assert rows[["Feature", "Outcome"]].to_numpy().tolist() == [["N10", "cured"]]
+
+
+def test_a_seam_is_drawn_along_its_whole_length(writable: Path, open_page: Open) -> None:
+    store = Store(writable)
+    store.publish_panel(panel_document(assemble(store, PanelKey(AIRCRAFT[-2], "LH-F12"))))
+    archive = Archive(writable)
+    view = load_panel(archive, AIRCRAFT[-1], "LH-F12")
+    assert view is not None
+    assert seam_names(view) == ["M01", "M02"]
+    course = seam_course(archive, view, "M02")
+    step, gap = course.courses
+    rows = store.query(
+        "SELECT step_mm, width_mm, s_mm FROM panel_seam_stations WHERE aircraft_serial = ? AND seam_id = 'M02' "
+        "ORDER BY s_mm", [AIRCRAFT[-1]],
+    ).to_pandas()  # fmt: skip
+    np.testing.assert_allclose(step.values, rows["step_mm"])
+    np.testing.assert_allclose(gap.values, rows["width_mm"])
+    np.testing.assert_allclose(course.s_mm, rows["s_mm"])
+    # The example's limits, everywhere; what is beyond them is a stretch, and coloured so.
+    lower, upper, *_serious = step.bounds
+    assert (set(lower), set(upper)) == ({-0.2}, {0.2})
+    assert list(step.severities) == ["blue" if abs(v) > 0.2 else "green" for v in step.values]
+    assert any(abs(v) > 0.2 and first <= s <= last for v, s in zip(step.values, course.s_mm, strict=True)
+               for first, last, _ in course.stretches)  # fmt: skip
+    assert course.before == AIRCRAFT[-2]
+    assert len(course.before_s_mm) == len(step.before) > 40
+    # Where the air comes over B, a step of B above A falls away from it.
+    seams = view.features["seam station"]
+    blown = replace(view, features={**view.features, "seam station": seams.assign(step_into_wind_mm=-seams["step_mm"])})
+    turned = seam_course(archive, blown, "M02")
+    assert (turned.into_wind, turned.downstream, course.into_wind) == (True, -1, False)
+    np.testing.assert_allclose(turned.courses[0].values, -step.values)
+    figure = seam_course_figure(turned, Feature("seam station", "M02@136.0"), locale_of(None, None))
+    carried = [name for trace in figure.data if trace.customdata is not None for name in trace.customdata]
+    assert len(carried) == 2 * len(rows)
+    page = open_page("panel", writable, aircraft=AIRCRAFT[-1], panel="LH-F12", view="Seam")
+    assert f"{AIRCRAFT[-2]}, the aircraft before" in texts(page)
+
+
+def test_the_air_is_an_arrow_on_the_map(nights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    view = load_panel(Archive(nights), "MSN-1", "P")
+    assert view is not None
+    seam = str(view.features["seam station"]["seam_id"].iloc[0])
+    figure = panel_figure(view, None, locale_of(None, None), airflows={seam: (0.0, 2.0)})
+    [arrow] = [note for note in figure.layout.annotations if note.showarrow]
+    assert (arrow.ax, arrow.ay > 0) == (0, True)  # it begins below its tip, and the panel's y points upwards

@@ -18,6 +18,7 @@ from dashboard.findings import feature_words
 from dashboard.locale import Locale
 from dashboard.meanings import meaning
 from dashboard.reasons import PATTERNS, worded
+from dashboard.refusals import GENERAL, HALVES, REFUSALS
 from dashboard.reports import wording_of
 from dashboard.sentences import CLAUSES, SENTENCES
 from dashboard.words import ENGLISH, LANGUAGES, N_, _, language, po_file, speak, translations
@@ -166,6 +167,28 @@ def test_reasons_are_worded_clause_by_clause(stored: str, english: str, german: 
         ),
         ("edges of M1@8.5 and R04", "edges of M1 bei 8,5 mm and R04"),
         ("3 % of the pixels are saturated", "3 % of the pixels are saturated"),
+        (
+            "left/f02.png: found the same picture as f03.png, expected step 3 of count 70 at exposure 2; left/f05.png: "
+            "found that it does not fit the other steps of count 64 below row 310 (a dark frame), expected step 2 of "
+            "count 64",
+            "left/f02.png: gefunden: dasselbe Bild wie f03.png; erwartet: Schritt 3 der Streifenzahl 70 bei "
+            "Belichtung 2; left/f05.png: gefunden: dass es unterhalb von Zeile 310 nicht zu den anderen Schritten der "
+            "Streifenzahl 64 passt (ein dunkles Bild); erwartet: Schritt 2 der Streifenzahl 64",
+        ),
+        (
+            "in/s1: found that the frames fit rig 'rig-7' when left and right are exchanged and all frames are "
+            "mirrored left to right, expected scene.json to list them as the rig's cameras are and frames as the "
+            "cameras gave them when the rig was calibrated",
+            "in/s1: die Bilder passen zum Messkopf 'rig-7', wenn links und rechts vertauscht sind und alle Bilder "
+            "seitenverkehrt sind; erwartet: scene.json nennt sie, wie die Kameras des Messkopfs stehen und Bilder, wie "
+            "sie die Kameras bei der Kalibrierung gaben",
+        ),
+        (
+            "s1 R04: found it decided since it was shown (use as is by K. Ito at 2026-11-20T08:15:00Z), expected it as "
+            "it was shown",
+            "s1 R04: darüber wurde entschieden, seit es gezeigt wurde (wie vorliegend durch K. Ito am "
+            "2026-11-20T08:15:00Z)",
+        ),
     ],
 )
 def test_warnings_and_verdicts_are_worded(stored: str, german: str) -> None:
@@ -199,9 +222,17 @@ def test_sentences_are_those_that_the_code_says() -> None:
     whole = [part for part in parts if len(part.split()) > 3]
     assert len(whole) > 40
     assert [part for part in whole if part not in sources] == []
+    own = (ROOT / "dashboard" / name for name in ("sql_runner.py", "sql_worker.py", "data.py", "views/sql.py"))
+    sources += "".join(re.sub(r'"\s*f?"', "", path.read_text()) for path in own)
+    composed = (
+        r"\{\w+\}|(?<=expected), |; look at it|, expected |: found |(?<=query:) |since it was shown|found it |"
+        r"that other |it shown | \(it does|(?<=zone), |all frames are |turned by|mirrored"
+    )
+    parts = {part.strip(" ,:;()") for said in (*REFUSALS, *HALVES) for part in re.split(composed, said)}
+    assert [part for part in parts if len(part.split()) > 3 and part not in sources] == []
 
 
-@pytest.mark.parametrize("pattern", [*PATTERNS, *SENTENCES])
+@pytest.mark.parametrize("pattern", [*PATTERNS, *SENTENCES, *REFUSALS, *HALVES, *GENERAL])
 def test_each_pattern_fits_itself(pattern: str) -> None:
     own = {"quantity": "height", "said": "at most 2 rivets per m² with height beyond its limit"}
     filled = pattern.format_map({name: own.get(name, "1.5") for name in places(pattern)})
@@ -263,4 +294,7 @@ def test_a_report_in_german_from_the_command_line(
     assert "Rückführbarkeit" in path.read_text()
     assert "the store says the same" in verify(path, Store(filled))
     assert main([*asked, "--language", "tlh"]) == 2
+    panel = ["overlay", "--aircraft", "MSN-0425", "--panel", "LH-F12", "--store", str(filled), "--out"]
+    assert main([*panel, str(path.parent / "overlays"), "--language", "de"]) == 0
+    assert "Projektionsbilder von MSN-0425 LH-F12" in (path.parent / "overlays" / "index.html").read_text()
     assert "found language 'tlh', expected one of en, de" in capsys.readouterr().err

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from flows.cli import main
+from flows.commands.language import wording_in
 from flows.simulate import simulate_folders
 from metrology.errors import RigError, SpecError
 from simulator.balls import Ball
@@ -21,7 +22,9 @@ from simulator.spec import Camera, Placement, RigSpec, SimulationSpec
 from storage.archive import Store
 from storage.evidence.artefact import load_artefact
 from storage.evidence.rig_tables import rigs
+from storage.report.verification_page import verification_page
 from storage.rig import load_rig, save_rig
+from storage.wording import written_in
 from tasks.rig_evidence import evidence_warnings
 from tasks.settings import VerificationSettings
 from tests.simulator.conftest import small_spec
@@ -133,6 +136,8 @@ def test_a_sound_rig_passes(
     report = (store.root / "verifications" / f"{kept.name}.html").read_text()
     for text in ("D-1 of D-K-1", "A. Meyer", "20.5 °C", kept.model.rig_hash, "ISO 14253-1", "approved by"):
         assert text in report
+    with written_in(wording_in("de")):
+        assert "Überprüfung des Messkopfs" in verification_page(kept.model, {})
     (row,) = rigs(store.layout, store.verifications.all()).to_pylist()
     assert row["last_verdict"] == kept.model.verdict
     assert row["last_verification"] == kept.name

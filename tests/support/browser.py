@@ -182,7 +182,7 @@ def choose(page: Any, disposition: str, comment: str = "", who: str = "") -> Non
     page.get_by_role("button", name=f"Record {disposition}").wait_for()
     settle(page)
     if comment:
-        page.get_by_role("textbox", name="Comment").fill(comment)
+        page.get_by_label("Comment").fill(comment)  # a combobox once it offers earlier ones
 
 
 def record(page: Any, button: str, said: str = "Recorded") -> None:

@@ -1,0 +1,72 @@
+"""Keys of the review, in the order in which they were pressed.
+
+Streamlit acts on a key's button as it is drawn when the key arrives. A key that is pressed while the page is still
+being drawn anew would go to the finding before, or to no button at all. So keys wait until the page was drawn after the
+one before, and each is then acted on by the button that has it. Where a refusal appears, the keys behind
+it are forgotten: they were meant for what did not happen.
+"""
+
+from __future__ import annotations
+
+import streamlit as st
+
+_DRAWN = "keys_drawn"
+# `data-has-shortcut` and `aria-label="Shortcut …"` are how Streamlit marks a button's key.
+_SCRIPT = """<script>
+if (!window.flushlineKeys) {
+  window.flushlineKeys = true;
+  const MOST = 12, LATE = 15000;
+  const KEYS = ['j', 'k', 'u', 'w', 'p', 's', 'n', 'enter'];
+  const OWN = 'canvas, .st-key-decisions, .st-key-previous, .st-key-next, [data-testid="stDataFrame"]';
+  const FIELDS = 'input, textarea, select, [contenteditable="true"], [role="dialog"], [role="listbox"]';
+  const REFUSED = '[data-testid="stAlertContentError"], [data-testid="stAlertContentWarning"]';
+  const waiting = [];
+  let before = null, clicked = 0, said = '';
+  const here = () => document.querySelector('[data-drawn]');
+  const drawn = () => here()?.dataset.drawn;
+  const refusals = () => [...document.querySelectorAll(REFUSED)].map(e => e.innerText).join();
+  const buttonOf = (key) => [...document.querySelectorAll('[data-has-shortcut="true"] [aria-label]')]
+      .find(mark => mark.getAttribute('aria-label').toLowerCase() === `shortcut ${key}`)?.closest('button');
+  const busy = () => before === drawn() || document.querySelector('[data-stale="true"]')
+      || !document.querySelector('[data-testid="stApp"][data-test-script-state="notRunning"]');
+  const act = () => {
+    const late = before !== null && performance.now() - clicked > LATE;
+    if (!here() || late) { waiting.length = 0; before = null; }
+    else if (!busy()) {
+      before = null;
+      if (refusals() && refusals() !== said) waiting.length = 0;
+      const button = waiting.length ? buttonOf(waiting.shift()) : null;
+      if (button && !button.disabled) {
+        [before, clicked, said] = [drawn(), performance.now(), refusals()];
+        button.click();
+      }
+    }
+    if (waiting.length || before !== null) setTimeout(act, 20);
+  };
+  window.addEventListener('keydown', (event) => {
+    const key = event.key?.toLowerCase(), at = event.target;
+    if (!here() || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey) return;
+    if (!KEYS.includes(key) || at.closest?.(FIELDS)) return;
+    if (key === 'enter' && at !== document.body && !at.closest?.(OWN)) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    if (waiting.length >= MOST || (event.repeat && waiting.length)) return;
+    const idle = !waiting.length && before === null;
+    if (idle) said = refusals();
+    waiting.push(key);
+    if (idle) act();
+  }, true);
+  // Enter on another button or link opens that, and records nothing besides.
+  document.body.addEventListener('keydown', (event) => {
+    const other = event.target.closest?.('button, a') && !event.target.closest(OWN);
+    if (event.key === 'Enter' && here() && other) event.stopPropagation();
+  });
+}
+</script>"""
+
+
+def keep_order() -> None:
+    """Have the browser act on the keys of this page one after the other; called when everything else is drawn."""
+    drawn = st.session_state[_DRAWN] = st.session_state.get(_DRAWN, 0) + 1
+    st.html(_SCRIPT, unsafe_allow_javascript=True)
+    st.html(f'<i data-drawn="{drawn}" hidden></i>')
