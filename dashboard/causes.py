@@ -25,6 +25,7 @@ CAUSES = (
     "its deepest point lies under a fastener: its depth is at least this",
     "there are no points where it is deepest: its depth and extents are at least these",
     "its deepest point lies at a seam: its depth on this plate is at least this",
+    "it fades out too slowly for the skin round it to tell where it ends: its depth and extents are at least these",
     "its outline ends at a seam: its length and width are at least these",
     "bottom radius not measured: it may be sharper than the points show",
     "it covers {share} of the skin in view, so that the rest does not tell where the skin would be",

@@ -40,8 +40,11 @@ _HIDDEN: dict[HiddenBy, str] = {
     "fastener": "its deepest point lies under a fastener: its depth is at least this",
     "points": "there are no points where it is deepest: its depth and extents are at least these",
     "seam": "its deepest point lies at a seam: its depth on this plate is at least this",
+    "reference": "it fades out too slowly for the skin round it to tell where it ends: its depth and extents are at "
+    "least these",
 }
 _VAGUE_RADIUS = 0.5  # of the bottom's radius that its U95 may be: a point or a fold is smaller than points show
+_FOLLOWED = 0.1  # of its depth by which less skin round it moves that: the reference follows its foot
 _ENDS_AT_SEAM = "its outline ends at a seam: its length and width are at least these"
 
 
@@ -178,6 +181,8 @@ def _with_depth(row: FittedDefect, found: _Found, settings: DefectSettings) -> F
 def _hidden_by(found: _Found) -> HiddenBy | None:
     if found.outline.cut_by_view > _CUT:
         return "view"
+    if found.region.doubt > _FOLLOWED * found.bottom.depth:
+        return "reference"
     if not found.bottom.hidden:
         return None
     patch, bottom = found.patch, found.bottom

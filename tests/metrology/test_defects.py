@@ -343,3 +343,12 @@ def test_a_scan_of_scattered_points_ends_without_a_crash(rng: np.random.Generato
 
 def test_where_no_two_points_are_neighbours_nothing_is_steep() -> None:
     assert not _steep(np.full((64, 64, 3), np.nan)).any()
+
+
+def test_a_foot_that_the_reference_follows_makes_a_depth_at_least_that(rng: np.random.Generator) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, pointed(3.0, -4.0, 0.1, 40.0, 38.0, False))
+    (found,) = measure_defects(sighted(cloud, FLAT))
+    assert (found.depth_mm or 1.0) < 0.08
+    assert found.hidden_by == "reference"
+    assert "its depth and extents are at least these" in (found.reason or "")
+    assert judge(DEFECT, [found], PanelSpec("P", "1", {}))[0].decision == "not measured"
