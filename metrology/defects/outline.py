@@ -13,6 +13,7 @@ from metrology.jit import kernel
 
 _HARMONICS = 40  # of a closed outline in the frame in which its moments are a circle's: of a fold's corner is 1 % left
 _CORNER, _LOW = 1.0, 0.1  # how large they usually are over the radius: over the square of their order, and at most
+_HIDDEN = 0.2  # of the radius may a crossing be off that no points show, where all are such
 _LEAST_NOISE = 0.01  # of a crossing over the radius: the grid's own
 _DEEPER = 1.2  # times the level, up to where the slope at an outline is taken
 _POINTS = 180
@@ -69,10 +70,11 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
         return None
     cells = labels == labels[inside]
     x, y, seen, cut_by_view, cut_by_seam = _crossings(patch, depth, level, cells)
-    if seen.sum() < _FEWEST:
+    if len(x) < _FEWEST:
         return None
+    hidden = np.inf if seen.sum() >= _FEWEST else _HIDDEN
     by_level = float((1 - np.sqrt((depth[cells] > _DEEPER * level).mean())) / (_DEEPER - 1))
-    curve = _closed(patch, cells, x, y, np.where(seen, noise * by_level / level, np.inf))
+    curve = _closed(patch, cells, x, y, np.where(seen, noise * by_level / level, hidden))
     cx, cy = (curve.x, curve.y) if curve.simple else (x, y)
     length, width, angle = _extents(cx, cy)
     length_sd, width_sd = (curve.extent_sd(turn) for turn in (angle, angle + 0.5 * np.pi))
