@@ -24,6 +24,7 @@ from metrology.sighted import Sighted
 
 _SURE = 2.5  # U95 of the skin that a defect must be deep: five standard deviations
 _SURE_AT_END = 7.5  # where it deepens up to the end of the view: beyond the skin's last points nothing holds it
+_CLIFF = 1.0  # slope of all of a flank, which no dent has that the view cuts
 _OPEN = 0.25  # share of such an outline that lies there
 _FOOT = 0.1  # of its depth
 _SHOULDER = 1.5  # times as deep within its outline lies another's bottom, whose flank it is on
@@ -125,7 +126,11 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
     cut = found.outline.cut_by_view
-    if found.bottom.depth > STEEPEST * 0.5 * found.outline.width:  # what lies behind the panel
+    # What lies behind the panel's end is deeper than wide, or has cliffs round it, however wide it is.
+    steep = STEEPEST * 0.5 * found.outline.width
+    if found.bottom.depth > steep or (
+        found.region.sign > 0 and 0.5 * found.bottom.depth > steep * found.outline.by_level
+    ):
         return False
     # Beyond the view's end nothing tells how high the skin lies.
     sd = float(np.hypot(found.seen_sd, found.region.doubt)) if cut > _CUT else found.seen_sd
@@ -168,11 +173,15 @@ def _with_depth(row: FittedDefect, found: _Found, settings: DefectSettings) -> F
     if row.kind == "scratch" and COVERAGE_95 * found.depth_sd > _VAGUE * found.bottom.depth:
         reason = f"line without measurable depth: its points leave ±{COVERAGE_95 * found.depth_sd:.3f} mm"
         return replace(row, decision="not measured", reason=reason)
+    u95 = COVERAGE_95 * found.depth_sd
+    if u95 > found.bottom.depth:
+        reason = f"its depth is told to ±{u95:.3f} mm alone"
+        return replace(row, decision="not measured", reason=reason)
     hidden = _hidden_by(found)
     return replace(
         row,
         depth_mm=found.region.sign * found.bottom.depth,
-        depth_u95_mm=COVERAGE_95 * found.depth_sd,
+        depth_u95_mm=u95,
         hidden_by=hidden,
         reason=_HIDDEN[hidden] if hidden else _ENDS_AT_SEAM if found.outline.cut_by_seam > _CUT else None,
     )
