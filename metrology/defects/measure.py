@@ -126,11 +126,10 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
     cut = found.outline.cut_by_view
-    # What lies behind the panel's end is deeper than wide, or has cliffs round it, however wide it is.
-    steep = STEEPEST * 0.5 * found.outline.width
-    if found.bottom.depth > steep or (
-        found.region.sign > 0 and 0.5 * found.bottom.depth > steep * found.outline.by_level
-    ):
+    # What lies behind the panel's end is deep for its width, or has a cliff in view, however wide it is.
+    steepest = (STEEPEST if cut < _CUT else _CLIFF) * 0.5 * found.outline.width
+    cliff = found.region.sign > 0 and 0.5 * found.bottom.depth > steepest * found.outline.by_level
+    if found.bottom.depth > steepest or cliff:
         return False
     # Beyond the view's end nothing tells how high the skin lies.
     sd = float(np.hypot(found.seen_sd, found.region.doubt)) if cut > _CUT else found.seen_sd

@@ -321,6 +321,10 @@ def test_what_lies_behind_the_panels_end_is_no_dent(rng: np.random.Generator, ga
     flags[strip] |= np.uint16(PixelFlag.EDGE)
     flags[44:48, 200:204] = flags[52:56, 400:404] = 0
     assert measure_defects(sighted(replace(cloud, points=points, flags=flags), FLAT)) == []
+    # A few points on the way down, and it is one piece with the skin.
+    flags[strip][:, 300:340] = 0
+    points[strip] *= 1 + np.linspace(39.0, 0.0, gap)[:, None, None] / 700.0
+    assert measure_defects(sighted(replace(cloud, points=points, flags=flags), FLAT)) == []
 
 
 def test_a_flank_is_no_defect_of_its_own(rng: np.random.Generator) -> None:
