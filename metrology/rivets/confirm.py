@@ -210,7 +210,8 @@ def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstructio
     if not _right_camera_shows(one, reconstruction):
         return "a ring that one camera shows and the other does not"
     if len(certain) < _FEW:
-        return "a ring without a step, whose line takes more light than a fastener's gap" if _broad(one) else None
+        broad = _broad(one, certain)
+        return "a ring without a step, whose line is wider or darker than a fastener's gap" if broad else None
     if why := _unlike_gaps(one, certain, gaps):
         return f"a ring without a step, whose line is unlike the gaps of the fasteners here: {why}"
     places = [s.place for s in certain if s.place is not None]
@@ -267,8 +268,8 @@ def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     if one.step is None:
         return None
     if len(others) < _FEW:
-        tilted = one.step.mean_significance < _STEPS and _broad(one)
-        return "a ring that only tilts, whose line takes more light than a fastener's gap" if tilted else None
+        tilted = one.step.mean_significance < _STEPS and _broad(one, others)
+        return "a ring that only tilts, whose line is wider or darker than a fastener's gap" if tilted else None
     if (one.step.significance if one.clear else one.step.mean_significance) >= _STROKE_STEPS:
         # Thick paint steps at its edges, and so does a chip.
         why = _other_polarity(one, others) if one.stroke else None
@@ -277,9 +278,12 @@ def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     return why and f"a ring that hardly steps, whose line is unlike the fasteners' gaps here: {why}"
 
 
-def _broad(one: _Shown) -> bool:
-    """Whether a line takes more light than the gap of any fastener."""
-    return one.light is not None and abs(one.light.mean_mm) > _WIDEST_GAP_MM
+def _broad(one: _Shown, certain: Sequence[_Shown]) -> bool:
+    """Whether a line takes more light than the gap of any fastener, or is wider than the narrowest gap here."""
+    if one.light is not None and abs(one.light.mean_mm) > _WIDEST_GAP_MM:
+        return True
+    narrowest = min(certain, key=lambda other: other.ring.fit.sigma_px, default=None)
+    return narrowest is not None and _wider(one.ring, [narrowest.ring])
 
 
 def _slope(one: _Shown, place: _Place) -> float:
