@@ -29,7 +29,7 @@ CAUSES = (
     "its depth is told to ±{u95} mm alone",
     "its rim seems to step, and nothing steps inside",
     "a ring without a step, whose line is wider or darker than a fastener's gap",
-    "a ring that only tilts, whose line is wider or darker than a fastener's gap",
+    "a ring that hardly steps, whose line is wider or darker than a fastener's gap",
     "its outline ends at a seam: its length and width are at least these",
     "bottom radius not measured: it may be sharper than the points show",
     "it covers {share} of the skin in view, so that the rest does not tell where the skin would be",

@@ -268,8 +268,8 @@ def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     if one.step is None:
         return None
     if len(others) < _FEW:
-        tilted = one.step.mean_significance < _STEPS and _broad(one, others)
-        return "a ring that only tilts, whose line is wider or darker than a fastener's gap" if tilted else None
+        hardly = one.step.mean_significance < _STROKE_STEPS and _broad(one, others)
+        return "a ring that hardly steps, whose line is wider or darker than a fastener's gap" if hardly else None
     if (one.step.significance if one.clear else one.step.mean_significance) >= _STROKE_STEPS:
         # Thick paint steps at its edges, and so does a chip.
         why = _other_polarity(one, others) if one.stroke else None
