@@ -268,6 +268,7 @@ class Tally:
     errors: list[tuple[float, float]] = field(default_factory=list)
     covered: list[bool] = field(default_factory=list)
     extents: list[float] = field(default_factory=list)
+    extents_covered: list[bool] = field(default_factory=list)
     partly: list[str] = field(default_factory=list)
     lost: list[tuple[float, str]] = field(default_factory=list)
     false: list[str] = field(default_factory=list)
@@ -299,6 +300,10 @@ class Tally:
         self.covered.append(abs(e) <= row.depth_u95_mm)
         extents = (row.length_mm or 0.0) / length - 1, (row.width_mm or 0.0) / width - 1
         self.extents += extents
+        u95s = row.length_u95_mm, row.width_u95_mm
+        self.extents_covered += [
+            abs(e) * own <= u95 for e, own, u95 in zip(extents, (length, width), u95s, strict=True) if u95
+        ]
         print(
             f"{name}: {row.kind} {e:+.4f} ± {row.depth_u95_mm:.4f}, extents {extents[0]:+.3f} {extents[1]:+.3f}",
             flush=True,
@@ -322,6 +327,7 @@ class Tally:
         print(f"depth: median error {np.median(absolute):.4f} mm, worst {absolute.max():.4f}")
         print(f"within 0.005 mm or 3 %: {within:.1%}; U95 covers {np.mean(self.covered):.1%}")
         print(f"extents: median error {np.median(extents):.1%}, 95 % {np.quantile(extents, 0.95):.1%}")
+        print(f"extents: U95 covers {np.mean(self.extents_covered):.1%} of {len(self.extents_covered)} that have one")
         print(f"CPU median {np.median(self.seconds):.3f} s, worst {max(self.seconds):.3f}")
         for name, depths in self.peers.items():
             print(f"{name}: median error {np.nanmedian(depths):.3f} mm")

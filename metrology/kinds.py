@@ -175,7 +175,6 @@ DEFECT = Kind(
         Quantity(
             "bottom radius", "bottom_radius_mm", "bottom_radius_u95_mm", "mm", "Least radius at a defect's bottom",
             (LimitName("defect_bottom_radius_mm", "least radius at the bottom of a defect, mm"),), projected=False,
-            not_of=(("bottom_radius_mm", None),),
         ),
         Quantity(
             "fastener distance", "fastener_distance_mm", "distance_u95_mm", "mm", "Defect to the nearest fastener",

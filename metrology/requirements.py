@@ -62,18 +62,18 @@ def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requireme
 def _by_extent(quantity: Quantity, row: Feature, zone: Zone) -> Requirement | None:
     """What a zone asks of a quantity's amount by the extent that the feature has.
 
-    How well the extent is known is part of the uncertainty. Of a feature that is hidden in part the extent is at least
-    this: it fails what no larger one may have.
+    How well the extent is known is part of the uncertainty. Of a feature that is hidden in part, or whose extent has no
+    U95, the extent is at least this: it fails what no larger one may have.
     """
     graded = quantity.by_extent
     limit = zone.get(graded.limit.name) if graded else None
     if graded is None or not isinstance(limit, GradedLimit):
         return None
     value, u95 = _value(row, quantity.column), _value(row, quantity.u95_column)
-    extent, extent_u95 = _value(row, graded.column), _value(row, graded.u95_column) or 0.0
+    extent, extent_u95 = _value(row, graded.column), _value(row, graded.u95_column)
     if value is None or u95 is None or extent is None:
         return Requirement(f"{quantity.name} by {graded.word}", quantity.unit, None, None, limit)
-    if getattr(row, "hidden_by", None):
+    if getattr(row, "hidden_by", None) or extent_u95 is None:
         upper, spread = limit.upper_from(extent), 0.0
     else:
         upper = limit.upper_at(extent)

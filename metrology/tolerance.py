@@ -114,5 +114,6 @@ def _judged(kind: Kind, row: Row, spec: PanelSpec) -> Row:
     parts = [*([otherwise] if otherwise else []), *(_judge(required) for required in requirements(kind, row, spec))]
     verdict = _gravest(parts, row.reason)
     if verdict.decision == "no limit" and kind.unlimited:
-        verdict = load(kind.unlimited)(row) or verdict
+        unlimited: Verdict | None = load(kind.unlimited)(row)
+        verdict = _gravest([unlimited], row.reason) if unlimited else verdict
     return row.changed(severity=verdict.severity, decision=verdict.decision, reason=verdict.reason)

@@ -8,12 +8,11 @@ import numpy as np
 
 from metrology.arrays import Array, Mask
 from metrology.defects.bottom_fit import Form, Points, Vertex, fitted
-from metrology.defects.patch import SUPPORT_PX, Patch
+from metrology.defects.patch import CORRELATED, SUPPORT_PX, Patch
 
 _REACH = 0.75  # of the radii at half depth: points that far from the deepest one tell its shape
 _LEAST_STEPS, _LEAST_PX = 3.0, 6.0
 _FEWEST = 12
-_CORRELATED = 1.3  # standard deviation of means over areas against that of the grid's cells alone
 _FORMS: tuple[Form, ...] = ("smooth", "point", "fold")
 _TEMPERED = 0.5  # evidence counts half: real forms are none of these exactly
 _POSSIBLE = 0.1  # probability of a form that counts for the curvature
@@ -98,7 +97,7 @@ def _points(
         p=p[near],
         q=q[near],
         depth=patch.depth[near],
-        sd=patch.sigma[near] * patch.reference.noise * _CORRELATED,
+        sd=patch.sigma[near] * patch.reference.noise * CORRELATED,
         centre=centre,
         radii=radii,
         # Points and grid cells are means over an area.

@@ -24,6 +24,7 @@ from metrology.sighted import Sighted
 
 _SURE = 2.5  # U95 of the skin that a defect must be deep: five standard deviations
 _SURE_AT_END = 7.5  # where it deepens up to the end of the view: beyond the skin's last points nothing holds it
+_CLIFF = 1.0  # slope of all of a flank, which no dent has that the view cuts
 _OPEN = 0.25  # share of such an outline that lies there
 _FOOT = 0.1  # of its depth
 _SHOULDER = 1.5  # times as deep within its outline lies another's bottom, whose flank it is on
@@ -33,7 +34,6 @@ _MOST_OF_PLATE = 0.4  # of a plate that a defect may cover for the rest to tell 
 _LEAST_VIEW_MM = 15.0  # what is cut by the view and smaller may be a fastener
 _EDGES = 6  # directions in which a straight-edge is laid
 _VAGUE = 0.5  # of a scratch's depth that its U95 may be
-_BY_LEVEL = 0.9  # share by which an extent changes where depth changes by that share: slope of a cos² bowl
 _GRID = 0.3  # of a grid step, standard deviation of an extent beside that of its levels
 _RESTS = 2.0  # standard deviations of the smoothed surface is the highest of its points about
 _HIDDEN: dict[HiddenBy, str] = {
@@ -41,7 +41,12 @@ _HIDDEN: dict[HiddenBy, str] = {
     "fastener": "its deepest point lies under a fastener: its depth is at least this",
     "points": "there are no points where it is deepest: its depth and extents are at least these",
     "seam": "its deepest point lies at a seam: its depth on this plate is at least this",
+    "reference": "it fades out too slowly for the skin round it to tell where it ends: its depth and extents are at "
+    "least these",
 }
+_VAGUE_RADIUS = 0.5  # of the bottom's radius that its U95 may be: a point or a fold is smaller than points show
+_FOLLOWED = 0.1  # of its depth by which less skin round it moves that: the reference follows its foot
+_ENDS_AT_SEAM = "its outline ends at a seam: its length and width are at least these"
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class _Found:
     patch: Patch
     bottom: Bottom
     outline: Outline
+    spread_px: float
     depth_sd: float
     seen: float
     seen_sd: float
@@ -81,9 +87,10 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     patch = cut_patch(region, skin, sighted.reconstruction)
     if not patch.step_mm > 0:  # hardly a point of the region is left, and too few to lay a grid by
         return None
-    depth = patch.smoothed(0.0)
+    spread = patch.spread_px(0.0)
+    depth = patch.smoothed(spread)
     at = _deepest(patch, depth)
-    outline = outline_at(patch, depth, 0.5 * float(depth[at]), at, patch.crossing_sd(0.0))
+    outline = outline_at(patch, depth, 0.5 * float(depth[at]), at, patch.crossing_sd(spread))
     if outline is None or depth[outline.cells].max() > _SHOULDER * depth[at]:
         return None
     radii = 0.5 * outline.length, 0.5 * outline.width, outline.angle
@@ -91,7 +98,9 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     if bottom is None:
         return None
     radius = 0.5 * float(np.sqrt(outline.length * outline.width))
-    outline = outline_at(patch, patch.smoothed(radius), 0.5 * bottom.depth, at, patch.crossing_sd(radius)) or outline
+    narrower = patch.spread_px(radius, 0.5 * bottom.depth)
+    again = outline_at(patch, patch.smoothed(narrower), 0.5 * bottom.depth, at, patch.crossing_sd(narrower))
+    outline, spread = (again, narrower) if again else (outline, spread)
     x, y = (np.array([c]) for c in patch.reference.frame.local(patch.frame.rig([bottom.x, bottom.y, 0.0]))[:2])
     by_reference = float(patch.reference.variance(x, y)[0])
     window = region.rows, region.columns
@@ -104,7 +113,7 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
     # Whether it is one hangs on how the skin may be bent there, and not on how high it lies.
     seen_sd = np.sqrt(skin.sd[window][place] ** 2 + by_reference / patch.reference.together + region.bend**2)
-    return _Found(region, patch, bottom, outline, float(sd), seen, float(seen_sd))
+    return _Found(region, patch, bottom, outline, spread, float(sd), seen, float(seen_sd))
 
 
 def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
@@ -117,7 +126,10 @@ def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
 def _stands_out(found: _Found, settings: DefectSettings) -> bool:
     """Whether it is one for certain; what the view cuts may be the rim of a head, or the skin that curls there."""
     cut = found.outline.cut_by_view
-    if found.bottom.depth > STEEPEST * 0.5 * found.outline.width:  # what lies behind the panel
+    # What lies behind the panel's end is deep for its width, or has a cliff in view, however wide it is.
+    steepest = (STEEPEST if cut < _CUT else _CLIFF) * 0.5 * found.outline.width
+    cliff = found.region.sign > 0 and 0.5 * found.bottom.depth > steepest * found.outline.by_level
+    if found.bottom.depth > steepest or cliff:
         return False
     # Beyond the view's end nothing tells how high the skin lies.
     sd = float(np.hypot(found.seen_sd, found.region.doubt)) if cut > _CUT else found.seen_sd
@@ -153,26 +165,32 @@ def _height(found: _Found) -> float:
 
 def _with_depth(row: FittedDefect, found: _Found, settings: DefectSettings) -> FittedDefect:
     """Depth with its U95, and whether all of the defect was seen."""
-    pixels = found.patch.true_pixels(found.outline.width)
+    pixels = found.patch.true_pixels(found.outline.width, found.spread_px)
     if row.kind == "scratch" and pixels < settings.scratch_pixels:
         reason = f"line without measurable depth: narrower than the {settings.scratch_pixels:g} pixels that tell one"
         return replace(row, decision="not measured", reason=reason)
     if row.kind == "scratch" and COVERAGE_95 * found.depth_sd > _VAGUE * found.bottom.depth:
         reason = f"line without measurable depth: its points leave ±{COVERAGE_95 * found.depth_sd:.3f} mm"
         return replace(row, decision="not measured", reason=reason)
+    u95 = COVERAGE_95 * found.depth_sd
+    if u95 > found.bottom.depth:
+        reason = f"its depth is told to ±{u95:.3f} mm alone"
+        return replace(row, decision="not measured", reason=reason)
     hidden = _hidden_by(found)
     return replace(
         row,
         depth_mm=found.region.sign * found.bottom.depth,
-        depth_u95_mm=COVERAGE_95 * found.depth_sd,
+        depth_u95_mm=u95,
         hidden_by=hidden,
-        reason=_HIDDEN[hidden] if hidden else None,
+        reason=_HIDDEN[hidden] if hidden else _ENDS_AT_SEAM if found.outline.cut_by_seam > _CUT else None,
     )
 
 
 def _hidden_by(found: _Found) -> HiddenBy | None:
     if found.outline.cut_by_view > _CUT:
         return "view"
+    if found.region.doubt > _FOLLOWED * found.bottom.depth:
+        return "reference"
     if not found.bottom.hidden:
         return None
     patch, bottom = found.patch, found.bottom
@@ -192,17 +210,18 @@ def _with_extents(
     share = found.depth_sd / bottom.depth
     grid = _GRID * patch.step_mm
     length_u95, width_u95 = (
-        COVERAGE_95 * float(np.linalg.norm([_BY_LEVEL * share * extent, grid, sd]))
+        COVERAGE_95 * float(np.linalg.norm([outline.by_level * share * extent, grid, sd]))
         for extent, sd in ((outline.length, outline.length_sd), (outline.width, outline.width_sd))
     )
+    whole = outline.cut_by_seam <= _CUT  # what lies beyond the seam is another plate's
     away = distances(outline, patch.frame, of_type(sighted.features, Rivet), of_type(sighted.features, SeamStation))
     direction, major, minor = _in_image(found, sighted)
     row = replace(
         row,
         length_mm=outline.length,
-        length_u95_mm=length_u95,
+        length_u95_mm=length_u95 if whole else None,
         width_mm=outline.width,
-        width_u95_mm=width_u95,
+        width_u95_mm=width_u95 if whole else None,
         direction_deg=direction,
         major_px=major,
         minor_px=minor,
@@ -219,7 +238,7 @@ def _with_shape(
 ) -> FittedDefect:
     """What needs a depth: ratios, the foot, volume, the bottom's radius, depth under a straight-edge, and its form."""
     patch, bottom, outline = found.patch, found.bottom, found.outline
-    row = replace(row, bottom_radius_mm=bottom.radius, bottom_radius_u95_mm=COVERAGE_95 * bottom.radius_sd)
+    row = _with_radius(row, bottom)
     if row.hidden_by is None:  # of two that are at least these nothing is known of one over the other
         width = _over_depth(found, row.width_mm, row.width_u95_mm)
         length = _over_depth(found, row.length_mm, row.length_u95_mm)
@@ -231,9 +250,10 @@ def _with_shape(
             length_to_depth_u95=length[1],
         )
     radius = 0.5 * float(np.sqrt(outline.length * outline.width))
-    depth = patch.smoothed(radius)
+    spread = patch.spread_px(radius)
+    depth = patch.smoothed(spread)
     level = max(_FOOT * bottom.depth, _FOOT_SDS * found.depth_sd)
-    foot = outline_at(patch, depth, level, _deepest(patch, depth), patch.crossing_sd(radius))
+    foot = outline_at(patch, depth, level, _deepest(patch, depth), patch.crossing_sd(spread))
     if foot is not None:
         volume = float(depth[foot.cells].sum()) * patch.cell_mm2 * patch.sign
         row = replace(row, foot_length_mm=foot.length, foot_width_mm=foot.width, volume_mm3=volume)
@@ -244,9 +264,17 @@ def _with_shape(
         gap = max(line.gap(0.5 * outline.length) for line in lines)
         gap += max(bottom.depth - float(depth[_deepest(patch, depth)]), 0.0)  # smoothing has filled it
         # An edge rests on what noise has raised.
-        u95 = COVERAGE_95 * float(np.hypot(bottom.sd, _RESTS * patch.smoothed_sd(radius)))
+        u95 = COVERAGE_95 * float(np.hypot(bottom.sd, _RESTS * patch.smoothed_sd(spread)))
         row = replace(row, straight_edge_depth_mm=gap, straight_edge_depth_u95_mm=u95)
     return replace(row, form=form_of(patch, sighted.reconstruction, bottom, outline, lines[0], lines[_EDGES // 2]))
+
+
+def _with_radius(row: FittedDefect, bottom: Bottom) -> FittedDefect:
+    u95 = COVERAGE_95 * bottom.radius_sd
+    if u95 <= _VAGUE_RADIUS * bottom.radius:
+        return replace(row, bottom_radius_mm=bottom.radius, bottom_radius_u95_mm=u95)
+    reason = "bottom radius not measured: it may be sharper than the points show"
+    return replace(row, reason=f"{row.reason}; {reason}" if row.reason else reason)
 
 
 def _over_depth(found: _Found, extent: float | None, u95: float | None) -> tuple[float, float]:

@@ -11,8 +11,9 @@ from metrology.arrays import Array, Mask
 from metrology.defects.patch import Patch
 from metrology.jit import kernel
 
-_HARMONICS = 14  # of a closed outline in the frame in which its moments are a circle's
+_HARMONICS = 40  # of a closed outline in the frame in which its moments are a circle's: of a fold's corner is 1 % left
 _CORNER, _LOW = 1.0, 0.1  # how large they usually are over the radius: over the square of their order, and at most
+_HIDDEN = 0.2  # of the radius may a crossing be off that no points show, where all are such
 _LEAST_NOISE = 0.01  # of a crossing over the radius: the grid's own
 _DEEPER = 1.2  # times the level, up to where the slope at an outline is taken
 _POINTS = 180
@@ -37,6 +38,8 @@ class Outline:
     length_sd: float
     width_sd: float
     """length_sd, width_sd: standard deviations of these by noise where the level is crossed, mm."""
+    by_level: float
+    """Share by which its extents shrink where the level rises by that share: large where the flanks are flat."""
     angle: float
     """Direction of the length in the frame, radians."""
     area: float
@@ -66,42 +69,46 @@ def outline_at(patch: Patch, depth: Array, level: float, inside: tuple[int, int]
     if labels[inside] == 0:
         return None
     cells = labels == labels[inside]
-    x, y, cut_by_view, cut_by_seam = _crossings(patch, depth, level, cells)
+    x, y, seen, cut_by_view, cut_by_seam = _crossings(patch, depth, level, cells)
     if len(x) < _FEWEST:
         return None
-    deeper = np.sqrt((depth[cells] > _DEEPER * level).mean())
-    curve = _closed(patch, cells, x, y, noise * (1 - deeper) / ((_DEEPER - 1) * level))
+    hidden = np.inf if seen.sum() >= _FEWEST else _HIDDEN
+    by_level = float((1 - np.sqrt((depth[cells] > _DEEPER * level).mean())) / (_DEEPER - 1))
+    curve = _closed(patch, cells, x, y, np.where(seen, noise * by_level / level, hidden))
     cx, cy = (curve.x, curve.y) if curve.simple else (x, y)
     length, width, angle = _extents(cx, cy)
     length_sd, width_sd = (curve.extent_sd(turn) for turn in (angle, angle + 0.5 * np.pi))
     if length > _LINE * width:
         length, width, angle = _of_line(x, y, angle)
     area = _polygon_area(cx, cy) if curve.simple else float(cells.sum()) * patch.cell_mm2
-    return Outline(curve.x, curve.y, cells, length, width, length_sd, width_sd, angle, area, cut_by_view, cut_by_seam)
+    sds, cut = (length_sd, width_sd), (cut_by_view, cut_by_seam)
+    return Outline(curve.x, curve.y, cells, length, width, *sds, by_level, angle, area, *cut)
 
 
-def _crossings(patch: Patch, depth: Array, level: float, cells: Mask) -> tuple[Array, Array, float, float]:
-    """Where a level is crossed between neighbouring grid cells; shares of the border that lie elsewhere."""
-    places = np.empty((2, 4 * int(cells.sum())))
+def _crossings(patch: Patch, depth: Array, level: float, cells: Mask) -> tuple[Array, Array, Mask, float, float]:
+    """Where a level is crossed between neighbouring grid cells, and whether skin was seen there; shares of the border
+    that lie elsewhere."""
+    places = np.empty((3, 4 * int(cells.sum())))
     on_plate, by_view, by_seam = crossings(
-        depth, level, cells, patch.plate, patch.view, patch.x, patch.y, places[0], places[1]
+        depth, level, cells, patch.plate, patch.view, patch.skin, patch.x, patch.y, places[0], places[1], places[2]
     )
     total = max(on_plate + by_view + by_seam, 1)
-    return places[0, :on_plate], places[1, :on_plate], by_view / total, by_seam / total
+    x, y, seen = places[:, :on_plate]
+    return x, y, seen > 0, by_view / total, by_seam / total
 
 
 @kernel
-def crossings(depth, level, cells, plate, view, x, y, at_x, at_y):  # type: ignore[no-untyped-def]
+def crossings(depth, level, cells, plate, view, skin, x, y, at_x, at_y, seen):  # type: ignore[no-untyped-def]
     """Where a level is crossed between a grid cell of a region and one outside of it.
 
     Parameters
     ----------
     depth, x, y : (rows, columns) float64
     level : float
-    cells, plate, view : (rows, columns) bool
-        The region's; the plate's; where the view ends.
-    at_x, at_y : (4 n,) float64, output
-        For n cells.
+    cells, plate, view, skin : (rows, columns) bool
+        The region's; the plate's; where the view ends; where sound skin is.
+    at_x, at_y, seen : (4 n,) float64, output
+        For n cells; 1 where there is sound skin on both sides, else 0.
 
     Returns
     -------
@@ -130,6 +137,7 @@ def crossings(depth, level, cells, plate, view, x, y, at_x, at_y):  # type: igno
                     share = (depth[i, j] - level) / max(depth[i, j] - depth[m, n], 1e-12)
                     at_x[on_plate] = x[i, j] + share * (x[m, n] - x[i, j])
                     at_y[on_plate] = y[i, j] + share * (y[m, n] - y[i, j])
+                    seen[on_plate] = skin[i, j] and skin[m, n]
                     on_plate += 1
     return on_plate, by_view, by_seam
 
@@ -156,12 +164,13 @@ class _Curve:
         return float(np.sqrt(change @ self.covariance @ change))
 
 
-def _closed(patch: Patch, cells: Mask, x: Array, y: Array, noise: float) -> _Curve:
+def _closed(patch: Patch, cells: Mask, x: Array, y: Array, noise: Array) -> _Curve:
     """A smooth closed curve through crossings.
 
     Harmonics of the radius against the direction, in the frame in which the cells' second moments are a circle's. What
-    they usually are beforehand, and the noise (standard deviation of a crossing, over the radius) tell how closely the
-    crossings are followed: a corner is one where noise leaves it, and noise makes no corner.
+    they usually are beforehand, and the noise (standard deviation of each crossing, over the radius; infinite where no
+    skin was seen) tell how closely the crossings are followed: a corner is one where noise leaves it, and noise makes
+    no corner.
     """
     own = np.stack([patch.x[cells], patch.y[cells]], axis=1)
     centre = own.mean(axis=0)
@@ -172,10 +181,11 @@ def _closed(patch: Patch, cells: Mask, x: Array, y: Array, noise: float) -> _Cur
     radius, turn = np.hypot(*white.T), np.arctan2(white[:, 1], white[:, 0])
     orders = np.arange(1, _HARMONICS + 1)
     usual = np.tile(np.minimum(_CORNER / orders**2, _LOW), 2)
-    design, variance = _harmonics(turn), max(noise, _LEAST_NOISE) ** 2
-    covariance = np.linalg.inv(design.T @ design / variance + np.diag([1e-6, *usual**-2.0]))
-    fit = covariance @ (design.T @ radius) / variance
-    scatter = float(np.sqrt(np.mean((radius - design @ fit) ** 2)))
+    design, variance = _harmonics(turn), np.maximum(noise, _LEAST_NOISE) ** 2
+    weighted = (design / variance[:, None]).T
+    covariance = np.linalg.inv(weighted @ design + np.diag([1e-6, *usual**-2.0]))
+    fit = covariance @ (weighted @ radius)
+    scatter = float(np.sqrt(np.mean((radius - design @ fit)[np.isfinite(noise)] ** 2)))
     around = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
     design = _harmonics(around)
     ways = axes @ (scale[:, None] * np.stack([np.cos(around), np.sin(around)]))

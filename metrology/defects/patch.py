@@ -21,6 +21,8 @@ _SPIKE, _SPIKE_SHARE = 8.0, 0.15  # standard deviations of a point, and share of
 _RADIUS = 14.0  # grid steps that a defect's radius at half depth should have
 _OUTLINE_SMOOTH = 0.11  # of a defect's radius: what noise is smoothed over, within the bounds below
 _SMOOTH_PX = (3.2, 11.0)
+_CLEAR = 0.01  # of an outline's level may noise be: what is smoothed over more moves corners and hides nothing else
+_LEAST_SMOOTH_STEPS = 0.7
 _BRIDGED = 0.02  # weight of a cell without sound skin beside those with it: the ground of a scratch has gaps
 _NARROW = 2.5  # times as large is the radius of an area as its greatest inner one: it is a line
 _FINEST_CELLS = 400_000  # of a grid of single pixels
@@ -30,6 +32,8 @@ _TWICE_SD = 0.382  # of it on white noise, over that of a cell and the smoothing
 _ENOUGH = 1000  # points that tell how pixels map onto the skin
 SUPPORT_PX = 1.4
 """Standard deviation of the area that a point is a mean of."""
+CORRELATED = 1.3
+"""Standard deviation of means over areas, over what the grid's cells alone would leave: neighbours err together."""
 
 
 @dataclass(frozen=True)
@@ -73,21 +77,38 @@ class Patch:
         """Area of a grid cell in the tangent plane."""
         return self.step_mm**2
 
-    def true_pixels(self, width_mm: float) -> float:
+    def true_pixels(self, width_mm: float, spread_px: float) -> float:
         """Pixels that a narrow line is wide, less what smoothing has added to its outline."""
         pixels = width_mm / self.step_mm * self.step_px
-        added = np.hypot(_TWICE_FWHM * _SMOOTH_PX[0], _FWHM * SUPPORT_PX)
+        added = np.hypot(_TWICE_FWHM * spread_px, _FWHM * SUPPORT_PX)
         return float(np.sqrt(max(pixels**2 - added**2, 0.0)))
 
     def grid_of(self, pixels: Array) -> Array:
         """(n, 2) column and row of pixels (n, 2) of the left image."""
         return np.asarray((pixels - self.corner_px - 0.5 * (self.step_px - 1)) / self.step_px)
 
-    def smoothed(self, radius_mm: float) -> Array:
+    def spread_px(self, radius_mm: float, level_mm: float = 0.0) -> float:
+        """Standard deviation of what noise is smoothed over, pixels: no more than a defect's radius and noise ask for.
+
+        Parameters
+        ----------
+        radius_mm : float
+            Of the defect; 0 for the least.
+        level_mm : float
+            Depth at which the outline is taken.
+        """
+        pixels = self.step_px
+        most = float(np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * pixels, *_SMOOTH_PX))
+        if level_mm <= 0:
+            return most
+        told = self.smoothed_sd(pixels) * pixels / (_CLEAR * level_mm)
+        return float(np.clip(told, min(_LEAST_SMOOTH_STEPS * pixels, most), most))
+
+    def smoothed(self, spread_px: float) -> Array:
         """Depth as its outline is taken from."""
         weight = np.where(self.skin, 1.0, _BRIDGED) * self.plate
         both = np.dstack([np.where(self.plate, self.depth, 0.0) * weight, weight])
-        sigma = self._smoothing(radius_mm)
+        sigma = spread_px / self.step_px
         total, weights = cv2.split(cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT))
         weights = np.maximum(weights, 1e-4)
         once = total / weights
@@ -95,21 +116,17 @@ class Patch:
         rest = cv2.GaussianBlur(both[..., 0] - once * weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         return np.asarray(once + rest / weights)
 
-    def smoothed_sd(self, radius_mm: float) -> float:
+    def smoothed_sd(self, spread_px: float) -> float:
         """Standard deviation of that by noise, mm."""
-        return float(np.nanmedian(self.sigma)) * self.reference.noise * _TWICE_SD / self._smoothing(radius_mm)
+        cell = float(np.nanmedian(self.sigma)) * self.reference.noise * CORRELATED
+        return cell * _TWICE_SD * self.step_px / spread_px
 
-    def crossing_sd(self, radius_mm: float) -> float:
+    def crossing_sd(self, spread_px: float) -> float:
         """Standard deviation of `smoothed` at a crossing of an outline, as if crossings were independent, mm.
 
         4/π of them lie on a grid step, and what is smoothed over s of these is correlated over 2 √π s.
         """
-        return self.smoothed_sd(radius_mm) * float(np.sqrt(8 / np.sqrt(np.pi) * self._smoothing(radius_mm)))
-
-    def _smoothing(self, radius_mm: float) -> float:
-        """Standard deviation of the smoothing, grid cells."""
-        pixels = np.clip(_OUTLINE_SMOOTH * radius_mm / self.step_mm * self.step_px, *_SMOOTH_PX)
-        return float(pixels / self.step_px)
+        return self.smoothed_sd(spread_px) * float(np.sqrt(8 / np.sqrt(np.pi) * spread_px / self.step_px))
 
 
 def cut_patch(region: Region, skin: SkinMap, reconstruction: Reconstruction) -> Patch:

@@ -9,7 +9,7 @@ from metrology.results import Feature
 
 DefectKind = Literal["dent", "bump", "crease", "scratch", "raised edge", "deposit"]
 
-HiddenBy = Literal["view", "fastener", "seam", "points"]
+HiddenBy = Literal["view", "fastener", "seam", "points", "reference"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Defect(Feature):
     hidden_by: Annotated[
         HiddenBy | None,
         "what hides a part of it, so that depth, length and width are at least these: view (it runs out of it), "
-        "fastener, seam, points (none where it is deepest); NULL where all of it was seen",
+        "fastener, seam, points (none where it is deepest), reference (the skin round it does not tell how far it "
+        "reaches); NULL where all of it was seen",
     ] = None
     length_mm: Annotated[float | None, "extent of its outline at half depth where it is longest, mm"] = None
     length_u95_mm: Annotated[float | None, "expanded uncertainty (95 %) of length_mm, mm"] = None

@@ -44,6 +44,8 @@ _PROUDER, _LEANING = 1.5, 2.0  # than the proudest fastener of a scan, the most 
 _NEXT_SIZE = 1 + 2.5 * HALF_STEP  # times a size, at most, is the next one of a series
 # Where nothing steps: wider by so many standard deviations of the gaps' widths, or by a share of them.
 _WIDER_SIGMAS, _WIDER_SHARE = 4.0, 0.15
+# Where no others tell what gaps take: a black gap of more, mm, is no fastener's that lies flush in its countersink.
+_WIDEST_GAP_MM = 0.35
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
@@ -159,7 +161,7 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     found = []
     for s in shown:
         if s.stands:
-            doubt = _drop(s, certain) or _chip(s, certain) or _hardly_steps(s, certain)
+            doubt = _drop(s, certain) or _chip(s, certain) or _hardly_steps(s, certain) or _nothing_inside(s)
             found.append(Confirmed(s.ring, doubt))
         elif s.clear:
             found.append(Confirmed(s.ring, _doubt(s, certain, gaps, reconstruction)))
@@ -208,7 +210,8 @@ def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstructio
     if not _right_camera_shows(one, reconstruction):
         return "a ring that one camera shows and the other does not"
     if len(certain) < _FEW:
-        return None
+        broad = _broad(one, certain)
+        return "a ring without a step, whose line is wider or darker than a fastener's gap" if broad else None
     if why := _unlike_gaps(one, certain, gaps):
         return f"a ring without a step, whose line is unlike the gaps of the fasteners here: {why}"
     places = [s.place for s in certain if s.place is not None]
@@ -247,17 +250,40 @@ def _chip(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     return "it stands out of the skin unlike all fasteners here, in no row of theirs: a chip or a drop may lie there"
 
 
+def _nothing_inside(one: _Shown) -> str | None:
+    """What speaks against a broken line at which the surface seems to step: what it encloses lies in the skin.
+
+    Strong paint moves the points beside it; a head is as high inside as at its rim.
+    """
+    if one.clear or one.step is None or not one.relief.significance > 0:
+        return None
+    height, sd = one.relief.step_mm, abs(one.relief.step_mm) / one.relief.significance
+    inside = height * np.sign(one.step.mean_mm) + _STEPS * sd
+    return "its rim seems to step, and nothing steps inside" if inside < 0.5 * abs(one.step.mean_mm) else None
+
+
 def _hardly_steps(one: _Shown, certain: Sequence[_Shown]) -> str | None:
     """What speaks against a ring at which the surface steps little more than paint makes it seem to."""
     others = [s for s in certain if s is not one]
-    if one.step is None or len(others) < _FEW:
+    if one.step is None:
         return None
+    if len(others) < _FEW:
+        hardly = one.step.mean_significance < _STROKE_STEPS and _broad(one, others)
+        return "a ring that hardly steps, whose line is wider or darker than a fastener's gap" if hardly else None
     if (one.step.significance if one.clear else one.step.mean_significance) >= _STROKE_STEPS:
         # Thick paint steps at its edges, and so does a chip.
         why = _other_polarity(one, others) if one.stroke else None
         return why and f"a wide line that steps, unlike the fasteners' gaps here: {why}"
     why = _unlike_gaps(one, others, _gaps(others))
     return why and f"a ring that hardly steps, whose line is unlike the fasteners' gaps here: {why}"
+
+
+def _broad(one: _Shown, certain: Sequence[_Shown]) -> bool:
+    """Whether a line takes more light than the gap of any fastener, or is wider than the narrowest gap here."""
+    if one.light is not None and abs(one.light.mean_mm) > _WIDEST_GAP_MM:
+        return True
+    narrowest = min(certain, key=lambda other: other.ring.fit.sigma_px, default=None)
+    return narrowest is not None and _wider(one.ring, [narrowest.ring])
 
 
 def _slope(one: _Shown, place: _Place) -> float:

@@ -89,15 +89,16 @@ def test_crossings_of_a_level() -> None:
     depth = 1 - np.hypot(x, y) / 10
     plate = (x > -4) & (x < 5)
     cells = (depth > 0.5) & plate
-    at = np.empty((2, 4 * int(cells.sum())))
-    on_plate, by_view, by_seam = crossings(depth, 0.5, cells, plate, x < 0, x, y, *at)
-    assert np.hypot(*at[:, :on_plate]) == pytest.approx(5.0, abs=0.1)
+    at, skin = np.empty((3, 4 * int(cells.sum()))), y > -4
+    on_plate, by_view, by_seam = crossings(depth, 0.5, cells, plate, x < 0, skin, x, y, *at)
+    assert np.hypot(*at[:2, :on_plate]) == pytest.approx(5.0, abs=0.1)
+    assert (at[2, :on_plate] == (at[1, :on_plate] >= -3)).all()  # a head hides the topmost part
     assert by_view == (cells[:, 5] & ~plate[:, 4]).sum()
     assert by_seam == (cells[:, 12] & ~plate[:, 13]).sum()
     # What the window's border cuts off is cut off by the view.
     part = np.s_[:, 4:9]
     whole = crossings(*(np.ascontiguousarray(a[part]) if np.ndim(a) else a for a in (depth, 0.5, cells, plate)),
-                      *(np.ascontiguousarray(a[part]) for a in (x < 0, x, y)), *at)  # fmt: skip
+                      *(np.ascontiguousarray(a[part]) for a in (x < 0, skin, x, y)), *at)  # fmt: skip
     assert whole[1] == by_view + cells[:, 8].sum()
 
 

@@ -92,7 +92,11 @@ def test_depth_and_extents_are_true(
     volume = np.pi * length * width / 4 * depth * 4 * (0.5 - 2 / np.pi**2)
     assert found.volume_mm3 == pytest.approx(volume, rel=0.1)
     assert found.hidden_by is None
-    assert found.reason is None
+    vague = found.bottom_radius_mm is None
+    assert (found.reason == "bottom radius not measured: it may be sharper than the points show") == vague
+    if not vague:
+        bottom = 2 * width**2 / (np.pi**2 * abs(depth))
+        assert abs((found.bottom_radius_mm or 0.0) - bottom) < (found.bottom_radius_u95_mm or 0.0) < 0.5 * bottom
     assert (found.straight_edge_depth_mm is None) == (depth < 0)
 
 
@@ -115,7 +119,7 @@ def test_a_pointed_bottom_is_as_deep_as_it_is(rng: np.random.Generator, fold: bo
     (found,) = measure_defects(sighted(cloud, FLAT))
     assert found.depth_mm == pytest.approx(0.25, abs=0.0075)
     assert abs((found.depth_mm or 0.0) - 0.25) < (found.depth_u95_mm or 0.0) < 0.02
-    assert (found.bottom_radius_mm or 0.0) < 30.0
+    assert found.bottom_radius_mm is None  # smaller than points show
     assert found.length_mm == pytest.approx(22.0, rel=0.035)  # a fold's outline has corners where it is longest
     assert found.width_mm == pytest.approx(13.0, rel=0.035)
 
@@ -177,6 +181,9 @@ def test_a_raised_edge_is_a_bump_at_a_seam(rng: np.random.Generator) -> None:
 
     (found,) = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, edge), FLAT, seam_x=-10.0))
     assert found.kind == "raised edge"
+    assert found.length_mm is not None
+    assert found.length_u95_mm is None  # beyond the seam it may go on
+    assert "seam" in (found.reason or "")
     assert found.seam_distance_mm == pytest.approx(0.0, abs=1.5)
 
 
@@ -314,6 +321,10 @@ def test_what_lies_behind_the_panels_end_is_no_dent(rng: np.random.Generator, ga
     flags[strip] |= np.uint16(PixelFlag.EDGE)
     flags[44:48, 200:204] = flags[52:56, 400:404] = 0
     assert measure_defects(sighted(replace(cloud, points=points, flags=flags), FLAT)) == []
+    # A few points on the way down, and it is one piece with the skin.
+    flags[strip][:, 300:340] = 0
+    points[strip] *= 1 + np.linspace(39.0, 0.0, gap)[:, None, None] / 700.0
+    assert measure_defects(sighted(replace(cloud, points=points, flags=flags), FLAT)) == []
 
 
 def test_a_flank_is_no_defect_of_its_own(rng: np.random.Generator) -> None:
@@ -336,3 +347,12 @@ def test_a_scan_of_scattered_points_ends_without_a_crash(rng: np.random.Generato
 
 def test_where_no_two_points_are_neighbours_nothing_is_steep() -> None:
     assert not _steep(np.full((64, 64, 3), np.nan)).any()
+
+
+def test_a_foot_that_the_reference_follows_makes_a_depth_at_least_that(rng: np.random.Generator) -> None:
+    cloud = bent(scan(FLAT, (), rng), FLAT, pointed(3.0, -4.0, 0.1, 40.0, 38.0, False))
+    (found,) = measure_defects(sighted(cloud, FLAT))
+    assert (found.depth_mm or 1.0) < 0.08
+    assert found.hidden_by == "reference"
+    assert "its depth and extents are at least these" in (found.reason or "")
+    assert judge(DEFECT, [found], PanelSpec("P", "1", {}))[0].decision == "not measured"

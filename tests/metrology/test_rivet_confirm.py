@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from metrology.kinds import RIVET
 from metrology.limits import Limit, PanelSpec
 from metrology.registration import enrol
 from metrology.rivets import detect_rivets, measure_rivets
+from metrology.rivets.confirm import _nothing_inside
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.rim_step import rim_step
 from metrology.tolerance import judge
@@ -79,6 +81,25 @@ def test_a_step_that_paint_pretends_confirms_no_line_unlike_the_gaps(rng: np.ran
         detections = detect_rivets(scan(skin, (*ROWS, ring), rng))
         assert len(detections) == len(ROWS) + 1
         assert sum(d.doubt is None for d in detections) == len(ROWS) + sure
+
+
+@pytest.mark.parametrize(("width_mm", "doubted"), [(0.3, 1), (0.1, 0)])
+def test_where_few_fasteners_tell_what_gaps_are_a_broad_ring_without_a_step_is_in_doubt(
+    rng: np.random.Generator, width_mm: float, doubted: int
+) -> None:
+    skin = Skin()
+    letter = Head(0.0, 0.0, 6.0, contrast=80.0)
+    detections = detect_rivets(painted(scan(skin, ROWS[:2], rng), letter, skin, width_mm))
+    assert sum(d.doubt is not None for d in detections) == doubted
+    assert len(detections) == 3
+
+
+@pytest.mark.parametrize(("inside_mm", "doubted"), [(-0.13, False), (0.02, True), (-0.02, True)])
+def test_a_broken_ring_that_steps_is_a_head_if_all_of_it_does(inside_mm: float, doubted: bool) -> None:
+    step, relief = SimpleNamespace(mean_mm=-0.14), SimpleNamespace(step_mm=inside_mm, significance=5.0)
+    for clear in (False, True):
+        shown = SimpleNamespace(clear=clear, step=step, relief=relief)
+        assert (_nothing_inside(shown) is not None) == (doubted and not clear)
 
 
 def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:

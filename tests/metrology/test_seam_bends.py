@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,11 +20,14 @@ EDGES = (-EDGE, EDGE)
 STEP = 0.1
 
 
-def section(bend: float, rng: np.random.Generator, sigma: float, curvature: float = 3e-4) -> Section:
-    """A section of a bent skin whose side A bends by `bend` (1/mm) more from its edge on."""
+def section(
+    bend: float, rng: np.random.Generator, sigma: float, curvature: float = 3e-4, begins: float = EDGE
+) -> Section:
+    """A section of a bent skin whose side A bends by `bend` (1/mm) more from its edge on, or from farther out."""
     x = np.concatenate([-1, 1] * rng.uniform(INNER, OUTER, (900, 2)))
     y = rng.uniform(-2, 2, x.size)
-    h = curvature * x**2 + np.where(x > 0, STEP, bend * (x + EDGE) ** 2) + sigma * rng.standard_normal(x.size)
+    h = curvature * x**2 + np.where(x > 0, STEP, bend * np.maximum(-x - begins, 0.0) ** 2)
+    h += sigma * rng.standard_normal(x.size)
     fit = fit_skin_lines(np.stack([x, y, h, np.full(x.size, max(sigma, 1e-4))], axis=1), -INNER, INNER, 3.0)
     a, b = SkinLine(fit.solution[[0, 1, 4]], fit.n_a), SkinLine(fit.solution[2:5], fit.n_b)
     frame = Frame(np.array([0.0, 0.0, 700.0]), np.eye(3))
@@ -57,6 +62,25 @@ def test_u95_holds_the_step_s_error_beside_a_dent_s_foot_and_stays_elsewhere(rng
     told = np.array([row.step_u95_mm for row in with_one_sided_bends(rows, sections, [EDGES] * len(rows))])
     assert (errors <= told)[bends != 0].all()
     assert (told[np.abs(s - 40.0) > 16.0] == 0.005).mean() > 0.9
+
+
+def test_a_foot_that_begins_farther_out_leans_the_line_and_widens_u95(rng: np.random.Generator) -> None:
+    """A kink that changes along the seam is no twist of stiff plates; one that changes evenly may be."""
+    s = 2.0 * np.arange(50)
+    near = np.abs(s - 40.0) < 12.0
+    sections = [section(-1.2e-3 if bent else 0.0, rng, 0.015, begins=6.0) for bent in near]
+    rows = [station(one, at, 0.005) for one, at in zip(sections, s, strict=True)]
+    errors = np.abs([row.step_mm - STEP for row in rows])
+    assert errors[near].min() > 0.01
+    told = np.array([row.step_u95_mm for row in with_one_sided_bends(rows, sections, [EDGES] * len(rows))])
+    assert (errors <= told)[near].all()
+    assert (told[np.abs(s - 40.0) > 26.0] == 0.005).all()
+    twisted = []
+    for k, one in enumerate(sections[30:]):
+        b = replace(one.b, coefficients=one.b.coefficients + np.array([0.0, 1e-3 * k, 0.0]))
+        twisted.append(replace(one, b=b))
+    told = np.array([row.step_u95_mm for row in with_one_sided_bends(rows[30:], twisted, [EDGES] * 20)])
+    assert (told == 0.005).mean() > 0.8
 
 
 def test_stretches_without_points_and_short_seams_change_nothing(rng: np.random.Generator) -> None:

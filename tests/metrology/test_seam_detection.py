@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
 from scipy.spatial import cKDTree
 
+from metrology.cloud import PixelFlag
 from metrology.errors import UsageError
 from metrology.results import RivetDetection
 from metrology.seams import ImageLine, LineSettings, SeamSettings, detect_lines, detect_seams
@@ -274,6 +277,33 @@ def test_fringes_are_fainter_in_a_gap_than_on_paint(rng):
     assert share[3:] == pytest.approx(60 / 70 * 100 / 90, abs=0.01)
     # Too large a black level makes no gap of paint.
     assert np.all(projected_share(texture, modulation, band, skin, 20.0)[:3] > 1)
+    # Nor of paint that is brighter than the skin.
+    white = np.where(band, 1.8 / 0.4, 1.0)
+    share = projected_share(black + (texture - black) * white, modulation * white, band, skin, 20.0)
+    assert np.all(share[:3] > 0.99)
+
+
+def test_a_saturated_bright_line_is_no_gap(rng):
+    """Its fringes are cut off, and are fainter than its light."""
+    band = Band((450, 350), 90, 4.0, -60.0)
+    scan = seam_scan([band], [Relief(0.0, 0.0)], rng)
+    bright = np.abs(np.arange(SHAPE[1]) - 450) < 3
+    left = replace(
+        scan.left,
+        modulation=np.where(bright, 0.8 * scan.left.modulation, scan.left.modulation).astype(np.float32),
+        flags=scan.left.flags | np.where(bright, np.uint16(PixelFlag.SATURATED_SAMPLES), np.uint16(0)),
+    )
+    assert not any(line.relief for line in detect_seams(replace(scan, left=left), ()))
+
+
+def test_thick_letters_beside_a_line_are_no_step(rng):
+    """On one side of it for some millimetres; a step between sheets goes on."""
+    band = Band((450, 350), 90, 12.0, 60.0)
+    for thick, seams in ((np.s_[:, 450:482], 0), (np.s_[:, 450:], 1)):
+        scan = seam_scan([band], [Relief(0.0, 0.0)], rng)
+        points = scan.points.copy()
+        points[thick] *= 1 - 0.06 / 700.0
+        assert sum(line.relief for line in detect_seams(replace(scan, points=points), ())) == seams
 
 
 def test_seams_are_numbered_from_left_to_right(rng):

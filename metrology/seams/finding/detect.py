@@ -12,7 +12,7 @@ from metrology.results import RivetDetection, SeamLine
 from metrology.seams.finding.image_line import ImageLine
 from metrology.seams.finding.laps import band_of, is_beside, with_laps
 from metrology.seams.finding.lines import detect_lines
-from metrology.seams.finding.raised import NO_SEAM
+from metrology.seams.finding.raised import NO_SEAM, is_level_beyond
 from metrology.seams.finding.relief import MOST_PIECES, Relief, examine_relief
 from metrology.seams.finding.rough import RoughLine
 from metrology.seams.finding.scratches import scratches_of
@@ -56,7 +56,8 @@ def detect_seams(
     seams, others = [], []
     for line in detect_lines(reconstruction.left.texture, settings.lines, hidden, worth):
         relief = examine_relief(line.centre_px, float(np.median(line.width_px)), reconstruction, usable, settings)
-        if relief.is_seam:
+        painted = not relief.is_groove and is_level_beyond(line.centre_px, relief.step_mm, reconstruction, usable)
+        if relief.is_seam and not painted:
             seams.append((SeamLine("", line.centre_px, line.width_px, _confidence(line, relief), True), relief))
         elif relief.between_skins and _is_shown(line):
             others.append(SeamLine("", line.centre_px, line.width_px, NO_SEAM, False))

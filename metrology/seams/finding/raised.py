@@ -16,8 +16,38 @@ from metrology.seams.polyline import interpolated, normals, resample
 # What lies on the skin is taken to be no wider than this: cables, hoses, tape. Its flank may be on either side.
 _WIDEST_MM = 8.0
 _NODE_PX = 12.0
+_LASTING = 0.5  # of a step between two sheets that is there beyond as well
 NO_SEAM = 0.2
 """Confidence of a line that is shown and is no seam."""
+
+
+def is_level_beyond(points: Array, step_mm: float, reconstruction: Reconstruction, usable: Mask) -> bool:
+    """Whether the skin beyond what may lie or be painted along a line is level, though it steps near the line.
+
+    Thick letters stand on one side of a line that runs through them at a slant.
+
+    Parameters
+    ----------
+    points : (n, 2) ndarray
+        u, v along the line.
+    step_mm : float
+        Near the line.
+    usable : (h, w) ndarray of bool
+        Pixels with a point, off the rivets.
+    """
+    widest = _widest_px(points, reconstruction)
+    profile = None if widest is None else skin_profile(points, widest, reconstruction, usable)
+    return profile is not None and profile.step_mm * np.sign(step_mm) < _LASTING * abs(step_mm)
+
+
+def _widest_px(points: Array, reconstruction: Reconstruction) -> float | None:
+    """How far what lies along a line may reach in the image; None where no point is on it."""
+    z = reconstruction.points[..., 2]
+    u, v = np.clip(np.round(points).astype(int), 0, np.array(z.shape[::-1]) - 1).T
+    depth = z[v, u]
+    if not np.isfinite(depth).any():
+        return None
+    return _WIDEST_MM / float(np.nanmedian(depth)) * float(reconstruction.rig.left.K[0, 0])
 
 
 def raised_line(course: Array, reconstruction: Reconstruction, usable: Mask) -> SeamLine | None:
@@ -31,12 +61,8 @@ def raised_line(course: Array, reconstruction: Reconstruction, usable: Mask) -> 
     usable : (h, w) ndarray of bool
         Pixels with a point, off the rivets.
     """
-    u, v = np.clip(np.round(course).astype(int), 0, np.array(usable.shape[::-1]) - 1).T
-    z = reconstruction.points[v, u, 2]
-    if not np.isfinite(z).any():
-        return None
-    widest = _WIDEST_MM / float(np.nanmedian(z)) * float(reconstruction.rig.left.K[0, 0])
-    profile = skin_profile(course, widest, reconstruction, usable)
+    widest = _widest_px(course, reconstruction)
+    profile = None if widest is None else skin_profile(course, widest, reconstruction, usable)
     if profile is None or abs(profile.step_mm) >= LEAST_STEP_MM:
         return None
     raised = profile.height_mm > LEAST_STEP_MM / 2

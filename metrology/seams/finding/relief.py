@@ -40,6 +40,7 @@ _LEAST_HALF_PX = 1.0
 # back than from paint (paint and scratches stay within 0.01 of 1, gaps are at 0.95 and less: simulated scans).
 _NARROW_PX = 5.0
 _LIT_SHARE = 0.97
+_SATURATED = np.uint16(PixelFlag.SATURATED | PixelFlag.SATURATED_SAMPLES)
 # A seam shows relief over most of its length, and has skin on both sides over most of it.
 _RELIEF_SHARE = 0.6
 _SKIN_SHARE = 0.5
@@ -78,6 +79,11 @@ class Relief:
     def between_skins(self) -> bool:
         """Whether both sides are skin: not the panel's own border, nor that of the projected field."""
         return self.skin_share >= _SKIN_SHARE
+
+    @property
+    def is_groove(self) -> bool:
+        """Whether it lies deeper than both skins."""
+        return self.groove_share >= _RELIEF_SHARE
 
     @property
     def is_shallow_groove(self) -> bool:
@@ -122,8 +128,12 @@ def examine_relief(
     if width_px < _NARROW_PX:
         modulation = reconstruction.left.modulation[pieces.v, pieces.u].astype(float)
         black = black_level(reconstruction.left)
-        lit = projected_share(texture, modulation, np.abs(pieces.x) < 0.5, skin, black)
-        depth = np.where(lit < _LIT_SHARE, _SHADOW_DEPTH_MM, depth)
+        middle = np.abs(pieces.x) < 0.5
+        lit = projected_share(texture, modulation, middle, skin, black)
+        # A bright line that is saturated has lost a part of its fringes.
+        saturated = (reconstruction.left.flags[pieces.v, pieces.u] & _SATURATED)[:, middle].any(axis=1)
+        bright = saturated & (row_medians(texture, middle) > row_medians(texture, skin))
+        depth = np.where((lit < _LIT_SHARE) & ~bright, _SHADOW_DEPTH_MM, depth)
     depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * depth_sigma)[joined]
     step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
     width_mm = width_px / reconstruction.rig.left.K[0, 0] / row_medians(inverse, skin)[joined]

@@ -26,8 +26,9 @@ def black_level(view: DecodedView) -> float:
 def projected_share(texture: Array, modulation: Array, band: Mask, skin: Mask, black: float) -> Array:
     """Fringe amplitude of a band over that of paint as dark, for each piece of a line.
 
-    ``q = (B / B_skin) / ((A − black) / (A_skin − black))``: 1 for paint, less in a gap; too large a black level only
-    raises q.
+    ``q = (B / B_skin) / ((A − black) / (A_skin − black))``: 1 for paint, less in a gap. Too large a black level raises
+    q of what is darker than the skin, and lowers that of what is brighter: the black level lies between 0 and the one
+    given, and the greatest q of both tells.
 
     Parameters
     ----------
@@ -43,8 +44,9 @@ def projected_share(texture: Array, modulation: Array, band: Mask, skin: Mask, b
     (p,) ndarray
         NaN where the band is black.
     """
-    level = row_medians(texture, band) - black
-    dark = level / (row_medians(texture, skin) - black)
+    own, beside = row_medians(texture, band), row_medians(texture, skin)
+    level = own - black
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = row_medians(modulation, band) / row_medians(modulation, skin) / dark
+        bright = np.maximum((beside - black) / level, beside / own)
+        shares = row_medians(modulation, band) / row_medians(modulation, skin) * bright
     return np.where(level > 0, shares, np.nan)
