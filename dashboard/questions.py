@@ -52,17 +52,26 @@ GROUP BY ALL HAVING count(*) >= 5 ORDER BY abs(correlation) DESC LIMIT 200""",
     N_("Who decided what"): """SELECT "at", who, action, disposition, scene_id, feature_kind, feature_id, comment
 FROM decisions ORDER BY number DESC LIMIT 1000""",
     N_("Distance to the limit"): """WITH found AS (
-    SELECT aircraft_serial, panel, station, rivet_id AS name, height_mean_mm AS value_mm, reason FROM worst_rivets
-    UNION ALL SELECT aircraft_serial, panel, station, printf('%s at %.0f mm', seam_id, s_mm), step_mm, reason
-    FROM worst_seam_stations
-), limits AS (
-    SELECT *, try_cast(regexp_extract(reason, '([-+][0-9.]+) …', 1) AS DOUBLE) AS lower,
-        try_cast(regexp_extract(reason, '… ([-+][0-9.]+)', 1) AS DOUBLE) AS upper
-    FROM found WHERE reason LIKE '%height %' OR reason LIKE '%step %'
+    SELECT scene_id, aircraft_serial, panel, station, rivet_id AS name, NULL AS at_mm,
+        coalesce(zone, 'default') AS zone, 'rivet' AS kind, 'height' AS quantity, height_mean_mm AS value_mm,
+        NULL AS into_wind_mm FROM latest_rivets
+    UNION ALL SELECT scene_id, aircraft_serial, panel, station, seam_id, s_mm, coalesce(zone, 'default'),
+        'seam station', 'step', step_mm, step_into_wind_mm FROM latest_seam_stations
+    UNION ALL SELECT scene_id, aircraft_serial, panel, station, seam_id, s_mm, coalesce(zone, 'default'),
+        'seam station', 'gap', width_mm, NULL FROM latest_seam_stations
+), judged AS (
+    SELECT f.*, l.lower, l.upper, l.depends_on, CASE l.depends_on
+        WHEN 'into the wind' THEN coalesce(into_wind_mm, abs(value_mm))
+        WHEN 'out of the wind' THEN coalesce(-into_wind_mm, abs(value_mm)) ELSE value_mm END AS met_mm
+    FROM found f JOIN limits l USING (panel, zone, kind, quantity)
+    JOIN (SELECT scene_id, config_hash FROM scenes) s USING (scene_id)
+    WHERE list_contains(l.config_hashes, s.config_hash)
 )
-SELECT aircraft_serial, panel, station, name, value_mm, lower, upper,
-    round(greatest(lower - value_mm, value_mm - upper), 4) AS beyond_mm
-FROM limits ORDER BY beyond_mm DESC NULLS LAST LIMIT 500""",
+SELECT aircraft_serial, panel, station, name, at_mm, quantity, depends_on, met_mm AS value_mm, lower, upper,
+    round(greatest(lower - met_mm, met_mm - upper), 4) AS beyond_mm
+FROM judged WHERE met_mm IS NOT NULL
+QUALIFY row_number() OVER (PARTITION BY scene_id, name, quantity ORDER BY beyond_mm DESC) = 1
+ORDER BY beyond_mm DESC LIMIT 500""",
     N_("Recurring at the same place"): f"""SELECT panel, station, rivet_id, count(DISTINCT aircraft_serial) AS aircraft,
     round(avg(height_mean_mm), 3) AS mean_mm, string_agg(DISTINCT aircraft_serial, ', ') AS which
 FROM latest_rivets WHERE {_OUT}

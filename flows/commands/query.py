@@ -18,7 +18,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "query",
         parents=[common],
         help="ask the archive in SQL",
-        description="Runs a SQL query (DuckDB) over the tables scenes, rivets, seam_stations and the views on them. "
+        description="Runs a SQL query (DuckDB) over the tables scenes, rivets, seam_stations and the views on them, "
+        "and over decisions, dispositions, limits, rigs and verifications. "
         "'SHOW TABLES' lists them, 'SELECT column_name, comment FROM duckdb_columns()' says what the columns mean.",
     )
     parser.add_argument("sql", metavar="SQL")

@@ -25,6 +25,7 @@ from metrology.kinds import KINDS, counted
 from metrology.results import PanelKey, SceneKey
 from metrology.steps import TIMED
 from storage import png
+from storage.archive import layout
 from storage.archive.files import protect, sha256, sync, write_durably
 from storage.archive.schema import PANELS, SCENE_TABLES, SCENES, Table
 from storage.cloud import encode_cloud
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 FORMAT = "flushline-bundle/1"
 PANEL_FORMAT = "flushline-panel-run/1"
-MANIFEST = "manifest.json"
+MANIFEST = layout.MANIFEST
 # 10 nm, 0.1 mdeg and 0.1 mpx, far below any uncertainty: tables of such numbers take a third of the room.
 _DIGITS = {"mm": 5, "deg": 4, "px": 4}
 CLOUD, OVERLAY, OVERLAY_SVG, PREVIEW, RIG = "cloud.parquet", "overlay.png", "overlay.svg", "preview.png", "rig.json"

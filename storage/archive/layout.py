@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from metrology.results import SceneKey
 
 STORE_FORMAT = "flushline-store/1"
+MANIFEST = "manifest.json"
+"""The file of a bundle that names all others."""
 
 
 @dataclass(frozen=True)

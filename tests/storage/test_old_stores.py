@@ -77,6 +77,8 @@ def test_it_shows_all_that_it_holds(old: tuple[Store, dict[str, Any]]) -> None:
     store, held = old
     assert missing_rows(store, held) == []
     check_people(store, held)
+    told = store.query("SELECT DISTINCT unnest(config_hashes) AS c FROM limits").column(0).to_pylist()
+    assert set(told) == set(store.query("SELECT config_hash FROM scenes").column(0).to_pylist())
 
 
 def test_it_takes_another_result(old: tuple[Store, dict[str, Any]]) -> None:
