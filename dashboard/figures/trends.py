@@ -12,6 +12,7 @@ from plotly.subplots import make_subplots
 from scipy import stats
 
 from dashboard.figures.base import escape, figure, limit_lines
+from dashboard.first_pass import Yield
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
 from dashboard.trends import Event, Quantity, Spread
@@ -202,6 +203,31 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
     )
     fig.update_xaxes(type="category", tickangle=-60)
     fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})
+    return fig
+
+
+def yield_figure(yields: Sequence[Yield], locale: Locale, height: int = 300) -> go.Figure:
+    """The share that passed at once, with its interval, of each panel, aircraft or period."""
+    fig = figure(locale, height)
+    shares = [one.share for one in yields]
+    fig.add_bar(
+        x=[one.name for one in yields],
+        y=shares,
+        marker_color=BLUE,
+        error_y={
+            "type": "data",
+            "symmetric": False,
+            "array": [one.interval[1] - one.share for one in yields],
+            "arrayminus": [one.share - one.interval[0] for one in yields],
+            "color": INK,
+            "thickness": 1,
+        },
+        customdata=[(locale.whole(one.passed), locale.whole(one.n)) for one in yields],
+        hovertemplate="%{x}: %{y:.1%} (%{customdata[0]} / %{customdata[1]})<extra></extra>",
+        name=_("passed at once"),
+    )
+    fig.update_xaxes(type="category", tickangle=-60 if len(yields) > 8 else 0)
+    fig.update_yaxes(title=_("first-pass yield"), range=[0, 1.02], tickformat=".0%")
     return fig
 
 

@@ -35,6 +35,7 @@ from dashboard.trends import (
     series,
     spread,
 )
+from dashboard.views.first_pass import show_first_pass
 from dashboard.words import N_, _
 from metrology.statistics import (
     NELSON_RULES,
@@ -51,7 +52,7 @@ from storage.wording import capital
 
 TITLE = N_("Trends")
 _RULES = {"Nelson": NELSON_RULES, "Western Electric": WESTERN_ELECTRIC_RULES}
-_VIEWS = (N_("Control chart and capability"), N_("Pareto of panels"), N_("Map of the panel"))
+_VIEWS = (N_("Control chart and capability"), N_("Pareto of panels"), N_("Map of the panel"), N_("First-pass yield"))
 # Points from which control limits are usually taken as settled (Montgomery, Statistical Quality Control).
 _SETTLED = 20
 CAUSES = (
@@ -66,9 +67,6 @@ _MEASURES = {N_("mean value"): "mean", N_("share outside"): "outside"}
 def render(context: PageContext) -> None:
     """Show the page."""
     subject, quantity, selection, rules = _choose(context)
-    if subject is None:
-        st.info(_("There is nothing of this kind on that panel and station."))
-        return
     view = st.segmented_control(
         _("View"),
         _VIEWS,
@@ -78,6 +76,10 @@ def render(context: PageContext) -> None:
     )
     if view == _VIEWS[1]:
         _pareto(context, selection)
+    elif view == _VIEWS[3]:
+        show_first_pass(context, selection.since)
+    elif subject is None:
+        st.info(_("There is nothing of this kind on that panel and station."))
     elif view == _VIEWS[2]:
         _map(context, subject, quantity, selection)
     else:

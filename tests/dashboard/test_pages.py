@@ -20,6 +20,7 @@ from dashboard.app import PAGES
 from dashboard.comparing import differences
 from dashboard.data import Archive
 from dashboard.findings import Selection, Wanted, findings
+from dashboard.first_pass import Yield, first_pass
 from dashboard.questions import MORE, QUESTIONS
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.sql_runner import run_query
@@ -33,7 +34,7 @@ from storage.archive.views import VIEWS
 from storage.panel_spec import load_panel_spec
 from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
 from tests.support.synthetic_scene import synthetic_result
-from tests.support.week import WORST_HEIGHT, recipe, texts
+from tests.support.week import AIRCRAFT, WORST_HEIGHT, recipe, texts
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 Open = Callable[..., AppTest]
@@ -347,6 +348,37 @@ def test_findings_are_counted_by_what_is_alike_in_them(filled: Path, open_page: 
     assert (
         "Findings by" in clean(open_page("trends", filled, view="Pareto of panels", by="cause")).button_group[1].label
     )
+
+
+def test_first_pass_yield_is_told_by_first_scans(writable: Path, open_page: Open) -> None:
+    found = findings(Archive(writable), Wanted(state="all"))  # every scan of the week is the first of its station
+    outside = set(found[found["decision"].isin(["fail", "conditional fail"])]["aircraft_serial"])
+    assert first_pass(Archive(writable), "panel") == [Yield("LH-F12", 0, len(outside), 0)]
+    fine = replace(recipe(0, "S1"), heights_mm=(0.0,) * 12, step_mm=0.0)
+    for serial, days, unmeasured in (
+        ("GOOD-1", -60, ()),
+        ("VAGUE-1", -60, (5,)),
+        # A re-scan that passes makes no first pass of it, nor does it bring the panel into a later month.
+        (AIRCRAFT[0], 1, ()),
+        ("VAGUE-1", -20, ()),
+    ):
+        key = replace(fine.key, aircraft_serial=serial, captured_at=fine.key.captured_at + timedelta(days=days))
+        Store(writable).publish(synthetic_result(replace(fine, key=key, unmeasured=unmeasured)))
+    week = Yield("2026-11", 0, len(outside), 0)
+    assert first_pass(Archive(writable), "month") == [Yield("2026-09", 1, 0, 1), week]
+    assert first_pass(Archive(writable), "month", since=fine.key.captured_at - timedelta(days=30)) == [week]
+    of_aircraft = first_pass(Archive(writable), "aircraft", without=("MSN-*",))
+    assert of_aircraft == [Yield("GOOD-1", 1, 0, 0), Yield("VAGUE-1", 0, 0, 1)]
+    shown = clean(open_page("trends", writable, view="First-pass yield", **{"yield": "week"})).dataframe[0].value
+    assert shown["Panels"].sum() == len(outside) + 2
+
+
+def test_first_pass_yield_says_how_sure_it_is() -> None:
+    low, high = Yield("P", 9, 1, 0).interval
+    assert (low, high) == pytest.approx((0.55498, 0.99747), abs=1e-5)  # 9 of 10 by Clopper and Pearson
+    assert Yield("P", 0, 3, 0).interval[0] == 0
+    assert Yield("P", 3, 0, 0).interval[1] == 1
+    assert Yield("P", 1, 0, 1).share == 0.5
 
 
 def test_a_damaged_index_is_one_line(writable: Path, open_page: Open) -> None:
