@@ -3,7 +3,7 @@
 title = "Hall 7"
 numbers = "de"                       # us, de, iso; by default the browser's
 language = "de"                      # en, de; by default the browser's
-not_aircraft = ["STD-*"]             # serial numbers of gauges and standard parts: the overview leaves them out
+not_aircraft = ["STD-*"]             # serial numbers of gauges and standard parts, which are no aircraft
 concessions = true                   # "use as is" and "repair" ask for a concession or NCR number
 inboxes = ["/data/inbox"]            # whose quarantine the page "Runs and rigs" shows
 prefect_api = "http://flows:4200/api"  # whose flow runs it shows; by default PREFECT_API_URL

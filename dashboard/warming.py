@@ -15,7 +15,7 @@ from dashboard.data import Archive
 from dashboard.filters import began
 from dashboard.findings import PERIODS, Selection, Wanted, findings
 from dashboard.margins import with_margins
-from dashboard.settings import store_root
+from dashboard.settings import load_settings, store_root
 from storage.archive.changes import drift_sql
 
 OFF_VARIABLE = "FLUSHLINE_NO_READ_AHEAD"
@@ -33,10 +33,12 @@ def keep_warm() -> None:
 
 def read_ahead(archive: Archive) -> None:
     """Read what the review and the overview show at first, and the review for each of its periods."""
-    with_margins(archive, findings(archive, Wanted()))
+    without = load_settings(archive.root).not_aircraft
+    with_margins(archive, findings(archive, Wanted(selection=Selection(without=without))))
     archive.shared_rows(drift_sql("true"))
     for period in PERIODS:
-        with_margins(archive, findings(archive, Wanted(selection=Selection(since=began(archive, period)))))
+        selection = Selection(since=began(archive, period), without=without)
+        with_margins(archive, findings(archive, Wanted(selection=selection)))
 
 
 def _watch() -> None:

@@ -24,7 +24,7 @@ from dashboard.tables import show_table
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError
 from metrology.kinds import KINDS
-from storage.archive.views import TAKEN_AT
+from storage.archive.views import OUTSIDE_SQL, TAKEN_AT
 from storage.archive.work import ATTENTION
 
 TITLE = N_("Archive")
@@ -86,43 +86,48 @@ def _way(title: str, icon: str, possible: bool, page: str, **parameters: str) ->
     )
 
 
-_SCENES_SQL = f"""
-FROM (SELECT * FROM scenes WHERE {{}}) s LEFT JOIN (
-    SELECT scene_id, count(*) FILTER (decision IN ('fail', 'conditional fail')) AS fail,
-        count(*) FILTER (decision = 'not measured') AS not_measured, count(*) AS bad
-    FROM (
-        {" UNION ALL ".join(f"SELECT scene_id, decision FROM {kind.table} WHERE {ATTENTION}" for kind in KINDS)}
-    ) GROUP BY scene_id
-) b USING (scene_id)
-"""
+def _found_sql(among: str) -> str:
+    """Of scans, how many features and stretches of seams need attention; a stretch counts by its gravest verdict."""
+    parts = [
+        f"SELECT scene_id, bool_or({OUTSIDE_SQL}) AS outside, bool_or(decision = 'not measured') AS unknown "
+        f"FROM {kind.table} WHERE {ATTENTION} AND {among} "
+        f"GROUP BY scene_id, {f'coalesce(stretch, {kind.id_sql})' if kind.is_course else kind.id_sql}"
+        for kind in KINDS
+    ]
+    return (
+        "SELECT scene_id, count(*) FILTER (outside) AS fail, count(*) FILTER (unknown AND NOT outside) "
+        f"AS not_measured, count(*) AS bad FROM ({' UNION ALL '.join(parts)}) GROUP BY scene_id"
+    )
 
 
 def _listed(selection: Selection, verdict: str) -> tuple[str, list[object]]:
     condition, parameters = selection.where()
+    among = f"(FROM scenes WHERE {condition})"
+    if verdict == _ANY:
+        return f"FROM (SELECT scene_id, {TAKEN_AT} AS taken_at FROM {among})", parameters
     sql = (
         f"FROM (SELECT s.scene_id, s.rig_verdict, {TAKEN_AT} AS taken_at, coalesce(fail, 0) AS fail, "
-        "coalesce(not_measured, 0) AS not_measured, "
-        f"coalesce(bad, 0) AS bad {_SCENES_SQL.format(condition)}) WHERE {VERDICTS.get(verdict, 'true')}"
+        f"coalesce(not_measured, 0) AS not_measured, coalesce(bad, 0) AS bad FROM {among} s "
+        f"LEFT JOIN ({_found_sql('true')}) USING (scene_id)) WHERE {VERDICTS.get(verdict, 'true')}"
     )
     return sql, parameters
 
 
 def _count(archive: Archive, selection: Selection, verdict: str) -> int:
-    if verdict == _ANY:
-        condition, parameters = selection.where()
-        return int(archive.rows(f"SELECT count(*) AS n FROM scenes WHERE {condition}", parameters)["n"][0])
     sql, parameters = _listed(selection, verdict)
     return int(archive.rows(f"SELECT count(*) AS n {sql}", parameters)["n"][0])
 
 
 def _scenes(archive: Archive, selection: Selection, verdict: str, most: int, skip: int) -> pd.DataFrame:
     sql, parameters = _listed(selection, verdict)
+    found = _found_sql("scene_id IN (SELECT scene_id FROM page)")
     return archive.rows(
-        f"WITH page AS (SELECT scene_id, taken_at, fail, not_measured {sql} ORDER BY taken_at DESC, scene_id "
+        f"WITH page AS MATERIALIZED (SELECT scene_id, taken_at {sql} ORDER BY taken_at DESC, scene_id "
         f"LIMIT {most} OFFSET {skip}) "
-        "SELECT s.scene_id, aircraft_serial, panel, station, captured_at, fail, not_measured, n_rivets, n_stations, "
+        "SELECT s.scene_id, aircraft_serial, panel, station, captured_at, coalesce(fail, 0) AS fail, "
+        "coalesce(not_measured, 0) AS not_measured, n_rivets, n_seams, "
         "rig_id, rig_verdict, status, software_version, preview_path FROM page JOIN scenes s USING (scene_id) "
-        "ORDER BY taken_at DESC, s.scene_id",
+        f"LEFT JOIN ({found}) USING (scene_id) ORDER BY taken_at DESC, s.scene_id",
         parameters,
     )
 
@@ -162,11 +167,11 @@ def _layout() -> dict[str, Any]:
         "captured_at": _("Scanned"),
         "fail": st.column_config.Column(
             DECISION_SIGNS["fail"] + " " + _("Fail"),
-            help=_("Rivets and positions along seams outside their limits"),
+            help=_("Rivets, stretches of seams and the like outside their limits"),
         ),
         "not_measured": "? " + _("Not measured"),
         "n_rivets": _("Rivets"),
-        "n_stations": _("Seam positions"),
+        "n_seams": _("Seams"),
         "rig_id": _("Rig"),
         "rig_verdict": st.column_config.Column(
             _("Rig check"),

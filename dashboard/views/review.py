@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -89,7 +89,7 @@ def render(context: PageContext) -> None:
     left, right = st.columns([13, 9])
     with left:
         say_outcome(context, at)  # here it moves no button
-        ticked = _list(context, rows, names, at) if names else _empty(wanted)
+        ticked = _list(context, rows, names, at, wanted.selection.without) if names else _empty(wanted)
     with right:
         if ticked:
             _several(context, ticked)
@@ -104,6 +104,8 @@ def _sorted(rows: pd.DataFrame, order: str) -> pd.DataFrame:
 
 def _filters(context: PageContext) -> tuple[Wanted, str]:
     selection = scene_filters(context.archive)
+    if not selection.aircraft:  # who chooses a gauge sees it
+        selection = replace(selection, without=context.settings.not_aircraft)
     first, second, third, fourth = st.columns([6.4, 4.9, 2, 2])
     decisions = first.pills(
         _("Verdict"),
@@ -205,9 +207,11 @@ def _signed(context: PageContext, scene: Any) -> None:
         say_signed(context, signed)
 
 
-def _list(context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: Name) -> list[Name]:
+def _list(
+    context: PageContext, rows: pd.DataFrame, names: Sequence[Name], at: Name, without: Sequence[str]
+) -> list[Name]:
     """The findings; a click looks at one. Returns those that are ticked."""
-    _exports(context, rows, int(rows["total"].iloc[0]))
+    _exports(context, rows, int(rows["total"].iloc[0]), without)
     columns = {name: title for name, title in _columns().items() if name != "disposition" or rows[name].notna().any()}
     shown = rows.copy()
     # Which row is looked at is said in words: a mark of Streamlit's own would go with the row's number.
@@ -239,7 +243,7 @@ def _select(key: str, names: Sequence[Name], at: Name) -> None:
     st.session_state[key] = {"selection": {"rows": ticked, "columns": [], "cells": cells}}
 
 
-def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
+def _exports(context: PageContext, rows: pd.DataFrame, total: int, without: Sequence[str]) -> None:
     whole = context.locale.whole
     found = _("1 finding") if total == 1 else _("{n} findings", n=whole(total))
     if total > len(rows):
@@ -259,6 +263,8 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int) -> None:
                 on_click="ignore",
                 key="html",
             )
+        if without:
+            found += " · " + _("without {names}", names=plain(", ".join(without)))
         st.caption(found, help=_("Click a row to look at it; tick several to decide on them at once."))
 
 

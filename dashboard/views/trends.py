@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -75,7 +76,7 @@ def render(context: PageContext) -> None:
         **one_of("view", _VIEWS),
     )
     if view == _VIEWS[1]:
-        _pareto(context, selection)
+        _pareto(context, replace(selection, without=context.settings.not_aircraft))
     elif view == _VIEWS[3]:
         show_first_pass(context, selection.since)
     elif subject is None:

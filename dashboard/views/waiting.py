@@ -26,7 +26,9 @@ from storage.archive.work import DECIDED, OPEN_WORK, findings_sql
 _MOST_ROWS = 200
 # The column of each open decision's count.
 _COLUMNS = {decision: decision.replace(" ", "_") for decision in OPEN_DECISIONS}
-_OF_FEATURES = "features_"
+_ALONG = f"feature_kind IN ({', '.join(repr(kind.name) for kind in KINDS if kind.is_course)})"
+_NAMED = f"""(scene_id, feature_kind, CASE WHEN {_ALONG} THEN split_part(feature_id, '@', 1) ELSE feature_id END)"""
+"""What a finding is of: a rivet, a seam."""
 
 
 def where_work_waits(context: PageContext, beside: DeltaGenerator) -> None:
@@ -53,14 +55,10 @@ def where_work_waits(context: PageContext, beside: DeltaGenerator) -> None:
 def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
     """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
     condition, selected = selection.where()
-    features = " + ".join(f"coalesce({_rows(kind)}, 0)" for kind in KINDS)
-    # A stretch of a seam is one finding of several features.
+    features = " + ".join(f"coalesce({_counted_as(kind)}, 0)" for kind in KINDS)
     by_decision = ", ".join(
-        f"{what} FILTER (newest AND decision = '{decision}') AS {prefix}{column}"
-        for decision, column in _COLUMNS.items()
-        for what, prefix in (("count(*)", ""), ("sum(n_positions)", _OF_FEATURES))
+        f"count(*) FILTER (newest AND decision = '{decision}') AS {column}" for decision, column in _COLUMNS.items()
     )
-    of_features = [f"{_OF_FEATURES}{column}" for column in _COLUMNS.values()]
     found = findings_sql(near=condition, scenes=condition, noticed=NOTICED)
     sql = f"""
 WITH s AS (
@@ -72,6 +70,7 @@ WITH s AS (
 ), per_panel AS (
     SELECT aircraft_serial, panel,
         {by_decision},
+        count(DISTINCT {_NAMED}) FILTER (newest AND ({_ALONG} OR decision <> 'unconfirmed')) AS noticed,
         max(abs(value_mm)) FILTER (newest AND feature_kind IN ('{RIVET.name}', '{SEAM_STATION.name}')) AS worst_mm,
         count(*) FILTER (state <> '{DECIDED}') AS waiting,
         count(*) FILTER (state = '{OPEN_WORK}') AS open_work
@@ -81,7 +80,7 @@ WITH s AS (
         count(*) FILTER (rig_verdict = 'unjudged') AS unjudged, {NEWEST_TIME} AS last_scan
     FROM s GROUP BY ALL
 )
-SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.values(), *of_features, "features")},
+SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.values(), "noticed", "features")},
     worst_mm, scenes, unjudged, last_scan
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
@@ -89,9 +88,9 @@ ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
     return context.archive.rows_with_review(sql, selected * 4)
 
 
-def _rows(kind: Kind) -> str:
-    """The column of `scenes` that counts a kind's features."""
-    return next(count.column for count in kind.counts if count.of != "names")
+def _counted_as(kind: Kind) -> str:
+    """The column of `scenes` that counts a kind's features: seams, not the positions along them."""
+    return next((count.column for count in kind.counts if count.of == "names"), kind.counts[0].column)
 
 
 def _counted(*columns: str) -> str:
@@ -139,13 +138,9 @@ def _totals(context: PageContext, panels: pd.DataFrame) -> None:
 
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
-    """Features by verdict."""
-    counts: dict[str, int] = {
-        decision: int(panels[f"{_OF_FEATURES}{column}"].sum()) for decision, column in _COLUMNS.items()
-    }
-    # What is unconfirmed is not counted among the features.
-    judged = sum(count for decision, count in counts.items() if decision != "unconfirmed")
-    return {**counts, "pass": max(0, int(panels["features"].sum()) - judged)}
+    """Findings by verdict, a stretch of a seam as one, and the features that have none."""
+    counts = {decision: int(panels[column].sum()) for decision, column in _COLUMNS.items()}
+    return {**counts, "pass": max(0, int(panels["features"].sum()) - int(panels["noticed"].sum()))}
 
 
 def _waiting(context: PageContext, panels: pd.DataFrame, selection: Selection) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tarfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -254,6 +255,34 @@ def test_the_review_lists_all_that_the_overview_counts(filled: Path, open_page: 
     )
     said = [caption.value for caption in open_page("review", filled).caption]
     assert any(text.startswith(f"{waiting} findings") for text in said), said
+
+
+def test_counts_are_of_features_and_stretches(filled: Path, open_page: Open) -> None:
+    found = findings(Archive(filled), Wanted(state="all"))  # of all scans: each is the newest of its station
+    outside = found[found["decision"].isin(["fail", "conditional fail"])]
+    assert (outside["n_positions"] > 1).any()
+    listed = open_page("archive", filled).dataframe[0].value
+    assert listed["fail"].sum() == len(outside)
+    assert listed["not_measured"].sum() == (found["decision"] == "not measured").sum()
+    assert (listed["fail"] > 0).sum() == len(open_page("archive", filled, verdict="with fails").dataframe[0].value)
+    said = texts(open_page("overview", filled, view=WORK))
+    for decision, n in found["decision"].value_counts().items():
+        assert re.search(rf"{re.escape(str(decision))} {n}\b", said), said
+    # Of the rivets and seams, those that are in no finding pass.
+    features = Archive(filled).rows("SELECT sum(n_rivets + n_seams) AS n FROM scenes")["n"][0]
+    names = found["scene_id"] + found["feature_kind"] + found["feature_id"].str.split("@").str[0]
+    assert re.search(rf"\bpass {features - names.nunique():.0f}\b", said), said
+
+
+def test_the_review_lists_no_gauges(writable: Path, open_page: Open) -> None:
+    gauge = AIRCRAFT[-1]
+    (writable / "dashboard.toml").write_text(f'not_aircraft = ["{gauge[:-1]}[{gauge[-1]}]"]\n')
+    found = findings(Archive(writable), Wanted())["aircraft_serial"].value_counts()
+    page = clean(open_page("review", writable))
+    assert gauge not in set(page.dataframe[0].value["Aircraft"])
+    assert any(c.value.startswith(f"{found.sum() - found[gauge]} findings · without") for c in page.caption)
+    chosen = clean(open_page("review", writable, aircraft=gauge)).dataframe[0].value
+    assert set(chosen["Aircraft"]) == {gauge}
 
 
 def test_the_worst_of_a_panel_is_a_height_or_a_step_and_no_diameter(writable: Path, open_page: Open) -> None:
