@@ -172,9 +172,7 @@ def _writer(name: str, values: pd.Series, locale: Locale) -> Callable[[object], 
     if pd.api.types.is_integer_dtype(values.dtype):
         return locale.whole
     if pd.api.types.is_float_dtype(values.dtype):
-        return partial(
-            locale.number, digits=_digits(name), sign=name.removesuffix("_left").removesuffix("_right") in _SIGNED
-        )
+        return partial(locale.number, digits=_digits(name), sign=name.rstrip("0123456789").removesuffix("_") in _SIGNED)
     return None
 
 

@@ -1,4 +1,4 @@
-"""Archive: find scans, look at their pictures, open one or compare two."""
+"""Archive: find scans, look at their pictures, open one or compare several."""
 
 from __future__ import annotations
 
@@ -9,18 +9,15 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of
-from dashboard.comparing import differences
 from dashboard.data import Archive
-from dashboard.figures.scene import scene_figure
 from dashboard.filters import scene_filters
 from dashboard.findings import Selection
-from dashboard.frame import PageContext, go, plain
+from dashboard.frame import PageContext, go
 from dashboard.locale import NOTHING
 from dashboard.palette import DECISION_SIGNS
 from dashboard.pictures import data_uri, load_picture, shrunk
 from dashboard.room import room
-from dashboard.scenes import load_features, load_scene_row
-from dashboard.tables import show_table
+from dashboard.views.comparison import MOST_COMPARED, compare
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError
 from metrology.kinds import KINDS
@@ -44,9 +41,9 @@ VERDICTS = {
 
 def render(context: PageContext) -> None:
     """Show the page."""
-    pair = [part for part in str(st.query_params.get("compare", "")).split(",") if part][:2]
-    if len(pair) == 2:
-        _compare(context, pair[0], pair[1])
+    compared = [part for part in str(st.query_params.get("compare", "")).split(",") if part][:MOST_COMPARED]
+    if len(compared) > 1:
+        compare(context, list(dict.fromkeys(compared)))
         return
     selection = scene_filters(context.archive, more=True)
     verdict_field, page_field, actions = st.columns([2, 1, 5], vertical_alignment="bottom")
@@ -63,13 +60,14 @@ def render(context: PageContext) -> None:
     chosen = _list(context, scenes)
     with buttons:
         _way(_("Open"), ":material/center_focus_strong:", len(chosen) == 1, "scene", scene=",".join(chosen))
-        _way(_("Compare two"), ":material/compare:", len(chosen) == 2, "archive", compare=",".join(chosen))
+        _way(_("Compare"), ":material/compare:", 1 < len(chosen) <= MOST_COMPARED, "archive", compare=",".join(chosen))
         st.caption(
             _(
-                "{total} scans, page {page} of {pages}. Tick one scan to open it, two to compare them.",
+                "{total} scans, page {page} of {pages}. Tick one scan to open it, two to {most} to compare them.",
                 total=context.locale.whole(total),
                 page=page,
                 pages=context.locale.whole(pages),
+                most=MOST_COMPARED,
             )
         )
 
@@ -194,47 +192,3 @@ def _thumbnail(path: str) -> str:
     from pathlib import Path
 
     return data_uri(shrunk(load_picture(Path(path)), _THUMBNAIL_PX))
-
-
-def _compare(context: PageContext, first: str, second: str) -> None:
-    """Two scans side by side, and how what they show differs."""
-    if st.button(_("Back to the list"), icon=":material/arrow_back:"):
-        go("archive")
-    sides, stations = [], []
-    for column, scene_id in zip(st.columns(2), (first, second), strict=True):
-        with column:
-            row = load_scene_row(context.archive, scene_id)
-            if row is None:
-                st.warning(_("There is no scan {name} in this store.", name=plain(scene_id)))
-                return
-            features = load_features(context.archive, row)
-            st.markdown(
-                f"**{plain(row.aircraft_serial)} · {plain(row.panel)} · {plain(row.station)}** · "
-                f"{context.locale.time(row.captured_at)}"
-            )
-            picture = load_picture(context.archive.file(row.preview_path))
-            st.plotly_chart(
-                scene_figure(picture, features, None, context.locale, height=330), key=f"picture-{column}-{scene_id}"
-            )
-            sides.append(features)
-            stations.append(str(row.station))
-    if len(set(stations)) > 1:
-        st.caption(_("These are different stations: rivets of the same name need not be the same rivet."))
-    st.markdown(_("**On both scans**, the largest change first"))
-    show_table(
-        differences(*sides),
-        {
-            "feature_id": _("Feature"),
-            "quantity": _("Quantity"),
-            "value_mm_left": _("Left, mm"),
-            "decision_left": _("Verdict left"),
-            "value_mm_right": _("Right, mm"),
-            "decision_right": _("Verdict right"),
-            "difference_mm": _("Change, mm"),
-            "difference_u95_mm": _("± U95"),
-        },
-        context.locale,
-        key="differences",
-        height=260,
-        above=508,
-    )

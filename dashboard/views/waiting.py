@@ -139,7 +139,7 @@ def _totals(context: PageContext, panels: pd.DataFrame) -> None:
 
 def _counts(panels: pd.DataFrame) -> dict[str, int]:
     """Findings by verdict, a stretch of a seam as one, and the features that have none."""
-    counts = {decision: int(panels[column].sum()) for decision, column in _COLUMNS.items()}
+    counts: dict[str, int] = {decision: int(panels[column].sum()) for decision, column in _COLUMNS.items()}
     return {**counts, "pass": max(0, int(panels["features"].sum()) - int(panels["noticed"].sum()))}
 
 

@@ -192,8 +192,8 @@ def test_from_the_archive(server: tuple[str, Path], page: Any) -> None:
     settle(page)
     for row in (0, 1):
         click_row(page, row, row_height=76, tick=True)
-    page.get_by_role("button", name="Compare two").click()
-    page.get_by_text("On both scans").wait_for()
+    page.get_by_role("button", name="Compare").click()
+    page.get_by_text("On these scans").wait_for()
     at(page, "archive", compare=f"{LAST},MSN-0425~LH-F12~S1~20261119T212000Z")
     page.get_by_role("button", name="Back to the list").click()
     page.get_by_text("scans, page").wait_for()

@@ -350,16 +350,39 @@ def test_two_scans_are_compared_with_the_uncertainty_of_each_change(filled: Path
     worst = rows.iloc[0]
     assert (worst["feature_id"], worst["quantity"]) == ("R04", "height")
     one, other = (side["rivet"].set_index("rivet_id").loc["R04"] for side in (before, after))
-    assert worst["difference_mm"] == other["height_mean_mm"] - one["height_mean_mm"]
-    assert worst["difference_u95_mm"] == pytest.approx(np.hypot(one["height_u95_mm"], other["height_u95_mm"]))
+    assert worst["difference_mm_2"] == other["height_mean_mm"] - one["height_mean_mm"]
+    assert worst["difference_u95_mm_2"] == pytest.approx(np.hypot(one["height_u95_mm"], other["height_u95_mm"]))
     steps, seams = rows[rows["quantity"] == "step"], before["seam station"]
     assert len(steps) == len(seams)
     # Places of both scans, half a step apart: each has its nearest; a scan without the seam leaves them alone.
     shifted = {**after, "seam station": after["seam station"].assign(s_mm=after["seam station"]["s_mm"] + 0.5)}
     again = differences(before, shifted)
-    assert again[again["quantity"] == "step"]["difference_mm"].notna().all()
+    assert again[again["quantity"] == "step"]["difference_mm_2"].notna().all()
     alone = differences(before, {**after, "seam station": after["seam station"].iloc[:0]})
-    assert alone[alone["quantity"] == "step"]["difference_mm"].isna().all()
+    assert alone[alone["quantity"] == "step"]["difference_mm_2"].isna().all()
+
+
+def test_any_number_of_scans_are_compared_with_the_first(filled: Path, open_page: Open) -> None:
+    archive = Archive(filled)
+    sql = "SELECT scene_id FROM scenes WHERE station = 'S1' ORDER BY captured_at"
+    names = [str(name) for name in archive.rows(sql)["scene_id"]][2:]
+    scans = [load_features(archive, load_scene_row(archive, name)) for name in names]
+    without = [{**scans[0], "seam station": scans[0]["seam station"].iloc[:0]}, *scans[1:]]
+    rows = differences(*scans)
+    assert len(rows) == len(differences(*without)) == 12 + 2 * len(scans[0]["seam station"])
+    assert differences(*without)[rows["quantity"] == "step"]["difference_mm_3"].isna().all()
+    gap = rows[(rows["quantity"] == "width") & (rows["feature_id"] == scans[0]["seam station"]["feature_id"][3])].iloc[
+        0
+    ]
+    for number, scan in enumerate(scans[1:], 2):
+        one, other = scans[0]["seam station"].iloc[3], scan["seam station"].iloc[3]
+        assert gap[f"difference_mm_{number}"] == pytest.approx(other["width_mm"] - one["width_mm"])
+        u95 = np.hypot(one["width_u95_mm"], other["width_u95_mm"])
+        assert gap[f"difference_u95_mm_{number}"] == pytest.approx(u95)
+    # However they are named in the address, the first is the oldest.
+    shown = clean(open_page("archive", filled, compare=",".join(reversed(names)))).dataframe[0].value
+    drifting = shown[(shown["Feature"] == "R09") & (shown["Quantity"] == "height")].iloc[0]
+    assert list(drifting[[f"Change 1 → {number}, mm" for number in (2, 3, 4)]] > 0) == [True] * 3
 
 
 def test_findings_are_counted_by_what_is_alike_in_them(filled: Path, open_page: Open) -> None:
