@@ -41,6 +41,7 @@ from dashboard.views.panel_tables import (
     show_rules,
     show_scans,
 )
+from dashboard.views.rework import show_before_after
 from dashboard.views.seam import show_seam
 from dashboard.words import N_, _
 from metrology.kinds import BY_NAME, KINDS
@@ -269,6 +270,7 @@ def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
     where = f" · {plain(location)}" if location else ""
     name = f"**{capital(_(kind.subject))} {plain(feature_words(chosen.id, context.locale))}**"
     st.markdown(_("{name} of the panel", name=name) + where)
+    show_before_after(context, view, chosen)
     if found is None:
         st.info(_("No scan in the panel has this feature at this place."))
         return

@@ -16,12 +16,14 @@ import pytest
 from streamlit.testing.v1 import AppTest
 
 from dashboard import panels
+from dashboard.before_after import _found, before_and_after
 from dashboard.data import Archive
 from dashboard.figures.panel import panel_figure
 from dashboard.figures.seam import seam_course_figure
 from dashboard.locale import locale_of
 from dashboard.panels import PanelPicture, load_panel, stitched_pictures
 from dashboard.seam_course import seam_course, seam_names
+from metrology.kinds import SEAM_STATION
 from metrology.results import PanelKey
 from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
@@ -131,6 +133,50 @@ def test_what_became_of_rework(nights: Path, tmp_path: Path, open_page: Open) ->
     dispose(root, "m.weber", [shown], "rework")
     [rows] = frames(open_page("panel", root, **ADDRESS, view="Changes"), "Outcome")
     assert rows[["Feature", "Outcome"]].to_numpy().tolist() == [["N10", "cured"]]
+    archive = Archive(root)
+    view = load_panel(archive, "MSN-1", "P")
+    assert view is not None
+    found = before_and_after(archive, view, Feature("rivet", "N10"))
+    assert found
+    assert (found.disposition, found.state, found.same_names) == ("rework", "cured", True)
+    assert found.before.scene.scene_id == head["seen_by"][0]
+    assert found.after.scene.station == found.before.scene.station
+    assert found.before.row.height_mean_mm == pytest.approx(0.2, abs=0.02)
+    assert found.after.row.height_mean_mm == pytest.approx(0.0, abs=0.02)
+    assert before_and_after(archive, view, Feature("rivet", "N11")) is None
+    page = open_page("panel", root, **ADDRESS, feature="rivet:N10")
+    said = texts(page)
+    assert "Before" in said
+    assert "After" in said
+    assert len(page.get("image")) == 2
+    assert not open_page("panel", root, **ADDRESS, feature="rivet:N11").get("image")
+    unknown = replace(found.after, scene=found.after.scene._replace(registration="not recognised"))
+    assert not replace(found, after=unknown).same_names
+
+
+def test_work_that_no_later_scan_shows_has_no_after(nights: Path, tmp_path: Path, open_page: Open) -> None:
+    root = Path(shutil.copytree(nights, tmp_path / "store", symlinks=True))
+    store = Store(root)
+    last = runs_of_panel(store, PanelKey("MSN-1", "P"))[-1]
+    head = next(row for row in last.rows("panel_rivets") if row["decision"] == "fail")
+    with contextlib.closing(store.connect()) as connection:
+        own = Feature("rivet", head["seen_as"][0])
+        shown = shown_finding(connection, ReviewLog(root).read(), head["seen_by"][0], own)
+    assert shown
+    dispose(root, "m.weber", [shown], "rework")
+    [rows] = frames(open_page("panel", root, **ADDRESS, view="Changes"), "Outcome")
+    assert list(rows["Outcome"]) == ["planned"]
+    archive = Archive(root)
+    view = load_panel(archive, "MSN-1", "P")
+    assert view is not None
+    assert before_and_after(archive, view, Feature("rivet", head["rivet_id"])) is None
+
+
+def test_a_position_is_the_same_where_it_is_near() -> None:
+    rows = pd.DataFrame({"seam_id": ["M1", "M1", "M2"], "s_mm": [10.0, 12.0, 10.9]})
+    assert _found(SEAM_STATION, rows, "M1", 11.2).s_mm == 12.0
+    assert _found(SEAM_STATION, rows, "M2", 10.0).s_mm == 10.9
+    assert _found(SEAM_STATION, rows, "M1", 14.0) is None
 
 
 def test_a_seam_is_drawn_along_its_whole_length(writable: Path, open_page: Open) -> None:
