@@ -6,6 +6,7 @@ from dashboard.trends import TYPE_SQL
 from dashboard.words import N_
 
 _OUT = "decision IN ('fail', 'conditional fail')"
+_NOTICED = "decision NOT IN ('pass', 'no limit')"
 _FEATURES = f"""SELECT scene_id, {_OUT} AS outside FROM rivets
     UNION ALL SELECT scene_id, {_OUT} FROM seam_stations"""
 
@@ -51,14 +52,14 @@ FROM (
 GROUP BY ALL HAVING count(*) >= 5 ORDER BY abs(correlation) DESC LIMIT 200""",
     N_("Who decided what"): """SELECT "at", who, action, disposition, scene_id, feature_kind, feature_id, comment
 FROM decisions ORDER BY number DESC LIMIT 1000""",
-    N_("Distance to the limit"): """WITH found AS (
+    N_("Distance to the limit"): f"""WITH found AS (
     SELECT scene_id, aircraft_serial, panel, station, rivet_id AS name, NULL AS at_mm,
         coalesce(zone, 'default') AS zone, 'rivet' AS kind, 'height' AS quantity, height_mean_mm AS value_mm,
-        NULL AS into_wind_mm FROM latest_rivets
+        NULL AS into_wind_mm FROM latest_rivets WHERE {_NOTICED}
     UNION ALL SELECT scene_id, aircraft_serial, panel, station, seam_id, s_mm, coalesce(zone, 'default'),
-        'seam station', 'step', step_mm, step_into_wind_mm FROM latest_seam_stations
+        'seam station', 'step', step_mm, step_into_wind_mm FROM latest_seam_stations WHERE {_NOTICED}
     UNION ALL SELECT scene_id, aircraft_serial, panel, station, seam_id, s_mm, coalesce(zone, 'default'),
-        'seam station', 'gap', width_mm, NULL FROM latest_seam_stations
+        'seam station', 'gap', width_mm, NULL FROM latest_seam_stations WHERE {_NOTICED}
 ), judged AS (
     SELECT f.*, l.lower, l.upper, l.depends_on, CASE l.depends_on
         WHEN 'into the wind' THEN coalesce(into_wind_mm, abs(value_mm))

@@ -13,7 +13,7 @@ from metrology.kinds import BY_NAME
 from storage.review import Feature
 from storage.wording import capital
 
-_WIDTH_PX = 220
+_WIDTH_PX = 180
 
 
 def show_before_after(context: PageContext, view: PanelView, chosen: Feature) -> None:
