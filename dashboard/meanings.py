@@ -12,7 +12,7 @@ from functools import cache
 
 from dashboard.reasons import expression_of
 from dashboard.words import _
-from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
+from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, MARKS_COLUMNS
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
 from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
@@ -59,7 +59,7 @@ def _declared() -> Iterator[str]:
         yield table.comment
         yield from (column.comment for column in table.columns)
     yield from (view.comment for view in VIEWS)
-    for columns in (DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, RIGS_COLUMNS, VERIFICATIONS_COLUMNS):
+    for columns in (DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, MARKS_COLUMNS, RIGS_COLUMNS, VERIFICATIONS_COLUMNS):
         yield from columns.values()
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import duckdb
 
-_DECISIONS, _RIGS = {"decisions", "dispositions"}, {"rigs", "verifications"}
+_DECISIONS, _RIGS = {"decisions", "dispositions", "marks"}, {"rigs", "verifications"}
 _NAMED = re.compile(rf"\b({'|'.join([*_DECISIONS, *_RIGS])})\b", re.IGNORECASE)
 
 
