@@ -61,6 +61,7 @@ _OTHERS = (
     "unjudged",
     "viewer",
     "reviewer",
+    "design authority",
     "not seen",
     "scan",
     "recognised",

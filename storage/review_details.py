@@ -17,7 +17,7 @@ LONGEST_NUMBER = 80
 _Text = Annotated[str, Field(max_length=LONGEST_NUMBER)]
 MarkKind = Literal["false", "missed"]
 MARK_KINDS: tuple[MarkKind, ...] = get_args(MarkKind)
-Confirmation = Literal["log-in", "log-in, name typed", "given name"]
+Confirmation = Literal["log-in, name typed", "given name"]
 CONFIRMATIONS: tuple[Confirmation, ...] = get_args(Confirmation)
 
 
@@ -67,7 +67,7 @@ class Signature(StrictModel):
     meaning: str
     """What the signature says."""
     confirmed: Confirmation
-    """How sure it is who signed: by the log-in, by it and the name typed again, or nobody logs in."""
+    """How sure it is who signed: they logged in and typed their name once more, or nobody logs in."""
 
 
 ADDED = ("numbers", "mark", "takes_back", "signature")
