@@ -16,7 +16,6 @@ from storage.models import StrictModel
 LONGEST_NUMBER = 80
 _Text = Annotated[str, Field(max_length=LONGEST_NUMBER)]
 MarkKind = Literal["false", "missed"]
-MARK_KINDS: tuple[MarkKind, ...] = get_args(MarkKind)
 Confirmation = Literal["log-in, name typed", "given name"]
 CONFIRMATIONS: tuple[Confirmation, ...] = get_args(Confirmation)
 

@@ -29,6 +29,7 @@ from dashboard.frame import PageContext, link, plain
 from dashboard.keys import keep_order
 from dashboard.locale import NOTHING
 from dashboard.margins import with_margins
+from dashboard.marking import offer_mark_false, offer_taking_back
 from dashboard.palette import OPEN_DECISIONS, decision_words
 from dashboard.picking import clicked_row
 from dashboard.pictures import around, load_picture
@@ -308,6 +309,8 @@ def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> 
         _history(context, shown)
     if alone:
         decide(context, [shown], partial(_recorded, _next(names, at)))
+        offer_mark_false(context, shown)
+        offer_taking_back(context, shown)
         offer_sign_off(context, scene)
 
 

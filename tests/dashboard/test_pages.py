@@ -491,6 +491,31 @@ def test_part_and_work_order_of_rework_are_fields_of_the_entry(writable: Path, o
     assert (entry.comment, entry.numbers.given) == ("shave the head", {"part": "MS20470", "work order": "WO-9"})
 
 
+def test_false_and_missed_fasteners_are_marked_and_taken_back(writable: Path, open_page: Open) -> None:
+    def fill(page: AppTest, label: str, text: str) -> AppTest:
+        next(field for field in page.text_input if field.label == label).set_value(text)
+        return page
+
+    page = clean(open_page("scene", writable, scene=LAST, feature="rivet:R04", view="Marks"))
+    page = fill(fill(page, "Your name", "M. Weber").run(), "Why is it none?", "a spot of paint")
+    page = clean(button(page, "No fastener at").click().run())
+    assert "Marked: no fastener at R04." in texts(page)
+    assert "Give your name, and the place" in texts(button(page, "A fastener was missed").click().run())
+    for field, pixel in zip(page.number_input, (120, 80), strict=True):
+        field.set_value(pixel)
+    page = clean(button(page, "A fastener was missed").click().run())
+    assert [field.value for field in page.number_input] == [None, None]
+    false, missed = ReviewLog(writable).read().standing_marks(LAST)
+    assert (false.feature_id, false.who, false.comment) == ("R04", "M. Weber", "a spot of paint")
+    assert missed.mark is not None
+    assert (missed.mark.u_px, missed.mark.v_px) == (120, 80)
+    page = clean(open_page("review", writable, scene=LAST, feature="rivet:R04"))
+    assert "no fastener here" in texts(page)
+    page = fill(fill(page, "Your name", "K. Ito").run(), "Why is it taken back?", "it is one after all")
+    page = clean(button(page, "Take back mark 1").click().run())
+    assert ReviewLog(writable).read().standing_marks(LAST) == [missed]
+
+
 def test_disposing_needs_a_name_and_a_disposition(writable: Path, open_page: Open) -> None:
     page = open_page("review", writable)
     assert "Choose a disposition" in texts(button(page, "Record").click().run())
