@@ -37,7 +37,14 @@ _NUMBERS = {
     "part_number": N_("Part number"),
     "work_order": N_("Work order"),
 }
+_SHORT = {"concession": N_("Concession")}
+"""What stands in the fields, which are narrow."""
 _MOST_IN_A_ROW = 3
+_SECOND_ROW = """<style>
+.st-key-finding.st-key-finding {max-height: max(175px, calc(100vh - 515px));}
+@media (max-width: 1100px) {.st-key-finding.st-key-finding {max-height: max(175px, calc(100vh - 630px));}}
+</style>"""
+"""A row more below the finding: its box is lower by as much, so that the button stays on the screen."""
 Done = Callable[[], None]
 
 
@@ -142,15 +149,16 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
         boxes = st.columns([2] * len(asked) + ([3] if len(asked) < _MOST_IN_A_ROW else [])) if asked else []
         for name, box in zip(asked, boxes, strict=False):
             box.text_input(
-                _(_NUMBERS[name]), key=f"{name}-{key}", max_chars=LONGEST_NUMBER, placeholder=_(_NUMBERS[name]),
-                label_visibility="collapsed",
+                _(_NUMBERS[name]), key=f"{name}-{key}", max_chars=LONGEST_NUMBER, label_visibility="collapsed",
+                placeholder=_(_SHORT.get(name, _NUMBERS[name])),
             )  # fmt: skip
         where: Any = boxes[-1] if len(boxes) > len(asked) else st
+        if asked and where is st:
+            st.html(_SECOND_ROW)
         where.text_input(
             _("Comment"), key=comment_key, max_chars=MAX_COMMENT, placeholder=_("Comment: what and why"),
             label_visibility="collapsed",
         )  # fmt: skip
-        suggest_comments(context.archive.review())
         named = _named(context, shown)
         st.form_submit_button(
             _("Record *{decision}* for {named}", decision=_(disposition), named=named)
@@ -163,6 +171,7 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
             on_click=_record,
             args=(context, tuple(shown), key, comment_key, done),
         )
+        suggest_comments(context.archive.review())  # at the end: it has a gap of its own
 
 
 def _numbers_asked(context: PageContext, disposition: str | None) -> list[str]:

@@ -86,13 +86,12 @@ def offer_mark_missed(context: PageContext, scene: Any, rows: int, columns: int)
     if not _may(context, scene_id):
         return
     shown = ShownScene(scene_id, str(scene.run_id))
-    note, keys = f"note-{scene_id}", _place_keys(scene_id)
+    note, (u, v) = f"note-{scene_id}", _place_keys(scene_id)
     with st.form(f"missed-{scene_id}", border=False):
-        for box, key, label, most in zip(
-            st.columns(2), keys, (_("Column in the picture"), _("Row in the picture")), (columns, rows), strict=True
-        ):
-            box.number_input(label, 0, most - 1, None, key=key)
-        st.text_input(_("Note: what was missed, and where"), key=note, max_chars=MAX_COMMENT)
+        column, row, words = st.columns([2, 2, 5])
+        column.number_input(_("Column in the picture"), 0, columns - 1, None, key=u)
+        row.number_input(_("Row in the picture"), 0, rows - 1, None, key=v)
+        words.text_input(_("Note: what was missed, and where"), key=note, max_chars=MAX_COMMENT)
         st.form_submit_button(
             _("A fastener was missed here"), key=f"record-missed-{scene_id}", icon=":material/add_location:",
             on_click=_record_missed, args=(context, shown, note),
