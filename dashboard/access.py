@@ -31,6 +31,8 @@ class Person:
     """Whether a log-in vouches for the name."""
     design_authority: bool = True
     """Whether a reviewer may also let parts pass that are not as drawn."""
+    signs_as: str = "reviewer"
+    """The role that their signatures name."""
 
     @property
     def may_review(self) -> bool:
@@ -60,14 +62,15 @@ def current_person(roles: RolesModel, root: Path) -> Person:
         The store's folder, which knows who logged out.
     """
     if not login_configured():
-        return Person("", "reviewer", False)
+        return Person("", "reviewer", False, signs_as=roles.titles.get("*", "reviewer"))
     if not st.user.is_logged_in:
         return Person("", "nobody", False)
     claims: Mapping[str, object] = st.user.to_dict()
     if LogOuts(root).ended(claims):
         return Person("", "nobody", False)
     name = name_of(claims)
-    return Person(name, role_of(name, claims, roles), True, is_design_authority(name, claims, roles))
+    design_authority = is_design_authority(name, claims, roles)
+    return Person(name, role_of(name, claims, roles), True, design_authority, signing_role(name, claims, roles))
 
 
 def name_of(claims: Mapping[str, object]) -> str:
@@ -98,6 +101,15 @@ def is_design_authority(name: str, claims: Mapping[str, object], roles: RolesMod
     if not (roles.design_authority or roles.design_authority_values):
         return True
     return _listed(name, roles.design_authority) or bool(_values(claims, roles) & set(roles.design_authority_values))
+
+
+def signing_role(name: str, claims: Mapping[str, object], roles: RolesModel) -> str:
+    """The role that the signatures of a person who logged in name: by the settings, else what they may do."""
+    by_name = {listed.casefold(): title for listed, title in roles.titles.items()}
+    if title := by_name.get(name.casefold()) or by_name.get("*"):
+        return title
+    named = roles.design_authority or roles.design_authority_values
+    return "design authority" if named and is_design_authority(name, claims, roles) else "reviewer"
 
 
 def _values(claims: Mapping[str, object], roles: RolesModel) -> set[str]:

@@ -33,6 +33,7 @@ from storage.archive import panel_rework
 from storage.archive.changes import CHANGES
 from storage.archive.work import DECIDED, OPEN_WORK, WAITING
 from storage.review import DISPOSITIONS
+from storage.review_details import AT_PIXEL
 from storage.wording import AT, STRETCH
 
 _CODE = Path(__file__).parent
@@ -48,12 +49,19 @@ _OTHERS = (
     "signed off",
     "work closed",
     "decision undone",
+    "no fastener here",
+    "fastener missed",
+    "mark taken back",
+    "concession",
+    "part",
+    "work order",
     "ok",
     "warnings",
     "warning",
     "unjudged",
     "viewer",
     "reviewer",
+    "design authority",
     "not seen",
     "scan",
     "recognised",
@@ -85,6 +93,7 @@ def declared() -> Iterator[str]:
         AND,
         *WORDS,
         RULE,
+        AT_PIXEL,
         AT,
         STRETCH,
     )

@@ -1,4 +1,4 @@
-"""Forms by which people decide: about the findings or the scan that they were drawn with, and about nothing else.
+"""Forms by which people decide: about the findings that they were drawn with, and about nothing else.
 
 A form carries what was on the screen: its button is given the findings with run, values and last decision when it is
 drawn, and its name holds a checksum of them. A click is acted on before the page is drawn anew, with what the button
@@ -8,29 +8,43 @@ was given; nothing is looked up by its place in a list. What changed meanwhile i
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import pandas as pd
 import streamlit as st
 
-from dashboard.findings import names_of, standings_words
+from dashboard.findings import names_of
 from dashboard.frame import PageContext, link, plain, told
 from dashboard.suggestions import suggest_comments
-from dashboard.words import _
+from dashboard.words import N_, _
 from metrology.errors import FlushlineError, OutdatedError
-from storage.archive.decisions import close_work, dispose, sign_off_all, undo
+from storage.archive.decisions import close_work, dispose, undo
 from storage.archive.work import DECIDED, OPEN_WORK, UNRESOLVED
-from storage.review import DISPOSITIONS, MAX_COMMENT, Disposition, Entry, Review, ShownFinding, ShownScene
+from storage.review import DISPOSITIONS, MAX_COMMENT, Disposition, Entry, Review, ShownFinding
+from storage.review_details import LONGEST_NUMBER, Numbers, remarks
 
 _OUTCOME = "review_outcome"
 ACCEPTS: tuple[Disposition, ...] = ("use as is", "repair")
 """What accepts a part that is not as drawn: where roles are configured, the design authority's to decide."""
 _KEYS: dict[Disposition, str] = {"use as is": "u", "rework": "w", "repair": "p", "scrap": "s", "re-scan": "n"}
+_WORK: tuple[Disposition, ...] = ("rework", "repair")
+"""What may have a part and a work order."""
+_NUMBERS = {
+    "concession": N_("Concession or NCR number"),
+    "part_number": N_("Part number"),
+    "work_order": N_("Work order"),
+}
+_SHORT = {"concession": N_("Concession")}
+"""What stands in the fields, which are narrow."""
+_MOST_IN_A_ROW = 3
+_SECOND_ROW = """<style>
+.st-key-finding.st-key-finding {max-height: max(175px, calc(100vh - 515px));}
+@media (max-width: 1100px) {.st-key-finding.st-key-finding {max-height: max(175px, calc(100vh - 630px));}}
+</style>"""
+"""A row more below the finding: its box is lower by as much, so that the button stays on the screen."""
 Done = Callable[[], None]
 
 
@@ -49,7 +63,8 @@ def _named(context: PageContext, shown: Sequence[ShownFinding]) -> str:
     return plain(_("{n} findings: {names}", n=len(shown), names=names) if len(shown) > 1 else names)
 
 
-def _checksum(shown: object) -> str:
+def checksum_of(shown: object) -> str:
+    """Names what was shown, for the key of a button that acts on it."""
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:16]
 
 
@@ -118,31 +133,32 @@ def say_signed(context: PageContext, signed: Entry) -> None:
     said = _(
         "Signed off by {who}, {at}: this scan is locked.", who=plain(signed.who), at=context.locale.time(signed.at)
     )
-    st.info(said, icon=":material/lock:")
+    st.info(" ".join(part for part in (said, plain(remarks(signed, _))) if part), icon=":material/lock:")
 
 
 def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> None:
-    key = _checksum(shown)
+    key = checksum_of(shown)
     # Kept where the same findings are shown anew; the disposition is not.
-    comment_key = f"comment-{_checksum([(s.scene_id, s.feature) for s in shown])}"
+    comment_key = f"comment-{checksum_of([(s.scene_id, s.feature) for s in shown])}"
     disposition = _choose_disposition(context, f"disposition-{key}")
     left, right = st.columns([2, 5])
     with left:
         ask_who(context)
     with right, st.form(f"decide-{key}", border=False):
-        concession_key = f"concession-{key}"
-        boxes: list[Any] = [st]
-        if disposition in ACCEPTS and context.settings.concessions:
-            number, *boxes = st.columns([2, 3])
-            number.text_input(
-                _("Concession or NCR number"), key=concession_key, max_chars=80,
-                placeholder=_("Concession or NCR number"), label_visibility="collapsed",
+        asked = _numbers_asked(context, disposition)
+        boxes = st.columns([2] * len(asked) + ([3] if len(asked) < _MOST_IN_A_ROW else [])) if asked else []
+        for name, box in zip(asked, boxes, strict=False):
+            box.text_input(
+                _(_NUMBERS[name]), key=f"{name}-{key}", max_chars=LONGEST_NUMBER, label_visibility="collapsed",
+                placeholder=_(_SHORT.get(name, _NUMBERS[name])),
             )  # fmt: skip
-        boxes[0].text_input(
+        where: Any = boxes[-1] if len(boxes) > len(asked) else st
+        if asked and where is st:
+            st.html(_SECOND_ROW)
+        where.text_input(
             _("Comment"), key=comment_key, max_chars=MAX_COMMENT, placeholder=_("Comment: what and why"),
             label_visibility="collapsed",
         )  # fmt: skip
-        suggest_comments(context.archive.review())
         named = _named(context, shown)
         st.form_submit_button(
             _("Record *{decision}* for {named}", decision=_(disposition), named=named)
@@ -153,8 +169,15 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
             key=f"record-{key}",
             shortcut="Enter",
             on_click=_record,
-            args=(context, tuple(shown), f"disposition-{key}", (concession_key, comment_key), done),
+            args=(context, tuple(shown), key, comment_key, done),
         )
+        suggest_comments(context.archive.review())  # at the end: it has a gap of its own
+
+
+def _numbers_asked(context: PageContext, disposition: str | None) -> list[str]:
+    """Numbers of the paperwork that the form asks for: names of `Numbers`."""
+    asked = ["concession"] if disposition in ACCEPTS and context.settings.concessions else []
+    return [*asked, "part_number", "work_order"] if disposition in _WORK else asked
 
 
 def _choose_disposition(context: PageContext, key: str) -> str | None:
@@ -194,28 +217,28 @@ def ask_who(context: PageContext, width: int | Literal["stretch"] = "stretch") -
         )  # fmt: skip
 
 
-def _who(context: PageContext) -> str:
+def who_decides(context: PageContext) -> str:
+    """The name of the log-in, else the one that was given; "" where there is none."""
     return context.person.name if context.person.verified else str(st.session_state.get("who") or "").strip()
 
 
-def _record(
-    context: PageContext, shown: tuple[ShownFinding, ...], disposition_key: str, text_keys: tuple[str, str], done: Done
-) -> None:
-    disposition, who = st.session_state.get(disposition_key), _who(context)
+def _record(context: PageContext, shown: tuple[ShownFinding, ...], key: str, comment_key: str, done: Done) -> None:
+    disposition, who = st.session_state.get(f"disposition-{key}"), who_decides(context)
     if not disposition or not who:
-        st.session_state[_OUTCOME] = _Outcome("hint", _("Choose a disposition and give your name."))
+        hint(_("Choose a disposition and give your name."))
         return
-    concession, comment = (str(st.session_state.get(key) or "").strip() for key in text_keys)
-    if disposition in ACCEPTS and context.settings.concessions:
-        if not concession:
-            st.session_state[_OUTCOME] = _Outcome(
-                "hint", _("*{decision}* needs its concession or NCR number.", decision=_(disposition))
-            )
-            return
-        comment = f"{concession}: {comment}" if comment else concession
+    asked = _numbers_asked(context, disposition)
+    numbers = Numbers(**{name: _typed(f"{name}-{key}") for name in asked})
+    if "concession" in asked and not numbers.concession:
+        hint(_("*{decision}* needs its concession or NCR number.", decision=_(disposition)))
+        return
     text = _("Recorded *{decision}* for {named}.", decision=_(disposition), named=_named(context, shown))
-    act = partial(dispose, context.archive.root, who, shown, disposition, comment)
-    _try(context, act, text, shown[0].scene_id, done)
+    act = partial(dispose, context.archive.root, who, shown, disposition, _typed(comment_key), numbers)
+    attempt(context, act, text, shown[0].scene_id, done)
+
+
+def _typed(key: str) -> str:
+    return str(st.session_state.get(key) or "").strip()
 
 
 def _close(context: PageContext, review: Review, shown: Sequence[ShownFinding], done: Done) -> None:
@@ -266,10 +289,10 @@ class _Act:
 
 
 def _with_reason(context: PageContext, shown: Sequence[ShownFinding], act: _Act) -> None:
-    key = _checksum((act.record.__name__, shown))
+    key = checksum_of((act.record.__name__, shown))
     with st.popover(f"{act.title} …", icon=act.icon), st.form(f"form-{key}"):
         st.text_input(act.why, key=f"reason-{key}", max_chars=MAX_COMMENT)
-        st.markdown(_("By **{who}**", who=plain(_who(context)) or _("give your name first")))
+        st.markdown(_("By **{who}**", who=plain(who_decides(context)) or _("give your name first")))
         st.form_submit_button(
             act.title, key=f"act-{key}", on_click=_record_reason, args=(context, tuple(shown), act, f"reason-{key}")
         )
@@ -285,92 +308,21 @@ def _is_open(context: PageContext, shown: Sequence[ShownFinding]) -> bool:
 
 
 def _record_reason(context: PageContext, shown: tuple[ShownFinding, ...], act: _Act, reason_key: str) -> None:
-    who, reason = _who(context), str(st.session_state.get(reason_key) or "")
+    who, reason = who_decides(context), str(st.session_state.get(reason_key) or "")
     if not who or not reason.strip():
-        st.session_state[_OUTCOME] = _Outcome("hint", _("Give your name and the reason."))
+        hint(_("Give your name and the reason."))
         return
     record = partial(act.record, context.archive.root, who, shown, reason)
-    _try(context, record, act.said, shown[0].scene_id, act.done)
+    attempt(context, record, act.said, shown[0].scene_id, act.done)
 
 
-def offer_sign_off(context: PageContext, scene: Any) -> None:
-    """The sign-off of a scan, with the decisions that it would lock."""
-    offer_sign_off_of(context, [scene], plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}"))
+def hint(text: str) -> None:
+    """Say what is missing, in place of recording anything."""
+    st.session_state[_OUTCOME] = _Outcome("hint", text)
 
 
-def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, meaning: str = "") -> None:
-    """The sign-off of scans, all of them or none; nothing where they are signed off.
-
-    Parameters
-    ----------
-    scenes : sequence of rows of the table scenes
-    place : str
-        What the button calls them.
-    meaning : str
-        What the signature says, kept with it.
-    """
-    review = context.archive.review()
-    scenes = [scene for scene in scenes if scene.scene_id not in review.sign_offs()]
-    if review.problem or not context.person.may_review or not scenes:
-        return
-    standings = {str(scene.scene_id): context.archive.standings(scene.scene_id) for scene in scenes}
-    found = [standing for of_scene in standings.values() for standing in of_scene]
-    left = any(standing.state in UNRESOLVED for standing in found)
-    shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]
-    key = _checksum(shown)
-    with st.popover(_("Sign off {place} …", place=place), icon=":material/lock:", disabled=left, key=f"signing-{key}"):
-        decided = {e.number: e for (scene_id, __), e in review.current().items() if scene_id in standings}
-        taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
-        st.markdown(_("Scanned {taken}, {decisions}.", taken=taken, decisions=_counted(list(decided.values()))))
-        if meaning:
-            st.markdown(_("Says: **{meaning}**", meaning=plain(meaning)))
-        st.caption(_("Its dispositions cannot be changed afterwards."))
-        who = _who(context)
-        st.markdown(_("Signs: **{who}**", who=plain(who) or _("give your name first")))
-        st.button(
-            _("Sign off {place}", place=place),
-            type="primary",
-            disabled=not who,
-            key=f"sign-off-{key}",
-            on_click=partial(_record_sign_off, context, shown, place, meaning),
-        )
-    if left:
-        st.caption(
-            _(
-                "It can be signed off when nothing waits and no work is open. Findings: {found}.",
-                found=standings_words(found),
-            )
-        )
-
-
-def _shown_scene(review: Review, scene: Any, decided: int) -> ShownScene:
-    values = {
-        "n_rivets": None if pd.isna(scene.n_rivets) else int(scene.n_rivets),
-        "n_stations": None if pd.isna(scene.n_stations) else int(scene.n_stations),
-        "panel_spec": str(scene.panel_spec),
-        "software_version": str(scene.software_version),
-        "n_decided": decided,
-    }
-    return ShownScene(str(scene.scene_id), str(scene.run_id), values, review.last_of_scene(str(scene.scene_id)))
-
-
-def _counted(decided: Sequence[Entry]) -> str:
-    counts = Counter(_(str(entry.disposition)) for entry in decided)
-    text = ", ".join(f"{name}: {count}" for name, count in sorted(counts.items()))
-    return _("dispositions: {text}", text=text) if text else _("nothing needed a disposition")
-
-
-def _record_sign_off(context: PageContext, shown: Sequence[ShownScene], place: str, meaning: str) -> None:
-    _try(
-        context,
-        lambda: sign_off_all(context.archive.root, _who(context), shown, meaning),
-        _("Signed off {place}.", place=place),
-        None,
-        lambda: None,
-    )
-
-
-def _try(context: PageContext, act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:
+def attempt(context: PageContext, act: Callable[[], object], text: str, scene_id: str | None, done: Done) -> None:
+    """Record something, and keep what became of it for `say_outcome`: `text`, or why it was refused."""
     try:
         act()
     except OutdatedError as problem:

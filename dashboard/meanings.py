@@ -12,7 +12,7 @@ from functools import cache
 
 from dashboard.reasons import expression_of
 from dashboard.words import _
-from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
+from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, MARKS_COLUMNS
 from storage.archive.limit_tables import LIMITS_COLUMNS
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
@@ -60,7 +60,10 @@ def _declared() -> Iterator[str]:
         yield table.comment
         yield from (column.comment for column in table.columns)
     yield from (view.comment for view in VIEWS)
-    for columns in (DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, LIMITS_COLUMNS, RIGS_COLUMNS, VERIFICATIONS_COLUMNS):
+    of_others = (
+        DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, LIMITS_COLUMNS, MARKS_COLUMNS, RIGS_COLUMNS, VERIFICATIONS_COLUMNS,
+    )  # fmt: skip
+    for columns in of_others:
         yield from columns.values()
 
 

@@ -18,6 +18,7 @@ from metrology.errors import FlushlineError
 from metrology.verdicts import SEVERITIES
 from storage.archive.work import Standing
 from storage.review import Feature, ReviewLog
+from storage.review_details import Numbers
 from storage.spreadsheet import ENCODING, harmless
 from storage.templates import rendered
 
@@ -83,6 +84,8 @@ def _finding(row: dict[str, Any], archive: Archive, locale: Locale, picture: boo
     decided = ""
     if not pd.isna(row["disposition"]):
         decided = f"{_(row['disposition'])}, {row['who']}, {locale.time(row['decided_at'])}"
+        numbers = Numbers(**{name: row[name] for name in Numbers.model_fields if isinstance(row[name], str)})
+        decided += "".join(f", {_(name)} {number}" for name, number in numbers.given.items())
     if not pd.isna(row["signed_by"]):
         decided += " (" + _("signed off by {who}", who=row["signed_by"]) + ")"
     if not pd.isna(row["closed_by"]):

@@ -15,14 +15,17 @@ reviewer_values = ["flushline-qe"]
 viewer_values = ["hall-7"]
 design_authority = ["k.ito@example.com"]  # reviewers who may also decide "use as is" and "repair"; by default all may
 design_authority_values = ["design"]
+[roles.titles]                       # the role that a signature names; by default "design authority" or "reviewer"
+"m.weber@example.com" = "quality inspector"  # "*" is everyone, and whoever signs where nobody logs in
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from metrology.errors import UsageError
 from storage.documents import read_toml
@@ -43,6 +46,7 @@ class RolesModel(StrictModel):
     viewer_values: tuple[str, ...] = ()
     design_authority: tuple[str, ...] = ()
     design_authority_values: tuple[str, ...] = ()
+    titles: Annotated[dict[str, str], Field(default_factory=dict)]
 
     @model_validator(mode="after")
     def _values_have_a_claim(self) -> RolesModel:

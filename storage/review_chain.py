@@ -9,11 +9,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from storage.review_entries import FORMAT, FORMAT_OF_STRETCHES, Entry, EntryModel, Review
+from storage.review_entries import FORMAT, FORMAT_OF_DETAILS, Entry, EntryModel, Review
 from storage.review_file import checksum, read_lines
 from storage.review_head import Head
 
-_KNOWN = f"an entry of {FORMAT} to {FORMAT_OF_STRETCHES}"
+_KNOWN = f"an entry of {FORMAT} to {FORMAT_OF_DETAILS}"
 
 
 def chained(wanted: Sequence[Mapping[str, Any]], head: Head) -> list[Entry]:
@@ -22,7 +22,7 @@ def chained(wanted: Sequence[Mapping[str, Any]], head: Head) -> list[Entry]:
     for part in wanted:
         document = EntryModel.model_validate(
             {**part, "number": head.number + 1, "at": datetime.now(UTC), "previous": head.checksum}
-        ).model_dump_json()
+        ).document
         entries.append(Entry.of_document(document))
         head = head_of(entries[-1])
     return entries

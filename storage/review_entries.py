@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args
@@ -14,13 +14,16 @@ from pydantic import Field, model_validator
 
 from storage.documents import utc_text
 from storage.models import StrictModel, UtcTime
+from storage.review_details import ADDED, NO_NUMBERS, Mark, Numbers, Signature, wrong_details
 from storage.review_file import checksum
 
 FORMAT = "flushline-review/1"
 FORMAT_OF_CLOSES = "flushline-review/2"
 FORMAT_OF_STRETCHES = "flushline-review/3"
 FORMAT_OF_UNDOS = "flushline-review/4"
-"""Of entries that versions before closes, stretches and undos cannot read; all others keep the format they know."""
+FORMAT_OF_DETAILS = "flushline-review/5"
+"""Of entries that versions before closes, stretches, undos and `storage.review_details` cannot read; all others keep
+the format they know."""
 Disposition = Literal["use as is", "rework", "repair", "scrap", "re-scan"]
 DISPOSITIONS: tuple[Disposition, ...] = get_args(Disposition)
 ASKS_FOR_WORK: tuple[Disposition, ...] = ("rework", "repair", "re-scan")
@@ -39,14 +42,18 @@ class EntryModel(StrictModel):
     `shown` holds what the person had before them: values, verdict, reason, revision of the limits, software version,
     settings and rig. A close says, as its comment, why the work that a disposition asked for is done; an undo, why the
     last disposition or close that holds does so no more, and the one before it does again. An entry about a stretch
-    of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them.
+    of a course holds, as `shown.positions`, id, verdict and values of each position: it is about all of them. A mark
+    says, as its comment, why no fastener is there or what was missed; an unmark, why the mark that it takes back,
+    named by its number, holds no more. Neither decides anything.
     """
 
-    format: Literal["flushline-review/1", "flushline-review/2", "flushline-review/3", "flushline-review/4"]
+    format: Literal[
+        "flushline-review/1", "flushline-review/2", "flushline-review/3", "flushline-review/4", "flushline-review/5"
+    ]
     number: Annotated[int, Field(ge=1)]
     at: UtcTime
     who: str
-    action: Literal["disposition", "sign-off", "close", "undo"]
+    action: Literal["disposition", "sign-off", "close", "undo", "mark", "unmark"]
     scene_id: str
     run_id: str
     feature_kind: str | None = None
@@ -55,12 +62,19 @@ class EntryModel(StrictModel):
     comment: str = ""
     shown: Annotated[dict[str, Any], Field(default_factory=dict)]
     previous: str
+    numbers: Numbers | None = None
+    mark: Mark | None = None
+    takes_back: Annotated[int, Field(ge=1)] | None = None
+    signature: Signature | None = None
 
     @model_validator(mode="after")
     def _check_format(self) -> EntryModel:
         stretch = Feature(self.feature_kind or "", self.feature_id or "").is_stretch
-        if (expected := format_of(self.action, stretch)) != self.format:
+        detailed = any(getattr(self, name) is not None for name in ADDED)
+        if (expected := format_of(self.action, stretch, detailed)) != self.format:
             raise ValueError(f"{expected} for a {self.action}{' of a stretch' if stretch else ''}")
+        if wrong := wrong_details(self):
+            raise ValueError(wrong)
         if stretch and not all(
             isinstance(each, dict) and isinstance(each.get("feature_id"), str)
             for each in self.shown.get(POSITIONS) or [None]
@@ -68,9 +82,22 @@ class EntryModel(StrictModel):
             raise ValueError("each position of a stretch with its feature_id")
         return self
 
+    @property
+    def document(self) -> str:
+        """As it is written: without what its format does not have."""
+        return self.model_dump_json(exclude={name for name in ADDED if getattr(self, name) is None})
 
-def format_of(action: str, stretch: bool) -> str:
-    """Format of an entry: the oldest that has such entries."""
+
+def format_of(action: str, stretch: bool, detailed: bool = False) -> str:
+    """Format of an entry: the oldest that has such entries.
+
+    Parameters
+    ----------
+    detailed : bool
+        Whether it has one of the parts of `storage.review_details`.
+    """
+    if detailed or action in ("mark", "unmark"):
+        return FORMAT_OF_DETAILS
     if action == "undo":
         return FORMAT_OF_UNDOS
     return FORMAT_OF_STRETCHES if stretch else FORMAT_OF_CLOSES if action == "close" else FORMAT
@@ -135,7 +162,8 @@ class Entry(NamedTuple):
     @property
     def parts(self) -> tuple[Entry, ...]:
         """The entry of a stretch as one of each position that it is about; any other entry alone."""
-        if self.format not in (FORMAT_OF_STRETCHES, FORMAT_OF_UNDOS) or not (self.feature and self.feature.is_stretch):
+        has_stretches = self.format in (FORMAT_OF_STRETCHES, FORMAT_OF_UNDOS, FORMAT_OF_DETAILS)
+        if not has_stretches or not (self.feature and self.feature.is_stretch):
             return (self,)
         return tuple(
             self._replace(
@@ -151,8 +179,42 @@ class Entry(NamedTuple):
     @property
     def what(self) -> str:
         """What was decided."""
-        done = {"sign-off": "signed off", "close": "work closed", "undo": "decision undone"}
+        if self.action == "mark":
+            return "no fastener here" if self.feature else "fastener missed"
+        done = {
+            "sign-off": "signed off",
+            "close": "work closed",
+            "undo": "decision undone",
+            "unmark": "mark taken back",
+        }
         return done.get(self.action, str(self.disposition))
+
+    @property
+    def numbers(self) -> Numbers:
+        """Concession, part and work order of a disposition."""
+        said = self._detail("numbers")
+        return NO_NUMBERS if said is None else Numbers.model_validate(said)
+
+    @property
+    def mark(self) -> Mark | None:
+        """What a person marked; None for all other entries."""
+        said = self._detail("mark")
+        return None if said is None else Mark.model_validate(said)
+
+    @property
+    def takes_back(self) -> int | None:
+        """Number of the mark that this entry takes back."""
+        number: int | None = self._detail("takes_back")
+        return number
+
+    @property
+    def signature(self) -> Signature | None:
+        """Role and meaning of a signature; None of other entries, and of versions that did not ask."""
+        said = self._detail("signature")
+        return None if said is None else Signature.model_validate(said)
+
+    def _detail(self, name: str) -> Any:
+        return json.loads(self.document).get(name) if self.format == FORMAT_OF_DETAILS else None
 
     @property
     def said(self) -> str:
@@ -187,37 +249,6 @@ class Feature:
         return _STRETCH_ID.search(self.id) is not None
 
 
-@dataclass(frozen=True)
-class ShownFinding:
-    """A finding as a person had it before them."""
-
-    scene_id: str
-    run_id: str
-    feature: Feature
-    values: Mapping[str, Any] = field(default_factory=dict)
-    """What was shown, as JSON knows it."""
-    last_entry: int = 0
-    """Number of the last entry about the feature that was shown; 0 for none."""
-
-    @property
-    def features(self) -> tuple[Feature, ...]:
-        """What a decision about it is about: each position of a stretch, else the feature itself."""
-        if not self.feature.is_stretch:
-            return (self.feature,)
-        return tuple(Feature(self.feature.kind, each["feature_id"]) for each in self.values.get(POSITIONS, ()))
-
-
-@dataclass(frozen=True)
-class ShownScene:
-    """A scene with its decisions as a person had them before them."""
-
-    scene_id: str
-    run_id: str
-    values: Mapping[str, Any] = field(default_factory=dict)
-    last_entry: int = 0
-    """Number of the last entry about the scene or one of its features that was shown; 0 for none."""
-
-
 _Held = dict[tuple[str, Feature], tuple[Entry, ...]]
 
 
@@ -234,7 +265,7 @@ class Review:
         """A review that goes on with further entries; what is known of the former ones is not looked for again."""
         more = Review(tuple(entries))
         longer = Review(self.entries + more.entries)
-        for name in ("_sign_offs", "_last_by_feature", "_last_by_scene"):
+        for name in ("_sign_offs", "_last_by_feature", "_last_by_scene", "_marks", "_taken_back"):
             if name in self.__dict__:
                 longer.__dict__[name] = {**self.__dict__[name], **getattr(more, name)}
         if "_held" in self.__dict__:
@@ -266,6 +297,14 @@ class Review:
         held = [self.held(scene_id, feature) for feature in features]
         last = {entries[-1].number: entries[-1] for entries in held if entries}
         return next(iter(last.values())) if len(last) == 1 and all(held) else None
+
+    def marks(self) -> list[tuple[Entry, Entry | None]]:
+        """Every mark that a person made, the first one first, and what took it back."""
+        return [(entry, self._taken_back.get(number)) for number, entry in self._marks.items()]
+
+    def standing_marks(self, scene_id: str) -> list[Entry]:
+        """Marks of a scene that nobody took back."""
+        return [entry for entry, back in self.marks() if back is None and entry.scene_id == scene_id]
 
     def last_about(self, scene_id: str, *features: Feature) -> Entry | None:
         """The last entry about any of some features of a scene; of a stretch all positions are to be named."""
@@ -299,6 +338,14 @@ class Review:
         return {entry.scene_id: entry for entry in self.entries if entry.action == "sign-off"}
 
     @cached_property
+    def _marks(self) -> dict[int, Entry]:
+        return {entry.number: entry for entry in self.entries if entry.action == "mark"}
+
+    @cached_property
+    def _taken_back(self) -> dict[int, Entry]:
+        return {entry.takes_back or 0: entry for entry in self.entries if entry.action == "unmark"}
+
+    @cached_property
     def _work(self) -> dict[tuple[str, Feature], Entry]:
         return {
             key: held[-1]
@@ -319,7 +366,7 @@ def _held_after(held: _Held, entries: Sequence[Entry]) -> _Held:
     """What holds of each feature after further entries: an undo takes the last one away."""
     after = dict(held)
     for part in (part for entry in entries for part in entry.parts):
-        if part.feature:
+        if part.feature and part.action not in ("mark", "unmark"):
             key = (part.scene_id, part.feature)
             before = after.pop(key, ())
             now = before[:-1] if part.action == "undo" else (*before, part)

@@ -9,7 +9,7 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from dashboard.address import one_of
-from dashboard.deciding import ask_who, offer_sign_off_of, say_outcome
+from dashboard.deciding import ask_who, say_outcome
 from dashboard.figures.panel import panel_figure
 from dashboard.findings import feature_from_parameter, feature_parameter, feature_words
 from dashboard.frame import PageContext, link, plain
@@ -31,6 +31,7 @@ from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
 from dashboard.scenes import load_features, load_scene_row, worst_feature
 from dashboard.seam_course import seam_names
+from dashboard.signing import offer_sign_off_of
 from dashboard.views.feature import close_up
 from dashboard.views.panel_tables import (
     look_at,
@@ -47,7 +48,8 @@ from dashboard.words import N_, _
 from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
 from storage.report import panel_report
-from storage.review import Feature
+from storage.review import Entry, Feature
+from storage.review_details import remarks
 from storage.wording import capital
 
 TITLE = N_("Panel")
@@ -139,10 +141,12 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
         st.badge(plain(_(str(row.verdict))), color=colour, icon=icon)  # type: ignore[arg-type]
         st.markdown(f":small[{plain(locale.reason(row.verdict_reason))}]")
         signed = context.archive.review().sign_offs()
-        names = {signed[s.scene_id].who for s in scenes if s.scene_id in signed}
+        entries = [signed[s.scene_id] for s in scenes if s.scene_id in signed]
+        names = {_in_role(entry) for entry in entries}
         if scenes and all(s.scene_id in signed for s in scenes):
             who = plain(", ".join(sorted(names)))
-            st.badge(_("signed off by {names}", names=who), color="green", icon=":material/lock:")
+            says = "; ".join(dict.fromkeys(plain(remarks(entry, _)) for entry in entries))
+            st.badge(_("signed off by {names}", names=who), color="green", icon=":material/lock:", help=says or None)
         elif names:
             count = sum(s.scene_id in signed for s in scenes)
             part = _("{n} of {all} scans signed off", n=count, all=len(scenes))
@@ -164,6 +168,11 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
     texts = [str(text) for text in (row.warnings if row.warnings is not None else ())]
     if texts:
         st.markdown(f":small[:orange[:material/warning:] {plain(locale.reason(SEPARATOR.join(texts)))}]")
+
+
+def _in_role(signed: Entry) -> str:
+    """Who signed, and as what where the signature says it."""
+    return f"{signed.who} ({_(signed.signature.role)})" if signed.signature else signed.who
 
 
 def _covered(row: Any, locale: Locale) -> str:

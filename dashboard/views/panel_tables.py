@@ -19,6 +19,7 @@ from dashboard.words import _
 from metrology.verdicts import gravity
 from storage.archive.changes import CURED
 from storage.review import Feature
+from storage.review_details import Numbers
 
 
 def look_at(feature: str) -> None:
@@ -87,7 +88,12 @@ def show_rework(context: PageContext, view: PanelView) -> None:
     st.markdown("**" + _("Rework, repair and re-scan") + "**")
     rows["feature"] = rows["panel_feature"].fillna(rows["name"])
     columns = {"feature": _("Feature"), "disposition": _("Decided"), "who": _("By"), "decided_at": _("When"),
-               "state": _("Outcome"), "comment": _("Comment")}  # fmt: skip
+               "state": _("Outcome"), "comment": _("Comment"), "concession": _("Concession or NCR number"),
+               "part_number": _("Part number"), "work_order": _("Work order")}  # fmt: skip
+    # Where nobody gives such numbers, no empty columns.
+    columns = {
+        name: title for name, title in columns.items() if name not in Numbers.model_fields or rows[name].notna().any()
+    }
     keys = [
         feature_parameter(Feature(kind, str(name)))
         for kind, name in zip(rows["feature_kind"], rows["feature"], strict=True)

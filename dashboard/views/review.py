@@ -11,7 +11,7 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of, put, some_of
-from dashboard.deciding import ask_who, decide, offer_sign_off, say_outcome, say_signed
+from dashboard.deciding import ask_who, decide, say_outcome, say_signed
 from dashboard.filters import scene_filters
 from dashboard.findings import (
     OPEN,
@@ -29,18 +29,21 @@ from dashboard.frame import PageContext, link, plain
 from dashboard.keys import keep_order
 from dashboard.locale import NOTHING
 from dashboard.margins import with_margins
+from dashboard.marking import offer_mark_false, offer_taking_back
 from dashboard.palette import OPEN_DECISIONS, decision_words
 from dashboard.picking import clicked_row
 from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.room import room
 from dashboard.scenes import find_feature, load_features, load_scene_row
+from dashboard.signing import offer_sign_off
 from dashboard.tables import fitting, styled_table
 from dashboard.views.feature import HOW_DECIDED, close_up
 from dashboard.words import N_, _, language
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME
 from storage.review import Feature, ShownFinding
+from storage.review_details import remarks
 
 TITLE = N_("Tolerance review")
 _CROP_PX = 90
@@ -312,6 +315,8 @@ def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> 
         _history(context, shown)
     if alone:
         decide(context, [shown], partial(_recorded, _next(names, at)))
+        offer_mark_false(context, shown)
+        offer_taking_back(context, shown)
         offer_sign_off(context, scene)
 
 
@@ -373,7 +378,8 @@ def _history(context: PageContext, shown: ShownFinding) -> None:
         if entry.scene_id == shown.scene_id and (entry.action == "sign-off" or entry.feature == shown.feature)
     ]
     for entry in entries[-4:]:
-        comment = f" · {plain(entry.comment)}" if entry.comment else ""
+        said = remarks(entry, _)
+        comment = f" · {plain(said)}" if said else ""
         earlier = "" if entry.run_id == shown.run_id else " · " + _("on another run of this scan")
         said = _("**{what}** by {who}", what=_(entry.what), who=plain(entry.who))
         st.markdown(f":small[{context.locale.time(entry.at)} {said}{comment}{earlier}]")

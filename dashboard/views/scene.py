@@ -10,10 +10,12 @@ import pandas as pd
 import streamlit as st
 
 from dashboard.address import one_of, put
+from dashboard.deciding import ask_who, say_outcome
 from dashboard.deviation import FieldDeviation, field_deviation
 from dashboard.figures.scene import SceneFeatures, cloud_figure, deviation_map, scene_figure
 from dashboard.findings import feature_from_parameter, feature_parameter, standings_words
 from dashboard.frame import PageContext, link, plain
+from dashboard.marking import add_marks, add_places, offer_mark_false, offer_mark_missed, place_clicked, show_marks
 from dashboard.picking import clickable_chart
 from dashboard.pictures import load_picture
 from dashboard.reasons import SEPARATOR
@@ -123,7 +125,7 @@ def _headline(context: PageContext, row: Any) -> None:
 
 
 def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
-    names = [N_("Picture"), N_("Deviation map"), N_("3-D"), N_("Overlay"), N_("Table"), N_("Files")]
+    names = [N_("Picture"), N_("Deviation map"), N_("3-D"), N_("Overlay"), N_("Table"), N_("Marks"), N_("Files")]
     view = st.segmented_control(_("View"), names, format_func=_, label_visibility="collapsed", **one_of("view", names))
     show = {
         "Deviation map": _deviation,
@@ -131,7 +133,9 @@ def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feat
         "Overlay": _overlay,
         "Files": _files,
     }
-    if view == "Table":
+    if view == "Marks":
+        _marks(context, row, features, chosen)
+    elif view == "Table":
         _table(context, row, features, chosen)
     elif view in show:
         show[view](context, row)
@@ -142,10 +146,35 @@ def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feat
 def _picture(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
     picture = load_picture(context.archive.file(row.preview_path))
     fig = scene_figure(picture, features, chosen, context.locale, _HEIGHT)
+    add_marks(fig, context.archive.review().standing_marks(str(row.scene_id)))
     clickable_chart(
         fig, "picture", partial(_choose, row.scene_id), {"scrollZoom": True, "displaylogo": False}, above=310
     )
     st.caption(_("Click a feature for its close-up; scroll to zoom, drag to move."))
+
+
+def _marks(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:
+    """The picture with what people marked, and the forms that mark a false or a missed fastener."""
+    scene_id = str(row.scene_id)
+    say_outcome(context, scene_id)
+    picture = load_picture(context.archive.file(row.preview_path))
+    fig = scene_figure(picture, features, chosen, context.locale, _HEIGHT - 140, values=False)
+    add_places(fig, *picture.shape)
+    add_marks(fig, context.archive.review().standing_marks(scene_id))
+    clickable_chart(fig, "marks", partial(_mark_or_choose, scene_id), {"scrollZoom": True, "displaylogo": False}, 450)
+    st.caption(_("Click a fastener to say that it is none, or the place where one was missed."))
+    with st.container(horizontal=True, vertical_alignment="center"):
+        ask_who(context, 150)
+        if chosen is not None:
+            offer_mark_false(context, context.archive.shown(scene_id, chosen))
+    offer_mark_missed(context, row, *picture.shape)
+    show_marks(context, scene_id)
+
+
+def _mark_or_choose(scene_id: str, named: str) -> None:
+    """Take over the place that was clicked; show the close-up where that was a feature."""
+    if not place_clicked(scene_id, named):
+        _choose(scene_id, named)
 
 
 def _choose(scene_id: str, feature: str) -> None:

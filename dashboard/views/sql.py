@@ -18,7 +18,7 @@ from dashboard.suggestions import suggest_names
 from dashboard.tables import fitting
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError, UsageError
-from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS
+from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, MARKS_COLUMNS
 from storage.archive.limit_tables import LIMITS_COLUMNS
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
@@ -35,6 +35,7 @@ _TEXT, _NAME, _ANSWER, _HISTORY = "sql_text", "sql_of", "answer", "sql_history" 
 _RUN = "sql_run"
 _OTHERS = {
     "decisions": DECISIONS_COLUMNS, "dispositions": DISPOSITIONS_COLUMNS, "limits": LIMITS_COLUMNS,
+    "marks": MARKS_COLUMNS,
     "rigs": RIGS_COLUMNS, "verifications": VERIFICATIONS_COLUMNS,
 }  # fmt: skip
 
@@ -239,6 +240,7 @@ def _describe_tables() -> None:
         ("decisions", _("Everything that people decided, from the first entry on")),
         ("dispositions", _("The last disposition of each feature that has one")),
         ("limits", _("Each limit of the specifications that scans and panels were judged by")),
+        ("marks", _("Fasteners that people marked as false or missed")),
         ("rigs", _("Each calibration with its last verification, and what is due when")),
         ("verifications", _("Each measure of each verification of a rig")),
     ):

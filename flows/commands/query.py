@@ -19,7 +19,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         parents=[common],
         help="ask the archive in SQL",
         description="Runs a SQL query (DuckDB) over the tables scenes, rivets, seam_stations and the views on them, "
-        "and over decisions, dispositions, limits, rigs and verifications. "
+        "and over decisions, dispositions, limits, marks, rigs and verifications. "
         "'SHOW TABLES' lists them, 'SELECT column_name, comment FROM duckdb_columns()' says what the columns mean.",
     )
     parser.add_argument("sql", metavar="SQL")

@@ -17,7 +17,7 @@ from typing import Any
 import duckdb
 
 from metrology.errors import OutdatedError, UsageError
-from metrology.kinds import BY_NAME, Kind
+from metrology.kinds import BY_NAME, HOLE, RIVET, Kind
 from storage.archive import snapshot
 from storage.archive.anchors import SIGNED_MANIFEST, manifest_checksum
 from storage.archive.bundles import Bundles
@@ -27,9 +27,12 @@ from storage.archive.rows import named_rows
 from storage.archive.work import OPEN_WORK, UNRESOLVED, features_sql, standings, stretches_sql
 from storage.documents import utc_text
 from storage.review import Disposition, Entry, Feature, Review, ReviewLog, ShownFinding, ShownScene
+from storage.review_details import Numbers, Signature
 from storage.review_entries import POSITIONS, SHOWN_OF_POSITION
 
 _MOST_NAMED = 5
+MARKED = (RIVET, HOLE)
+"""Kinds of which a person may mark one as false."""
 
 
 def shown_finding(
@@ -64,11 +67,12 @@ def _one_sql(kind: Kind, feature: Feature) -> str:
 
 
 def dispose(
-    root: Path, who: str, shown: Sequence[ShownFinding], disposition: Disposition, comment: str = ""
-) -> list[Entry]:
+    root: Path, who: str, shown: Sequence[ShownFinding], disposition: Disposition, comment: str = "",
+    numbers: Numbers | None = None,
+) -> list[Entry]:  # fmt: skip
     """Record what shall happen with findings; refused as a whole where one of them is not as it was shown."""
     with _as_shown(Layout(root), shown):
-        return ReviewLog(root).dispose(who, shown, disposition, comment)
+        return ReviewLog(root).dispose(who, shown, disposition, comment, numbers)
 
 
 def close_work(root: Path, who: str, shown: Sequence[ShownFinding], reason: str) -> list[Entry]:
@@ -83,12 +87,45 @@ def undo(root: Path, who: str, shown: Sequence[ShownFinding], reason: str) -> li
         return ReviewLog(root).undo(who, shown, reason)
 
 
+def mark_false(root: Path, who: str, shown: ShownFinding, reason: str) -> Entry:
+    """Record that no fastener is where the software found one; refused where it is not as it was shown."""
+    kind = BY_NAME[shown.feature.kind]
+    if kind not in MARKED:
+        raise UsageError(f"mark: found a {kind.subject}, expected a {' or a '.join(k.subject for k in MARKED)}")
+    with _as_shown(Layout(root), [shown]) as connection:
+        return ReviewLog(root).mark_false(who, shown, reason, _pixel(connection, kind, shown) if connection else None)
+
+
+def mark_missed(root: Path, who: str, shown: ShownScene, note: str, pixel: tuple[float, float] | None = None) -> Entry:
+    """Record that a fastener was missed; refused where another run has taken the place of the one that was shown."""
+    with _held(Layout(root)) as connection:
+        if connection:
+            _check_run(connection, shown)
+        return ReviewLog(root).mark_missed(who, shown, note, pixel)
+
+
+def unmark(root: Path, who: str, scene_id: str, number: int, reason: str) -> Entry:
+    """Take a mark back, which is named by the number of its entry, and say why."""
+    return ReviewLog(root).unmark(who, scene_id, number, reason)
+
+
+def _pixel(connection: duckdb.DuckDBPyConnection, kind: Kind, shown: ShownFinding) -> tuple[float, float] | None:
+    """Where a feature is in its scan's picture; None where it was not seen there."""
+    sql = f"SELECT u_px, v_px FROM {kind.table} WHERE scene_id = ? AND {kind.id_sql} = ?"
+    found = connection.execute(sql, [shown.scene_id, shown.feature.id]).fetchone()
+    if found is None or any(value is None or not math.isfinite(value) for value in found):
+        return None
+    return float(found[0]), float(found[1])
+
+
 def sign_off(root: Path, who: str, shown: ShownScene, comment: str = "") -> Entry:
     """Close a scene of a store; see `sign_off_all`."""
     return sign_off_all(root, who, [shown], comment)[0]
 
 
-def sign_off_all(root: Path, who: str, shown: Sequence[ShownScene], comment: str = "") -> list[Entry]:
+def sign_off_all(
+    root: Path, who: str, shown: Sequence[ShownScene], comment: str = "", signature: Signature | None = None
+) -> list[Entry]:
     """Close scenes of a store, all of them or none.
 
     Refused where another run has taken the place of one that was shown, where something was decided since, or where
@@ -98,7 +135,7 @@ def sign_off_all(root: Path, who: str, shown: Sequence[ShownScene], comment: str
     with _held(layout) as connection:
         if connection:
             shown = [_ready(connection, layout, log, scene) for scene in shown]
-        return log.sign_off_all(who, shown, comment)
+        return log.sign_off_all(who, shown, comment, signature)
 
 
 def _ready(connection: duckdb.DuckDBPyConnection, layout: Layout, log: ReviewLog, shown: ShownScene) -> ShownScene:
@@ -130,13 +167,13 @@ def _held(layout: Layout) -> Iterator[duckdb.DuckDBPyConnection | None]:
 
 
 @contextlib.contextmanager
-def _as_shown(layout: Layout, shown: Sequence[ShownFinding]) -> Iterator[None]:
+def _as_shown(layout: Layout, shown: Sequence[ShownFinding]) -> Iterator[duckdb.DuckDBPyConnection | None]:
     with _held(layout) as connection:
         for finding in shown:
             now = shown_finding(connection, Review(), finding.scene_id, finding.feature) if connection else None
             if change := _change(finding, now):
                 raise OutdatedError(f"{finding.scene_id} {finding.feature.id}: {change}; look at it as it is now first")
-        yield
+        yield connection
 
 
 def _change(shown: ShownFinding, now: ShownFinding | None) -> str | None:

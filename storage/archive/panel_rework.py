@@ -16,9 +16,9 @@ def rework_sql() -> str:
     """A query of the dispositions that asked for work; the connection must know `reviewed` (`work.register`).
 
     Columns: scene_id, station, captured_at (of the scan that it was decided on), feature_kind, name, disposition, who,
-    decided_at, comment, state (one of `STATES`), at_mm (middle of a stretch; NULL where there are no positions),
-    panel_feature (its name in the assembled panel, of a stretch that of its first position; NULL where the panel has
-    none). Parameters: aircraft, panel.
+    decided_at, comment, concession, part_number, work_order, state (one of `STATES`), at_mm (middle of a stretch; NULL
+    where there are no positions), panel_feature (its name in the assembled panel, of a stretch that of its first
+    position; NULL where the panel has none). Parameters: aircraft, panel.
     """
     panel = " UNION ALL ".join(
         f"SELECT aircraft_serial, panel, '{kind.name}' AS feature_kind, {kind.id_sql} AS panel_feature, "
@@ -40,7 +40,7 @@ def rework_sql() -> str:
     FROM ({panel}) p JOIN of_panel o USING (scene_id)
 ), each AS (
     SELECT a.scene_id, a.station, a.captured_at, a.feature_kind, a.name, a.at_mm, a.disposition, a.who, a.decided_at,
-        a.comment, CASE WHEN a.closed_by IS NOT NULL THEN '{CLOSED}'
+        a.comment, a.concession, a.part_number, a.work_order, CASE WHEN a.closed_by IS NOT NULL THEN '{CLOSED}'
             WHEN NOT a.open_work AND EXISTS (
                 FROM asked b WHERE b.station = a.station AND b.feature_kind = a.feature_kind
                 AND b.feature_id = a.feature_id AND b.captured_at > a.captured_at) THEN '{DECIDED_ANEW}'
@@ -52,7 +52,8 @@ def rework_sql() -> str:
     FROM asked a WHERE a.disposition IN {ASKS_FOR_WORK}
 )
 SELECT * FROM (SELECT scene_id, station, captured_at, feature_kind, name, disposition, who, decided_at,
-    any_value(comment) AS comment, avg(at_mm) AS at_mm,
+    any_value(comment) AS comment, any_value(concession) AS concession, any_value(part_number) AS part_number,
+    any_value(work_order) AS work_order, avg(at_mm) AS at_mm,
     first(state ORDER BY list_position([{states}], state)) AS state,
     first(panel_feature ORDER BY at_mm) FILTER (panel_feature IS NOT NULL) AS panel_feature
 FROM each GROUP BY scene_id, station, captured_at, feature_kind, name, disposition, who, decided_at)

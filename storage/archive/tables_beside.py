@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import duckdb
 
-_DECISIONS, _RIGS, _LIMITS = {"decisions", "dispositions"}, {"rigs", "verifications"}, {"limits"}
+_DECISIONS, _RIGS, _LIMITS = {"decisions", "dispositions", "marks"}, {"rigs", "verifications"}, {"limits"}
 _NAMED = re.compile(rf"\b({'|'.join([*_DECISIONS, *_RIGS, *_LIMITS])})\b", re.IGNORECASE)
 
 

@@ -23,6 +23,7 @@ import pyarrow as pa
 from metrology.kinds import KINDS, Kind
 from metrology.verdicts import SEVERITIES
 from storage.archive.views import RANK_SQL
+from storage.review_details import Numbers
 from storage.review_entries import SHOWN_NUMBERS, Entry, Feature, Review
 
 State = Literal["waiting", "open work", "decided"]
@@ -46,6 +47,7 @@ _REVIEWED = pa.schema(
         *(pa.field(name, pa.string()) for name in ("scene_id", "feature_kind", "feature_id", "disposition", "who")),
         pa.field("decided_at", pa.timestamp("us", "UTC")),
         pa.field("comment", pa.string()),
+        *(pa.field(name, pa.string()) for name in Numbers.model_fields),
         pa.field("decided_run", pa.string()),
         pa.field("decided_verdict", pa.string()),
         *(pa.field(f"decided_{name}", pa.float64()) for name in SHOWN_NUMBERS),
@@ -212,9 +214,10 @@ def reviewed_features(connection: duckdb.DuckDBPyConnection, review: Review) -> 
         scene_id, feature = key
         close = closes.get(key)
         rows.append(
-            (scene_id, feature.kind, feature.id, entry.disposition, entry.who, entry.at, entry.comment, entry.run_id,
-             entry.decided_verdict, entry.decided_value_mm, entry.decided_tilt_deg, entry.decided_width_mm, key in work,
-             close.who if close else None, close.comment if close else None)
+            (scene_id, feature.kind, feature.id, entry.disposition, entry.who, entry.at, entry.comment,
+             *entry.numbers.columns, entry.run_id, entry.decided_verdict, entry.decided_value_mm,
+             entry.decided_tilt_deg, entry.decided_width_mm, key in work, close.who if close else None,
+             close.comment if close else None)
         )  # fmt: skip
     return _table(rows, _REVIEWED)
 

@@ -25,6 +25,7 @@ from storage.evidence.rig_facts import RigFacts, rig_facts
 from storage.evidence.verifications import Verification, verified
 from storage.panel_spec import judged_by
 from storage.review import Entry, Feature, Review, ReviewLog
+from storage.review_details import remarks
 from storage.wording import N_, _, decimals, reason
 
 if TYPE_CHECKING:
@@ -266,7 +267,8 @@ def decision_link(found: Sources, feature: Feature, verdict: str) -> Link:
         return Link("decision", found.review_problem, missing=True)
     about = Review(found.decisions).held(str(found.scene["scene_id"]), feature)
     if about:
-        comment = f": {about[-1].comment}" if about[-1].comment else ""
+        said = remarks(about[-1], _)
+        comment = f": {said}" if said else ""
         return Link("decision", f"{about[-1].said}{comment} (entry {about[-1].number}, {about[-1].checksum[:12]}…)")
     if verdict in IN_ORDER:
         return Link("decision", f"none needed: {verdict}")
@@ -284,6 +286,7 @@ def sign_off_link(found: Sources) -> Link:
     last = signed[-1]
     other = last.run_id != found.scene["run_id"]
     said = _("{what} by {who} at {time}", what=_(last.what), who=last.who, time=utc_text(last.at))
+    said += f" ({last.signature.role})" if last.signature else ""
     stays = " " + _("on another run ({run})", run=last.run_id) if other else ""
     entry = _("entry {number}, {sum}…", number=last.number, sum=last.checksum[:12])
     return Link(name, f"{said}{stays} ({entry})", other)

@@ -16,6 +16,8 @@ from storage.report.letterhead import Letterhead
 from storage.report.markup import badge, code, facts, figure, moment, number, page, section, table, with_u95
 from storage.report.sections import entries_table, limits_table, many, standings_said, why
 from storage.report.verdicts import CLASSES, SIGNS, counted, key
+from storage.review import Entry
+from storage.review_details import remarks
 from storage.wording import _, named, reason
 
 _PRINTED_CHANGES = 30
@@ -210,7 +212,7 @@ def _stations(record: AssembledRecord) -> Markup:
                 _("left out") if row["part"] is None else str(row["part"]),
                 number(row["place_u95_mm"], 3),
                 standings_said(record.standings.get(row["station_scene_id"], ())),
-                f"{signed.who}, {moment(signed.at)}" if signed else "–",
+                _signature(signed) if signed else "–",
                 reason(row["reason"])
                 or " · ".join(reason(text) for text in ((scene["warnings"] or ()) if scene else ())),
             ]
@@ -219,6 +221,12 @@ def _stations(record: AssembledRecord) -> Markup:
         _("station"), _("scanned"), _("rig"), _("part"), _("place U95 mm"), _("findings"), _("signed off"), _("why"),
     ]  # fmt: skip
     return table(heads, rows, [4])
+
+
+def _signature(signed: Entry) -> str:
+    """Who signed, when, in which role, and what the signature says."""
+    meaning = remarks(signed, _)
+    return f"{signed.who}, {moment(signed.at)}" + (f", {meaning}" if meaning else "")
 
 
 def _verdicts(verdicts: Sequence[Row]) -> Markup:

@@ -20,6 +20,7 @@ from storage.report.markup import badge, code, facts, figure, missing, moment, n
 from storage.report.record import SceneRecord
 from storage.report.verdicts import counted, gravest, needs_attention
 from storage.review import Entry
+from storage.review_details import remarks
 from storage.wording import _, capital, named, reason
 
 Row = Mapping[str, Any]
@@ -191,7 +192,7 @@ def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
             entry.who,
             f"{_(entry.feature_kind or 'scan')} {named(entry.feature_id or '')} {entry.scene_id if where else ''}",
             _(entry.what),
-            entry.comment,
+            remarks(entry, _),
         ]
         for entry in entries
     ]

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from dashboard import log_outs
-from dashboard.access import name_of, role_of
+from dashboard.access import Person, name_of, role_of, signing_role
 from dashboard.log_outs import LogOuts
 from dashboard.settings import RolesModel
+from dashboard.signing import confirmed
 
 ADDRESS = "m.weber@example.com"
 
@@ -40,6 +41,19 @@ def test_a_role_by_a_claim(claims: dict[str, object], role: str) -> None:
 def test_values_need_a_claim() -> None:
     with pytest.raises(ValueError, match="claim"):
         RolesModel(reviewer_values=("quality",))
+
+
+def test_a_signature_names_its_role_and_a_log_in_is_confirmed() -> None:
+    roles = RolesModel(design_authority=("k.ito@example.com",), titles={"M.Weber@example.com": "quality inspector"})
+    assert [signing_role(name, {}, roles) for name in (ADDRESS, "k.ito@example.com", "j.doe@example.com")] == [
+        "quality inspector", "design authority", "reviewer",
+    ]  # fmt: skip
+    assert signing_role(ADDRESS, {}, RolesModel()) == "reviewer"
+    person = Person(ADDRESS, "reviewer", True)
+    assert [confirmed(person, typed) for typed in ("", "m.weber", " M.Weber@example.com ")] == [
+        None, None, "log-in, name typed",
+    ]  # fmt: skip
+    assert confirmed(Person("", "reviewer", False), "") == "given name"
 
 
 def test_a_log_out_is_known_to_other_servers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

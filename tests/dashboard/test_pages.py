@@ -566,6 +566,40 @@ def test_disposing_is_recorded_with_what_was_shown(writable: Path, open_page: Op
     assert "example" in entry.shown["panel_spec"]
 
 
+def test_part_and_work_order_of_rework_are_fields_of_the_entry(writable: Path, open_page: Open) -> None:
+    page = choose(open_page("review", writable, period="last night"), "rework", "shave the head")
+    for label, number in (("Part number", "MS20470"), ("Work order", "WO-9")):
+        next(field for field in page.text_input if field.label == label).set_value(number)
+    clean(button(page, "Record").click().run())
+    (entry,) = ReviewLog(writable).read().entries
+    assert (entry.comment, entry.numbers.given) == ("shave the head", {"part": "MS20470", "work order": "WO-9"})
+
+
+def test_false_and_missed_fasteners_are_marked_and_taken_back(writable: Path, open_page: Open) -> None:
+    def fill(page: AppTest, label: str, text: str) -> AppTest:
+        next(field for field in page.text_input if field.label == label).set_value(text)
+        return page
+
+    page = clean(open_page("scene", writable, scene=LAST, feature="rivet:R04", view="Marks"))
+    page = fill(fill(page, "Your name", "M. Weber").run(), "Why is it none?", "a spot of paint")
+    page = clean(button(page, "No fastener at").click().run())
+    assert "Marked: no fastener at R04." in texts(page)
+    assert "Give your name, and the place" in texts(button(page, "A fastener was missed").click().run())
+    for field, pixel in zip(page.number_input, (120, 80), strict=True):
+        field.set_value(pixel)
+    page = clean(button(page, "A fastener was missed").click().run())
+    assert [field.value for field in page.number_input] == [None, None]
+    false, missed = ReviewLog(writable).read().standing_marks(LAST)
+    assert (false.feature_id, false.who, false.comment) == ("R04", "M. Weber", "a spot of paint")
+    assert missed.mark is not None
+    assert (missed.mark.u_px, missed.mark.v_px) == (120, 80)
+    page = clean(open_page("review", writable, scene=LAST, feature="rivet:R04"))
+    assert "no fastener here" in texts(page)
+    page = fill(fill(page, "Your name", "K. Ito").run(), "Why is it taken back?", "it is one after all")
+    page = clean(button(page, "Take back mark 1").click().run())
+    assert ReviewLog(writable).read().standing_marks(LAST) == [missed]
+
+
 def test_disposing_needs_a_name_and_a_disposition(writable: Path, open_page: Open) -> None:
     page = open_page("review", writable)
     assert "Choose a disposition" in texts(button(page, "Record").click().run())
@@ -579,7 +613,8 @@ def test_accepting_asks_for_a_concession_where_the_settings_say_so(writable: Pat
     assert ReviewLog(writable).read().entries == ()
     next(field for field in page.text_input if field.label.startswith("Concession")).set_value("NCR-4711")
     clean(button(page, "Record").click().run())
-    assert [entry.comment for entry in ReviewLog(writable).read().entries] == ["NCR-4711: thin shim"]
+    (entry,) = ReviewLog(writable).read().entries
+    assert (entry.numbers.concession, entry.comment) == ("NCR-4711", "thin shim")
 
 
 def test_the_list_says_how_far_beyond_the_limit_and_sorts_by_it(filled: Path, open_page: Open) -> None:
@@ -599,6 +634,7 @@ def test_what_an_address_asks_for_in_vain_is_said(filled: Path, open_page: Open)
 
 def test_a_panel_is_signed_off_with_all_its_scans_or_not_at_all(writable: Path, open_page: Open) -> None:
     address = {"aircraft": "MSN-0420", "panel": "LH-F12"}
+    (writable / "dashboard.toml").write_text('[roles.titles]\n"*" = "quality inspector"\n')
     page = clean(open_page("panel", writable, **address))
     assert "were not put together yet" in texts(page)
     archive = Archive(writable)
@@ -615,7 +651,10 @@ def test_a_panel_is_signed_off_with_all_its_scans_or_not_at_all(writable: Path, 
     signed = ReviewLog(writable).read().sign_offs()
     assert {entry.who for entry in signed.values()} == {"M. Weber"}
     assert len(signed) == 2
-    assert all("panel MSN-0420 LH-F12 released with 2 scans" in entry.comment for entry in signed.values())
+    for entry in signed.values():
+        assert entry.signature is not None
+        assert "panel MSN-0420 LH-F12 released with 2 scans" in entry.signature.meaning
+        assert (entry.signature.role, entry.signature.confirmed) == ("quality inspector", "given name")
 
 
 def test_nothing_is_chosen_for_the_next_finding(writable: Path, open_page: Open) -> None:

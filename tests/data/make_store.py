@@ -24,10 +24,11 @@ from metrology.inspection import InspectionResult
 from metrology.panel import NominalRivet, PanelLayout
 from metrology.results import SceneKey
 from storage.archive import Store
-from storage.archive.decisions import dispose, shown_finding, sign_off
+from storage.archive.decisions import dispose, shown_finding, sign_off_all
 from storage.archive.schema import TABLES
 from storage.archive.work import standings
 from storage.review import Disposition, Feature, ReviewLog, ShownScene
+from storage.review_details import Numbers, Signature
 from storage.saved_queries import SavedQueries
 from tests.support.results import small_key, small_result, small_rig
 
@@ -66,18 +67,25 @@ def fill(store: Store) -> None:
     with contextlib.closing(store.connect()) as connection:
         waiting = [s.feature for s in standings(connection, ReviewLog(store.root).read(), signed.scene_id)]
     decide(store, "k.ito", signed, waiting, "use as is")
-    sign_off(store.root, "k.ito", ShownScene(signed.scene_id, signed_run, {"rivets": 3}, len(waiting) + 3), "all seen")
+    signature = Signature(role="reviewer", meaning="every finding is decided", confirmed="given name")
+    seen = ShownScene(signed.scene_id, signed_run, {"rivets": 3}, len(waiting) + 3)
+    sign_off_all(store.root, "k.ito", [seen], "all seen", signature)
+    decide(store, "m.weber", decided, [place], "repair", "again", Numbers(part_number="MS20470", work_order="WO-9"))
+    log = ReviewLog(store.root)
+    log.mark_missed("k.ito", ShownScene(decided.scene_id, "run"), "beside the frame", (12.0, 7.5))
+    log.unmark("k.ito", decided.scene_id, log.head().number, "a shadow")
     SavedQueries(store.root).save("grave ones", "SELECT * FROM worst_rivets")
 
 
 def decide(
-    store: Store, who: str, key: SceneKey, features: Sequence[Feature], disposition: Disposition, comment: str = ""
-) -> None:
+    store: Store, who: str, key: SceneKey, features: Sequence[Feature], disposition: Disposition, comment: str = "",
+    numbers: Numbers | None = None,
+) -> None:  # fmt: skip
     """Decide about findings of a scene as it shows them."""
     review = ReviewLog(store.root).read()
     with contextlib.closing(store.connect()) as connection:
         shown = [shown_finding(connection, review, key.scene_id, feature) for feature in features]
-    dispose(store.root, who, [finding for finding in shown if finding], disposition, comment)
+    dispose(store.root, who, [finding for finding in shown if finding], disposition, comment, numbers)
 
 
 def result(key: SceneKey, height_mm: float) -> InspectionResult:

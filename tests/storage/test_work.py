@@ -16,10 +16,23 @@ from metrology.kinds import SEAM_STATION
 from metrology.results import Decision
 from metrology.tolerance import Limit, PanelSpec, judge
 from storage.archive import Store
-from storage.archive.decisions import close_work, dispose, shown_finding, sign_off, undo
+from storage.archive.decisions import (
+    close_work,
+    dispose,
+    mark_false,
+    mark_missed,
+    shown_finding,
+    sign_off,
+    sign_off_all,
+    undo,
+    unmark,
+)
 from storage.archive.work import open_work, said, standings
 from storage.evidence.chain import trace
+from storage.report import scene_report
 from storage.review import Disposition, Feature, ReviewLog, ShownFinding, ShownScene
+from storage.review_checking import check_log
+from storage.review_details import Numbers, Signature
 from tests.support.results import copied, small_key, small_result
 
 R1, R2 = Feature("rivet", "R1"), Feature("rivet", "R2")
@@ -347,3 +360,64 @@ def test_a_decision_about_a_stretch_is_undone_for_all_of_it(seam_store: Store) -
 def test_a_stretch_without_its_positions_is_refused(seam_store: Store) -> None:
     with pytest.raises(UsageError, match="found no positions, expected those of the stretch"):
         ReviewLog(seam_store.root).dispose("m.weber", [ShownFinding(SCENE, "run", SEAM)], "scrap")
+
+
+def test_marks_of_false_and_missed_fasteners_are_kept_and_decide_nothing(store: Store) -> None:
+    measured = store.query("FROM rivets ORDER BY ALL")
+    shown = seen(store)
+    mark_false(store.root, "m.weber", shown, "a spot of paint")
+    with pytest.raises(OutdatedError, match=r"no fastener here by m\.weber"):
+        mark_false(store.root, "k.ito", shown, "so say I")
+    with pytest.raises(UsageError, match="found it marked"):
+        mark_false(store.root, "k.ito", seen(store), "so say I")
+    mark_missed(store.root, "k.ito", seen_scene(store), "", (12.5, 80.0))
+    mark_missed(store.root, "k.ito", seen_scene(store), "beside R2, under the tape")
+    for wrong in (lambda: mark_missed(store.root, "k.ito", seen_scene(store), " "),
+                  lambda: mark_false(store.root, "k.ito", seen(store, feature=R2), " "),
+                  lambda: unmark(store.root, "k.ito", SCENE, 7, "no such entry")):  # fmt: skip
+        with pytest.raises(UsageError):
+            wrong()
+    unmark(store.root, "m.weber", SCENE, 1, "it is one after all")
+    with pytest.raises(OutdatedError, match="taken back"):
+        unmark(store.root, "m.weber", SCENE, 1, "again")
+    rows = store.query("FROM marks ORDER BY number").to_pylist()
+    place = store.query("SELECT u_px, v_px FROM rivets WHERE rivet_id = 'R1'").to_pylist()[0]
+    assert [(row["mark"], row["feature_id"], row["u_px"], row["v_px"], row["holds"]) for row in rows] == [
+        ("false", "R1", place["u_px"], place["v_px"], False), ("missed", None, 12.5, 80.0, True),
+        ("missed", None, None, None, True),
+    ]  # fmt: skip
+    assert (rows[0]["taken_back_by"], rows[0]["taken_back_because"]) == ("m.weber", "it is one after all")
+    assert rows[2]["comment"] == "beside R2, under the tape"
+    assert store.query("FROM rivets ORDER BY ALL") == measured
+    assert stand(store) == "1 waiting"
+    log = ReviewLog(store.root)
+    before = log.read()
+    assert [entry.number for entry in before.standing_marks(SCENE)] == [2, 3]
+    decide(store, "rework")
+    mark_false(store.root, "m.weber", seen(store), "paint")
+    assert stand(store) == "1 open work"  # a mark takes nothing away from what was decided
+    assert log.read().marks() == [*before.marks(), (log.read().entries[-1], None)]
+    assert check_log(store.root).problems == ()
+    assert "fastener missed" in scene_report(store, SCENE).html
+
+
+def test_numbers_of_the_paperwork_and_the_signature_are_kept_beside_the_comment(store: Store) -> None:
+    numbers = Numbers(concession="NCR-4711", part_number="MS20470", work_order="WO-9")
+    dispose(store.root, "m.weber", [seen(store)], "rework", "shave it", numbers)
+    close_work(store.root, "m.weber", [seen(store)], "shaved")
+    with pytest.raises(UsageError, match="characters that are no text"):
+        dispose(store.root, "m.weber", [seen(store)], "rework", "", Numbers(part_number="\0"))
+    signature = Signature(role="design authority", meaning="released", confirmed="log-in, name typed")
+    sign_off_all(store.root, "k.ito", [seen_scene(store)], signature=signature)
+    columns = "concession, part_number, work_order"
+    given = tuple(numbers.model_dump().values())
+    for table in ("decisions WHERE number = 1", "dispositions"):
+        assert tuple(store.query(f"SELECT {columns} FROM {table}").to_pylist()[0].values()) == given
+    [signed] = store.query("SELECT role, meaning, confirmed FROM decisions WHERE action = 'sign-off'").to_pylist()
+    assert signed == signature.model_dump()
+    entries = ReviewLog(store.root).read().entries
+    assert [entry.format[-1] for entry in entries] == ["5", "2", "5"]  # what earlier versions can read, they read
+    report = scene_report(store, SCENE).html
+    for text in ("concession NCR-4711; part MS20470; work order WO-9; shave it", "design authority: released"):
+        assert text in report
+    assert check_log(store.root).problems == ()
