@@ -100,7 +100,7 @@ def bent_places(reconstruction: Reconstruction, axis: Axis) -> tuple[BentPlace, 
     if inner.sum() < _LEAST_BLOCKS:
         return ()
     row, column, sigma = blocks.row[inner], blocks.column[inner], blocks.sigma_px[inner]
-    local, scatter = _beyond_smooth(row, column, blocks.off_px[inner])
+    local, scatter = beyond_smooth(row, column, blocks.off_px[inner])
     limit = max(_FLOOR_PX, _SIGMAS * scatter)
     amount = np.zeros((int(row.max()) + 1, int(column.max()) + 1))
     amount[row, column] = np.where(np.abs(local) > np.maximum(limit, _SIGMAS * sigma), np.abs(local), 0)
@@ -119,8 +119,16 @@ def bent_places(reconstruction: Reconstruction, axis: Axis) -> tuple[BentPlace, 
     return tuple(places)
 
 
-def _beyond_smooth(row: NDArray[np.int64], column: NDArray[np.int64], off: Array) -> tuple[Array, float]:
-    """What a quadratic over the field leaves, and how far sound blocks scatter about it."""
+def beyond_smooth(row: NDArray[np.int64], column: NDArray[np.int64], off: Array) -> tuple[Array, float]:
+    """What a quadratic over the field leaves, and how far sound blocks scatter about it.
+
+    Parameters
+    ----------
+    row, column : (n,) int
+        Of each block.
+    off : (n,) ndarray
+        Value of each block.
+    """
     x, y = column / max(1, column.max()) - 0.5, row / max(1, row.max()) - 0.5
     design = np.column_stack([np.ones_like(x), x, y, x * y, x * x, y * y])
     keep, scatter = np.ones(len(off), bool), 0.0

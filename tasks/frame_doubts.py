@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrology.cloud import DecodedView, PixelFlag, Reconstruction
+from metrology.contrast_match import CONTRAST_LIMIT, contrast_apart
 from metrology.focus import fringe_blur
 from metrology.frame_doubts import FrameDoubt
 from metrology.fringe import Axis
@@ -87,6 +88,22 @@ def bent_light(reconstruction: Reconstruction, axis: Axis) -> tuple[FrameDoubt, 
             f"light bent locally: the projector coordinate is up to {worst.off_px:.2f} px off",
             relief=True,
             places=tuple(bent.place for bent in found),
+        ),
+    )
+
+
+def veiled(reconstruction: Reconstruction) -> tuple[FrameDoubt, ...]:
+    """Contrast that one camera alone loses in a part of its picture: relief at the ends of what is lit may be none."""
+    found = contrast_apart(reconstruction)
+    if found is None:
+        return ()
+    return (
+        FrameDoubt(
+            f"veiled: the cameras' fringes differ in contrast by {found:.0%} more in a part of the picture than what "
+            f"changes smoothly over it, expected at most {CONTRAST_LIMIT:.0%}: what looks like a dent or a bump may be "
+            "none; look for stray light or dirt on one camera's lens or its window, and for a lamp that shines into it",
+            "fringes of one camera veiled in a part of its picture",
+            relief=True,
         ),
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from metrology.cloud import DecodedView, Reconstruction
+from metrology.contrast_match import CONTRAST_LIMIT, contrast_apart
 from metrology.errors import RigError
 from metrology.far_offset import measure_far_offsets
 from metrology.reconstruct import coordinate_size, decode, triangulate
@@ -255,3 +256,16 @@ def test_a_place_where_one_camera_sees_light_bent_is_found(
 def _left_column(cloud: Reconstruction, coordinate: float) -> float:
     """Where the left camera sees what the right one sees at that coordinate, near row 300."""
     return float(np.argmin(np.abs(cloud.left.coordinate[300] - coordinate)))
+
+
+def test_a_veil_over_a_part_of_one_cameras_picture_is_found(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    left, right = views
+    assert contrast_apart(triangulate(left, right, rig)) is None
+    u = np.arange(rig.left.width)
+    focus, veil = 1 + 0.2 * (u / rig.left.width - 0.5) ** 2, 1 - 0.3 / (1 + np.exp((u - 200) / 15))
+    smooth = replace(right, modulation=(right.modulation * focus).astype(np.float32))
+    assert contrast_apart(triangulate(left, smooth, rig)) is None
+    veiled = replace(left, modulation=(left.modulation * veil).astype(np.float32))
+    found = contrast_apart(triangulate(veiled, smooth, rig))
+    assert found is not None
+    assert CONTRAST_LIMIT < found < 0.3
