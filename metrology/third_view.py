@@ -28,6 +28,8 @@ _LEAST_PART = 0.25
 _LEAST_BLOCKS = 24
 # Locally off: by more than sound blocks are, as they scatter and by their own noise, and by this much at least.
 _SIGMAS, _FLOOR_PX = 8.0, 0.03
+# Where most of the picture is this far off, it is the rig that does not fit.
+_RIG_PX = 0.5
 _ROUNDS, _OUTLIER_MADS = 5, 4.0
 
 
@@ -97,7 +99,7 @@ def bent_places(reconstruction: Reconstruction, axis: Axis) -> tuple[BentPlace, 
     if blocks is None:
         return ()
     inner = blocks.part >= _LEAST_PART
-    if inner.sum() < _LEAST_BLOCKS:
+    if inner.sum() < _LEAST_BLOCKS or np.median(np.abs(blocks.off_px[inner])) > _RIG_PX:
         return ()
     row, column, sigma = blocks.row[inner], blocks.column[inner], blocks.sigma_px[inner]
     local, scatter = beyond_smooth(row, column, blocks.off_px[inner])
