@@ -35,6 +35,13 @@ SENTENCES = (
     "the brightness of the {camera} camera's frames changes from row to row, in each frame another way ({share}, "
     "expected at most {least}): what looks like a dent or a bump may be none; light flickers while the shutter "
     "rolls: expose for whole periods of the light, or take a global shutter",
+    "veiled: the cameras' fringes differ in contrast by {share} more in a part of the picture than what changes "
+    "smoothly over it, expected at most {most}: what looks like a dent or a bump may be none; look for stray light or "
+    "dirt on one camera's lens or its window, and for a lamp that shines into it",
+    "light bent locally (places: {n}, the worst {width} × {height} px around u {u}, v {v} in the left picture): the "
+    "projector coordinate is up to {off} px off what the rig says, expected at most {limit}: what looks like a dent or "
+    "a bump there may be none; look for a drop, dirt or stray light on a lens or its window (either camera's or the "
+    "projector's), and for fringes that mirror in something; clean them and scan again",
     "{share} of the field in view have no points (the largest part, around u {u}, v {v} in the left picture, is "
     "{cause}): what lies there was not inspected; is something before the skin, or does it reflect?",
     "the {camera} camera's pictures were sharpened (their noise averages out {n} times as fast as a sensor's): gaps "
@@ -130,6 +137,8 @@ CLAUSES = (
     "pictures of the {camera} camera cut off at black",
     "crests of the {camera} camera's fringes cut off",
     "a second picture of the fringes in the {camera} camera",
+    "fringes of one camera veiled in a part of its picture",
+    "light bent locally: the projector coordinate is up to {off} px off",
     "saturated",
     "too dark or without fringes",
     "with fringes that contradict each other",

@@ -117,7 +117,7 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
         return nothing
     coarse = coarse_positions(gray, sample.code, fit.mean)
     told = agreement(fit, sample.code, sample.noise, coarse)
-    lit = told.judged & unclipped(levels, sample.saturation)
+    lit = told.judged & unclipped(levels, sample.saturation) & ~sample.edges.ravel()
     if lit.sum() < _LEAST_PIXELS:
         return nothing
     contradictory = told.contradictory & lit

@@ -11,6 +11,21 @@ from metrology.results import Feature
 
 
 @dataclass(frozen=True)
+class Place:
+    """A part of the left image, px."""
+
+    u_px: tuple[float, float]
+    v_px: tuple[float, float]
+    """u_px, v_px: from, to."""
+
+    def meets(self, row: Feature) -> bool:
+        """Whether a feature, as wide as its picture, reaches into it."""
+        half = (getattr(row, "major_px", None) or 0.0) / 2
+        across = self.u_px[0] - half <= row.u_px <= self.u_px[1] + half
+        return bool(across and self.v_px[0] - half <= row.v_px <= self.v_px[1] + half)
+
+
+@dataclass(frozen=True)
 class FrameDoubt:
     """Something about the frames."""
 
@@ -22,6 +37,12 @@ class FrameDoubt:
     """Whether it may look like a dent or a bump: a person must confirm those that were found."""
     quantities: tuple[str, ...] = ()
     """Names of the quantities whose values it falsifies by more than their U95."""
+    places: tuple[Place, ...] | None = None
+    """Where; None for the whole picture."""
+
+    def concerns(self, row: Feature) -> bool:
+        """Whether a feature lies where something is doubtful."""
+        return self.places is None or any(place.meets(row) for place in self.places)
 
 
 def without_doubtful(
@@ -35,13 +56,15 @@ def without_doubtful(
                 if quantity.name in doubt.quantities:
                     rows = [
                         row
-                        if getattr(row, quantity.column) is None
+                        if getattr(row, quantity.column) is None or not doubt.concerns(row)
                         else without(row, quantity, f"{quantity.name} not measured; {doubt.clause}")
                         for row in rows
                     ]
             if name == DEFECT.name and doubt.relief:
                 rows = [
                     replace(row, decision="unconfirmed", reason="; ".join(filter(None, (row.reason, doubt.clause))))
+                    if doubt.concerns(row)
+                    else row
                     for row in rows
                 ]
             kept[name] = rows

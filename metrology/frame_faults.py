@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -72,9 +72,9 @@ def describe_frame(
         return None
     rows = _wrong_rows(sample, wrong, exposure, frame, left_out, finer)
     inside = _inside(sample.rows, rows)
-    part = FrameSample(
-        sample.levels[:, :, inside], sample.rows[inside], sample.columns[inside], sample.code, sample.noise,
-        sample.saturation,
+    part = replace(
+        sample, levels=sample.levels[:, :, inside], rows=sample.rows[inside], columns=sample.columns[inside],
+        edges=sample.edges[inside],
     )  # fmt: skip
     at = exposure * sample.code.frames + frame
     same = same_picture(part, at, part)

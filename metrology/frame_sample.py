@@ -24,6 +24,9 @@ from metrology.unwrap import nearest_lattice_point, order_lattice
 # About this many rows and columns are looked at; the columns lie differently in each row, whatever the fringes' period.
 _ROWS, _COLUMNS = 136, 64
 _COLUMN_SHIFT = 0.382
+# An edge: brightness changes by this share of itself from pixel to pixel. What trembles by a tenth of a pixel there
+# changes it by a fiftieth from frame to frame, and more where the slope is steeper.
+_EDGE = 0.2
 # The top of the camera's range, told from the brightest samples but for a few hot pixels.
 _BRIGHTEST, _CLIPPED = 0.999, 0.985
 # Wrong frames inflate the estimate of the noise: no camera's is taken to exceed these parts of that top.
@@ -52,6 +55,8 @@ class FrameSample:
     noise: NoiseModel
     saturation: float
     """Grey level from which a sample counts as clipped."""
+    edges: NDArray[np.bool_]
+    """(rows, columns): where brightness changes so steeply that frames differ as soon as anything trembles."""
 
     def frames(self, exposure: int) -> Float32:
         """(frames, pixels) of one exposure."""
@@ -59,7 +64,8 @@ class FrameSample:
 
     def within(self, columns: NDArray[np.bool_]) -> FrameSample:
         """The part of the grid in these of its columns."""
-        return replace(self, levels=np.ascontiguousarray(self.levels[..., columns]), columns=self.columns[:, columns])
+        levels = np.ascontiguousarray(self.levels[..., columns])
+        return replace(self, levels=levels, columns=self.columns[:, columns], edges=self.edges[:, columns])
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,22 @@ def sample_frames(
     saturation = _CLIPPED * float(np.quantile(levels[..., ::5, ::3], _BRIGHTEST))
     read = min(noise.read_variance, max((_MOST_READ_NOISE * saturation) ** 2, 1e-3))
     quiet = NoiseModel(read, min(noise.gain, _MOST_GAIN * saturation))
-    return FrameSample(levels, rows, columns, code, quiet, saturation)
+    return FrameSample(levels, rows, columns, code, quiet, saturation, _edges(frames, code, rows, columns))
+
+
+def _edges(frames: NDArray, code: FringeCode, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """See `FrameSample.edges`; over all steps of the first exposure, so that fringes leave none."""
+    fringes = frames[0, : code.fringe_frames]
+    if not len(fringes):
+        return np.zeros(columns.shape, bool)
+    (height, width), at = frames.shape[2:], rows[:, None]
+
+    def level(down: int, right: int) -> NDArray:
+        place = np.clip(at + down, 0, height - 1), np.clip(columns + right, 0, width - 1)
+        return np.asarray(fringes[:, *place].mean(0))
+
+    slope = np.hypot(level(1, 0) - level(-1, 0), level(0, 1) - level(0, -1)) / 2
+    return np.asarray(slope > _EDGE * level(0, 0))
 
 
 @lru_cache(maxsize=512)

@@ -23,7 +23,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.errors import RigError
 from metrology.far_offset import measure_far_offsets
@@ -32,6 +31,7 @@ from metrology.results import Rivet, RivetDetection
 from metrology.rig import PROJECTOR_OF, Rig
 from metrology.robust import MAD
 from metrology.texture_offset import PATCH_PX, TextureOffsets, measure_offsets
+from metrology.third_view import third_view
 
 Verdict = Literal["ok", "warning", "unjudged", "refused"]
 
@@ -92,8 +92,6 @@ _LEAST_BLOCKS = 12
 _MOST_DENSE = 1500
 _BENT_RMS_PX = 1.0
 _LEAST_BLOCK_PART = 0.1
-# A block's median is known well enough from every eighth row and column, at a sixty-fourth of the projections.
-_STRIDE = 8
 _OUTLIER_MADS = 4.0
 
 
@@ -272,34 +270,11 @@ def _epipolar(offsets: TextureOffsets, rig: Rig, floor: float) -> _Deviation | N
 
 
 def _third_view(reconstruction: Reconstruction, axis: Axis, settings: HealthSettings) -> _Deviation | None:
-    device = reconstruction.rig.projector
-    if device is None:
+    blocks = third_view(reconstruction, axis, settings.block_px)
+    if blocks is None:
         return None
-    sample = np.s_[::_STRIDE, ::_STRIDE]
-    points = reconstruction.points[sample]
-    good = np.isfinite(points[..., 2]) & (reconstruction.flags[sample] == 0)
-    v, u = np.nonzero(good)
-    if len(v) == 0:
-        return None
-    projected = device.project(points[good])[:, 0 if axis == "x" else 1]
-    off = reconstruction.left.coordinate[sample][good] - projected
-    side = max(1, settings.block_px // _STRIDE)
-    block = (v // side) * (good.shape[1] // side + 1) + u // side
-    _, group, count = np.unique(block, return_inverse=True, return_counts=True)
-    full = count > _LEAST_BLOCK_PART * side**2
+    full = blocks.part > _LEAST_BLOCK_PART
     if full.sum() < _LEAST_BLOCKS:
         return None
-    middles = _medians(off, group, count)
-    scatter = _medians(np.abs(off - middles[group]), group, count)[full]
-    middle, count = middles[full], count[full]
-    # A median of n normal values scatters by 1.2533 σ / √n; neighbouring pixels share little noise.
-    sigma = 1.2533 * MAD * scatter / np.sqrt(count)
-    rms = float(np.sqrt(np.mean(middle**2)))
-    return _Deviation(rms, rms, float(np.sqrt(np.mean(sigma**2))), len(middle), settings.projector_floor_px)
-
-
-def _medians(values: Array, group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
-    """Median of the values of each group, the groups being 0, 1, … with `count` values each."""
-    ordered = values[np.lexsort((values, group))]
-    first = np.cumsum(count) - count
-    return np.asarray((ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2)
+    rms, sigma = (float(np.sqrt(np.mean(values[full] ** 2))) for values in (blocks.off_px, blocks.sigma_px))
+    return _Deviation(rms, rms, sigma, int(full.sum()), settings.projector_floor_px)

@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrology.cloud import DecodedView, PixelFlag
+from metrology.cloud import DecodedView, PixelFlag, Reconstruction
+from metrology.contrast_match import CONTRAST_LIMIT, contrast_apart
 from metrology.focus import fringe_blur
 from metrology.frame_doubts import FrameDoubt
+from metrology.fringe import Axis
 from metrology.noise_texture import NoiseTexture
 from metrology.ripple import with_equal_ripples
+from metrology.third_view import bent_places
 from storage.scene import Scene
 from tasks.scan_checks import CheckedFrames
 
@@ -66,6 +69,43 @@ def frame_doubts(
         (_seen_twice(frames) for frames in checked),
     )
     return [doubt for kind in found if (doubt := next(filter(None, kind), None))]
+
+
+def bent_light(reconstruction: Reconstruction, axis: Axis) -> tuple[FrameDoubt, ...]:
+    """Places where a lens bends light otherwise than the rig says: relief there may be none."""
+    found = bent_places(reconstruction, axis)
+    if not found:
+        return ()
+    worst = max(found, key=lambda bent: bent.off_px)
+    (left, right), (top, bottom) = worst.place.u_px, worst.place.v_px
+    return (
+        FrameDoubt(
+            f"light bent locally (places: {len(found)}, the worst {right - left:.0f} × {bottom - top:.0f} px around u "
+            f"{(left + right) / 2:.0f}, v {(top + bottom) / 2:.0f} in the left picture): the projector coordinate "
+            f"is up to {worst.off_px:.2f} px off what the rig says, expected at most {worst.limit_px:.2f}: what looks "
+            "like a dent or a bump there may be none; look for a drop, dirt or stray light on a lens or its window "
+            "(either camera's or the projector's), and for fringes that mirror in something; clean them and scan again",
+            f"light bent locally: the projector coordinate is up to {worst.off_px:.2f} px off",
+            relief=True,
+            places=tuple(bent.place for bent in found),
+        ),
+    )
+
+
+def veiled(reconstruction: Reconstruction) -> tuple[FrameDoubt, ...]:
+    """Contrast that one camera alone loses in a part of its picture: relief at the ends of what is lit may be none."""
+    found = contrast_apart(reconstruction)
+    if found is None:
+        return ()
+    return (
+        FrameDoubt(
+            f"veiled: the cameras' fringes differ in contrast by {found:.0%} more in a part of the picture than what "
+            f"changes smoothly over it, expected at most {CONTRAST_LIMIT:.0%}: what looks like a dent or a bump may be "
+            "none; look for stray light or dirt on one camera's lens or its window, and for a lamp that shines into it",
+            "fringes of one camera veiled in a part of its picture",
+            relief=True,
+        ),
+    )
 
 
 def without_unevenness(

@@ -39,7 +39,7 @@ from storage.scene_folder import load_any_scene
 from storage.scene_models import MANIFEST, Camera
 from tasks.clock import clock_warnings
 from tasks.cloud_scan import cloud_of
-from tasks.frame_doubts import frame_doubts, widened, without_unevenness
+from tasks.frame_doubts import bent_light, frame_doubts, veiled, widened, without_unevenness
 from tasks.loaded import LoadedScene
 from tasks.rig_check import doubtful, mixed_up, unmatched
 from tasks.rig_evidence import evidence_warnings
@@ -125,7 +125,9 @@ def _from_frames(loaded: LoadedScene, scene: Scene, settings: InspectionSettings
     reconstruction = replace(found, frames_digest=digest, remarks=remarks, doubts=doubts)
     if problem := unmatched(scene, reconstruction, settings.rig_health):
         raise problem
-    return reconstruction
+    if len(scene.exposures) == 1:  # fused exposures each have their own contrast
+        doubts += veiled(reconstruction)
+    return replace(reconstruction, doubts=doubts + bent_light(reconstruction, scene.code.axis))
 
 
 def _read(scene: Scene, camera: Camera, readers: Executor) -> FrameStack:

@@ -216,16 +216,25 @@ def test_frames_of_one_level_say_nothing(level: int) -> None:
     assert not diagnose_frames(sample, [found]).named
 
 
-def test_edges_of_paint_that_shake_are_not_odd() -> None:
-    """Few pixels that scatter far tell of no wrong frame, though their mean alone would."""
+def letters(v: NDArray, u: NDArray, shift: float) -> NDArray:
+    inside = (v > 40) & (v < 56) & (u > 200) & (u < 260)
+    return np.where(inside, 1 - 0.6 * np.cos(2 * np.pi * (u + shift) / 7), 1)
+
+
+def end_along_rows(v: NDArray, _: NDArray, shift: float) -> NDArray:
+    """A row of the grid lies wholly in the panel's blurred end."""
+    return 1 / (1 + np.exp((v - 198.2 + 0.3 * shift) / 0.6))
+
+
+@pytest.mark.parametrize("edge", [letters, end_along_rows])
+def test_edges_that_shake_are_not_odd(edge: Callable[[NDArray, NDArray, float], NDArray]) -> None:
+    """Pixels at edges tell of no wrong frame: few that scatter far, and a whole row of them."""
     rng = np.random.default_rng(11)
     v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
-    letters = (v > 40) & (v < 56) & (u > 200) & (u < 260)
     clean = clean_frames(ramp(HEIGHT, WIDTH, SIZE), USUAL, SIZE, np.full(u.shape, 80.0), np.full(u.shape, 60.0), 1.0)
-    shaken = np.stack([
-        frame * np.where(letters, 1 - 0.6 * np.cos(2 * np.pi * (u + shift) / 7), 1)
-        for frame, shift in zip(np.asarray(clean), rng.normal(0, 0.4, USUAL.frames), strict=True)
-    ])  # fmt: skip
+    shifts = rng.normal(0, 0.4, USUAL.frames)
+    shaken = np.stack([frame * edge(v, u, shift) for frame, shift in zip(np.asarray(clean), shifts, strict=True)])
     (found,), _ = look(recorded(shaken, rng, 2.0, (1.0,)), USUAL)
     print(found)
     assert not found.odd
+    assert found.judged > 1000

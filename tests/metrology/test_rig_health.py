@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from metrology.cloud import DecodedView, Reconstruction
+from metrology.contrast_match import CONTRAST_LIMIT, contrast_apart
 from metrology.errors import RigError
 from metrology.far_offset import measure_far_offsets
 from metrology.reconstruct import coordinate_size, decode, triangulate
 from metrology.results import RivetDetection
 from metrology.rig import Device, Rig
-from metrology.rig_health import HealthSettings, RigHealth, _medians, epipolar_health
+from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
+from metrology.third_view import bent_places, medians
 from storage.rig import load_rig
 from storage.scene import load_scene
 from tasks.rig_check import check_scene
@@ -214,12 +216,12 @@ def test_on_an_independent_rendering_of_a_skin(shared: Path) -> None:
     assert epipolar_health(triangulate(left, right, zoomed_rig)).verdict != "ok"
 
 
-def test_medians_of_groups_are_those_of_each_group() -> None:
+def testmedians_of_groups_are_those_of_each_group() -> None:
     rng = np.random.default_rng(8)
     group = rng.integers(0, 7, 500)
     values = rng.normal(size=500)
     expected = [np.median(values[group == k]) for k in range(7)]
-    np.testing.assert_allclose(_medians(values, group, np.bincount(group)), expected, rtol=1e-12)
+    np.testing.assert_allclose(medians(values, group, np.bincount(group)), expected, rtol=1e-12)
 
 
 def test_texture_far_off_is_placed_to_parts_of_a_pixel(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
@@ -227,3 +229,43 @@ def test_texture_far_off_is_placed_to_parts_of_a_pixel(rig: Rig, views: tuple[De
     found = measure_far_offsets(triangulate(*views, rig)).across_px
     assert len(found) > 12
     assert np.median(np.abs(found)) < 0.25
+
+
+@pytest.mark.parametrize("camera", [0, 1])
+def test_a_place_where_one_camera_sees_light_bent_is_found(
+    rig: Rig, views: tuple[DecodedView, DecodedView], camera: int
+) -> None:
+    """A drop on a lens: the coordinate of its middle is that of a third of a pixel beside it."""
+    assert bent_places(triangulate(*views, rig), "x") == ()
+    v, u = np.mgrid[: rig.left.height, : rig.left.width]
+    drop = np.exp(-((u - 400) ** 2 + (v - 300) ** 2) / (2 * 50**2))
+    seen = list(views)
+    wet = seen[camera].coordinate + (0.3 * drop).astype(np.float32)
+    seen[camera] = replace(seen[camera], coordinate=wet)
+    cloud = triangulate(seen[0], seen[1], rig)
+    (found,) = bent_places(cloud, "x")
+    middle = 400 if camera == 0 else _left_column(cloud, seen[1].coordinate[300, 400])
+    assert found.place.u_px[0] < middle < found.place.u_px[1]
+    assert found.place.v_px[0] < 300 < found.place.v_px[1]
+    assert found.off_px > 2 * found.limit_px
+    assert np.diff([*found.place.u_px])[0] < 400
+    assert bent_places(replace(cloud, right=None), "x") == ()
+    assert bent_places(replace(cloud, rig=replace(rig, projector=None)), "x") == ()
+
+
+def _left_column(cloud: Reconstruction, coordinate: float) -> float:
+    """Where the left camera sees what the right one sees at that coordinate, near row 300."""
+    return float(np.argmin(np.abs(cloud.left.coordinate[300] - coordinate)))
+
+
+def test_a_veil_over_a_part_of_one_cameras_picture_is_found(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
+    left, right = views
+    assert contrast_apart(triangulate(left, right, rig)) is None
+    u = np.arange(rig.left.width)
+    focus, veil = 1 + 0.2 * (u / rig.left.width - 0.5) ** 2, 1 - 0.3 / (1 + np.exp((u - 200) / 15))
+    smooth = replace(right, modulation=(right.modulation * focus).astype(np.float32))
+    assert contrast_apart(triangulate(left, smooth, rig)) is None
+    veiled = replace(left, modulation=(left.modulation * veil).astype(np.float32))
+    found = contrast_apart(triangulate(veiled, smooth, rig))
+    assert found is not None
+    assert CONTRAST_LIMIT < found < 0.3

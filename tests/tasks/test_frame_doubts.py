@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from metrology import rig_health
 from metrology.cloud import Reconstruction
 from metrology.defects.row import Defect
-from metrology.frame_doubts import FrameDoubt, without_doubtful
+from metrology.frame_doubts import FrameDoubt, Place, without_doubtful
 from metrology.kinds import DEFECT, SEAM_STATION
 from metrology.results import SeamStation
 from metrology.rig_health import RigHealth
@@ -142,6 +142,10 @@ def test_doubtful_values_are_not_left_to_be_believed() -> None:
     assert (position.step_mm, position.width_mm, position.width_u95_mm) == (0.1, None, None)
     assert position.decision == "not measured"
     assert position.reason == "width not measured; pictures sharpened"
+    here, elsewhere = Place((0.0, 5.0), (0.0, 5.0)), Place((30.0, 40.0), (0.0, 40.0))
+    kept = without_doubtful(features, (replace(doubt, places=(elsewhere, here)),))
+    assert (kept[DEFECT.name][0].decision, kept[SEAM_STATION.name]) == ("unconfirmed", [station])
+    assert without_doubtful(features, (replace(doubt, places=(elsewhere,)),)) == features
 
 
 @pytest.mark.parametrize("odd", [False, True])
