@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
 
 from pydantic import Field, model_validator
 
@@ -46,7 +45,7 @@ class RolesModel(StrictModel):
     viewer_values: tuple[str, ...] = ()
     design_authority: tuple[str, ...] = ()
     design_authority_values: tuple[str, ...] = ()
-    titles: Annotated[dict[str, str], Field(default_factory=dict)]
+    titles: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _values_have_a_claim(self) -> RolesModel:
