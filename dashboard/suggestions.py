@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from html import escape
 
 import streamlit as st
 
 from storage.review import Review
+from storage.templates import rendered
 
 _MOST_COMMENTS = 12
 _LIST = "flushline-comments"
@@ -77,9 +77,9 @@ if (!window.flushlineNames) {
 def suggest_comments(review: Review) -> None:
     """Offer what was said most of earlier decisions; called beside the field of a comment."""
     said = Counter(entry.comment for entry in review.entries if entry.disposition and entry.comment)
-    options = "".join(f'<option value="{escape(text)}"></option>' for text, _n in said.most_common(_MOST_COMMENTS))
     st.html(_COMMENTS.replace("LIST", _LIST), unsafe_allow_javascript=True)
-    st.html(f'<datalist id="{_LIST}">{options}</datalist>')
+    comments = [comment for comment, __ in said.most_common(_MOST_COMMENTS)]
+    st.html(rendered("dashboard", "comments.html", name=_LIST, comments=comments))
 
 
 def suggest_names(columns: Mapping[str, Sequence[str]]) -> None:
