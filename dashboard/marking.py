@@ -47,7 +47,7 @@ def add_places(fig: go.Figure, rows: int, columns: int) -> None:
     fig.add_scattergl(
         x=u.ravel(), y=v.ravel(), mode="markers", marker={"color": "rgba(0,0,0,0)", "size": _APART_PX},
         customdata=[f"{_PLACE}{x:.0f},{y:.0f}" for x, y in zip(u.ravel(), v.ravel(), strict=True)],
-        hovertemplate=_("column %{x}, row %{y}") + "<extra></extra>", showlegend=False,
+        hovertemplate=_("column {u}, row {v}", u="%{x}", v="%{y}") + "<extra></extra>", showlegend=False,
     )  # fmt: skip
 
 
