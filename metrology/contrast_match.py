@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from metrology.blocks import beyond_smooth, in_blocks
 from metrology.cloud import Reconstruction
-from metrology.third_view import BLOCK_PX, beyond_smooth, medians
+from metrology.third_view import BLOCK_PX
 
 CONTRAST_LIMIT = 0.1
 """Relative; a sound scan's blocks leave 0.05 beyond what is smooth, single ones at glints more."""
@@ -41,16 +42,13 @@ def contrast_apart(reconstruction: Reconstruction) -> float | None:
             / right.modulation[row, column]
         )
     v, u, apart = v[np.isfinite(apart)], u[np.isfinite(apart)], apart[np.isfinite(apart)]
-    side = BLOCK_PX // _STRIDE
-    across = good.shape[1] // side + 1
-    block, group, count = np.unique((v // side) * across + u // side, return_inverse=True, return_counts=True)
-    told = count >= _LEAST_PIXELS
+    blocks = in_blocks(v, u, good.shape[1], BLOCK_PX // _STRIDE)
+    told = blocks.count >= _LEAST_PIXELS
     if told.sum() < _LEAST_BLOCKS:
         return None
-    block, middle = block[told], medians(apart.astype(np.float64), group, count)[told]
-    local, _ = beyond_smooth(block // across, block % across, middle)
-    field = np.zeros((good.shape[0] // side + 1, across))
-    field[block // across, block % across] = local
+    row, column = blocks.row[told], blocks.column[told]
+    field = np.zeros((int(row.max()) + 1, int(column.max()) + 1))
+    field[row, column], _ = beyond_smooth(row, column, blocks.medians(apart.astype(np.float64))[told])
     worst = 0.0
     for sign in (-1, 1):
         label, number = ndimage.label(sign * field > CONTRAST_LIMIT, np.ones((3, 3)))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from metrology.arrays import Array
+from metrology.blocks import beyond_smooth, in_blocks
 from metrology.cloud import Reconstruction
 from metrology.frame_doubts import Place
 from metrology.fringe import Axis
@@ -30,11 +31,10 @@ _LEAST_BLOCKS = 24
 _SIGMAS, _FLOOR_PX = 8.0, 0.03
 # Where most of the picture is this far off, it is the rig that does not fit.
 _RIG_PX = 0.5
-_ROUNDS, _OUTLIER_MADS = 5, 4.0
 
 
 @dataclass(frozen=True)
-class Blocks:
+class BlocksOff:
     """Medians over square blocks of the left image, those without points left out."""
 
     row: NDArray[np.int64]
@@ -60,7 +60,7 @@ class BentPlace:
     """What it is expected not to exceed."""
 
 
-def third_view(reconstruction: Reconstruction, axis: Axis, block_px: int = BLOCK_PX) -> Blocks | None:
+def third_view(reconstruction: Reconstruction, axis: Axis, block_px: int = BLOCK_PX) -> BlocksOff | None:
     """Decoded minus projected coordinate in blocks; None without a calibrated projector or any point."""
     device = reconstruction.rig.projector
     if device is None:
@@ -74,20 +74,12 @@ def third_view(reconstruction: Reconstruction, axis: Axis, block_px: int = BLOCK
     projected = device.project(points[good])[:, 0 if axis == "x" else 1]
     off = reconstruction.left.coordinate[sample][good] - projected
     side = max(1, block_px // _STRIDE)
-    across = good.shape[1] // side + 1
-    block, group, count = np.unique((v // side) * across + u // side, return_inverse=True, return_counts=True)
-    middle = medians(off, group, count)
-    scatter = medians(np.abs(off - middle[group]), group, count)
+    blocks = in_blocks(v, u, good.shape[1], side)
+    middle = blocks.medians(off)
+    scatter = blocks.medians(np.abs(off - middle[blocks.group]))
     # A median of n normal values scatters by 1.2533 σ / √n; neighbouring pixels share little noise.
-    sigma = 1.2533 * MAD * scatter / np.sqrt(count)
-    return Blocks(block // across, block % across, middle, sigma, count / side**2, side * _STRIDE)
-
-
-def medians(values: Array, group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
-    """Median of the values of each group, the groups being 0, 1, … with `count` values each."""
-    ordered = values[np.lexsort((values, group))]
-    first = np.cumsum(count) - count
-    return np.asarray((ordered[first + (count - 1) // 2] + ordered[first + count // 2]) / 2)
+    sigma = 1.2533 * MAD * scatter / np.sqrt(blocks.count)
+    return BlocksOff(blocks.row, blocks.column, middle, sigma, blocks.count / side**2, side * _STRIDE)
 
 
 def bent_places(reconstruction: Reconstruction, axis: Axis) -> tuple[BentPlace, ...]:
@@ -119,24 +111,3 @@ def bent_places(reconstruction: Reconstruction, axis: Axis) -> tuple[BentPlace, 
         v_px = float(down.start * blocks.side_px), float(min(down.stop * blocks.side_px, height))
         places.append(BentPlace(Place(u_px, v_px), float(inside.max()), limit))
     return tuple(places)
-
-
-def beyond_smooth(row: NDArray[np.int64], column: NDArray[np.int64], off: Array) -> tuple[Array, float]:
-    """What a quadratic over the field leaves, and how far sound blocks scatter about it.
-
-    Parameters
-    ----------
-    row, column : (n,) int
-        Of each block.
-    off : (n,) ndarray
-        Value of each block.
-    """
-    x, y = column / max(1, column.max()) - 0.5, row / max(1, row.max()) - 0.5
-    design = np.column_stack([np.ones_like(x), x, y, x * y, x * x, y * y])
-    keep, scatter = np.ones(len(off), bool), 0.0
-    local = off - np.median(off)
-    for _ in range(_ROUNDS):
-        scatter = MAD * float(np.median(np.abs(local[keep]))) + 1e-6
-        keep = np.abs(local) < _OUTLIER_MADS * scatter
-        local = off - design @ np.linalg.lstsq(design[keep], off[keep], rcond=None)[0]
-    return np.asarray(local), MAD * float(np.median(np.abs(local)))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metrology.blocks import in_blocks
 from metrology.cloud import DecodedView, Reconstruction
 from metrology.contrast_match import CONTRAST_LIMIT, contrast_apart
 from metrology.errors import RigError
@@ -16,7 +17,7 @@ from metrology.reconstruct import coordinate_size, decode, triangulate
 from metrology.results import RivetDetection
 from metrology.rig import Device, Rig
 from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
-from metrology.third_view import bent_places, medians
+from metrology.third_view import bent_places
 from storage.rig import load_rig
 from storage.scene import load_scene
 from tasks.rig_check import check_scene
@@ -216,12 +217,17 @@ def test_on_an_independent_rendering_of_a_skin(shared: Path) -> None:
     assert epipolar_health(triangulate(left, right, zoomed_rig)).verdict != "ok"
 
 
-def testmedians_of_groups_are_those_of_each_group() -> None:
+def test_medians_of_blocks_are_those_of_each_block() -> None:
     rng = np.random.default_rng(8)
-    group = rng.integers(0, 7, 500)
+    v, u = rng.integers(0, 40, (2, 500))
     values = rng.normal(size=500)
-    expected = [np.median(values[group == k]) for k in range(7)]
-    np.testing.assert_allclose(medians(values, group, np.bincount(group)), expected, rtol=1e-12)
+    blocks = in_blocks(v, u, 40, 16)
+    expected = [
+        np.median(values[(v // 16 == row) & (u // 16 == column)])
+        for row, column in zip(blocks.row, blocks.column, strict=True)
+    ]
+    assert len(expected) == 9
+    np.testing.assert_allclose(blocks.medians(values), expected, rtol=1e-12)
 
 
 def test_texture_far_off_is_placed_to_parts_of_a_pixel(rig: Rig, views: tuple[DecodedView, DecodedView]) -> None:
