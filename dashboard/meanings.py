@@ -12,11 +12,9 @@ from functools import cache
 
 from dashboard.reasons import expression_of
 from dashboard.words import _
-from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, MARKS_COLUMNS
-from storage.archive.limit_tables import LIMITS_COLUMNS
+from storage.archive.beside import TABLES_BESIDE
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
-from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 
 _PATTERNS = (
     "expanded uncertainty (95 %) of {column}, {unit}",
@@ -56,15 +54,10 @@ def _parts(text: str) -> tuple[str, dict[str, str]]:
 
 
 def _declared() -> Iterator[str]:
-    for table in TABLES:
+    for table in (*TABLES, *TABLES_BESIDE):
         yield table.comment
         yield from (column.comment for column in table.columns)
     yield from (view.comment for view in VIEWS)
-    of_others = (
-        DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, LIMITS_COLUMNS, MARKS_COLUMNS, RIGS_COLUMNS, VERIFICATIONS_COLUMNS,
-    )  # fmt: skip
-    for columns in of_others:
-        yield from columns.values()
 
 
 def texts() -> Iterator[str]:

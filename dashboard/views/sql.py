@@ -18,11 +18,9 @@ from dashboard.suggestions import suggest_names
 from dashboard.tables import fitting
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError, UsageError
-from storage.archive.decision_tables import DECISIONS_COLUMNS, DISPOSITIONS_COLUMNS, MARKS_COLUMNS
-from storage.archive.limit_tables import LIMITS_COLUMNS
+from storage.archive.beside import TABLES_BESIDE
 from storage.archive.schema import TABLES
 from storage.archive.views import VIEWS
-from storage.evidence.rig_tables import RIGS_COLUMNS, VERIFICATIONS_COLUMNS
 from storage.saved_queries import SavedQueries
 from storage.templates import rendered
 
@@ -33,11 +31,6 @@ _LONGEST_LINK = 4000
 _ANY_HEIGHT = 10_000
 _TEXT, _NAME, _ANSWER, _HISTORY = "sql_text", "sql_of", "answer", "sql_history"  # kept while one looks at other pages
 _RUN = "sql_run"
-_OTHERS = {
-    "decisions": DECISIONS_COLUMNS, "dispositions": DISPOSITIONS_COLUMNS, "limits": LIMITS_COLUMNS,
-    "marks": MARKS_COLUMNS,
-    "rigs": RIGS_COLUMNS, "verifications": VERIFICATIONS_COLUMNS,
-}  # fmt: skip
 
 
 def render(context: PageContext) -> None:
@@ -126,8 +119,7 @@ def _text(known: dict[str, str], name: str) -> str:
 
 def _columns() -> dict[str, list[str]]:
     """Of each table, and of the views."""
-    columns = {table.name: [column.name for column in table.columns] for table in TABLES}
-    columns |= {name: list(own) for name, own in _OTHERS.items()}
+    columns = {table.name: [column.name for column in table.columns] for table in (*TABLES, *TABLES_BESIDE)}
     return columns | {view.name: [] for view in VIEWS}
 
 
@@ -230,23 +222,12 @@ def _keep(context: PageContext, names: dict[str, str], saved: SavedQueries, chos
 def _describe_tables() -> None:
     """What there is to ask of: plain HTML, for hundreds of columns of Markdown take a browser most of a second."""
     st.markdown(_("**Tables and views**"))
-    told = [
+    tables = [
         {"name": table.name, "meaning": meaning(table.comment), "columns": [
             (column.name, column.sql_type, meaning(column.comment)) for column in table.columns
         ]}
-        for table in TABLES
+        for table in (*TABLES, *TABLES_BESIDE)
     ]  # fmt: skip
-    for name, what in (
-        ("decisions", _("Everything that people decided, from the first entry on")),
-        ("dispositions", _("The last disposition of each feature that has one")),
-        ("limits", _("Each limit of the specifications that scans and panels were judged by")),
-        ("marks", _("Fasteners that people marked as false or missed")),
-        ("rigs", _("Each calibration with its last verification, and what is due when")),
-        ("verifications", _("Each measure of each verification of a rig")),
-    ):
-        told.append({"name": name, "meaning": what, "columns": [
-            (column, "", meaning(comment)) for column, comment in _OTHERS[name].items()
-        ]})  # fmt: skip
-    told += [{"name": view.name, "meaning": meaning(view.comment), "columns": []} for view in VIEWS]
+    tables += [{"name": view.name, "meaning": meaning(view.comment), "columns": []} for view in VIEWS]
     with st.container(border=False, key="tables"):  # as high as the screen, see the style of the pages
-        st.html(rendered("dashboard", "tables.html", tables=told))
+        st.html(rendered("dashboard", "tables.html", tables=tables))

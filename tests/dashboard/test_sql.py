@@ -19,6 +19,8 @@ from dashboard import sql_runner
 from dashboard.confinement import write_only_in
 from dashboard.sql_runner import AT_ONCE, run_query
 from metrology.errors import UsageError
+from storage.archive import Store, tables_beside
+from storage.archive.beside import TABLES_BESIDE
 from storage.review import Feature, ReviewLog, ShownFinding
 
 
@@ -28,6 +30,14 @@ def test_rows_and_the_row_limit(filled: Path) -> None:
     assert answer.truncated
     assert not run_query(filled, "SELECT 1 AS one").truncated
     assert "rivets" in set(run_query(filled, "SHOW TABLES").rows["name"])
+
+
+def test_tables_beside_the_index_have_the_columns_that_are_described(filled: Path) -> None:
+    named = {name for names in (tables_beside._DECISIONS, tables_beside._RIGS, tables_beside._LIMITS) for name in names}
+    assert {table.name for table in TABLES_BESIDE} == named
+    for table in TABLES_BESIDE:
+        found = Store(filled).query(f"FROM {table.name} LIMIT 0")
+        assert found.column_names == [column.name for column in table.columns]
 
 
 def test_dispositions_can_be_joined(writable: Path) -> None:
