@@ -308,12 +308,18 @@ def _is_open(context: PageContext, shown: Sequence[ShownFinding]) -> bool:
 
 
 def _record_reason(context: PageContext, shown: tuple[ShownFinding, ...], act: _Act, reason_key: str) -> None:
-    who, reason = who_decides(context), str(st.session_state.get(reason_key) or "")
-    if not who or not reason.strip():
-        hint(_("Give your name and the reason."))
-        return
-    record = partial(act.record, context.archive.root, who, shown, reason)
-    attempt(context, record, act.said, shown[0].scene_id, act.done)
+    if given := who_and_why(context, reason_key):
+        record = partial(act.record, context.archive.root, given[0], shown, given[1])
+        attempt(context, record, act.said, shown[0].scene_id, act.done)
+
+
+def who_and_why(context: PageContext, reason_key: str) -> tuple[str, str] | None:
+    """Name and reason as they were given; None where one is missing, which is said."""
+    who, reason = who_decides(context), str(st.session_state.get(reason_key) or "").strip()
+    if who and reason:
+        return who, reason
+    hint(_("Give your name and the reason."))
+    return None
 
 
 def hint(text: str) -> None:

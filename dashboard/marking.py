@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 import streamlit as st
 
-from dashboard.deciding import attempt, checksum_of, hint, who_decides
+from dashboard.deciding import attempt, checksum_of, hint, who_and_why, who_decides
 from dashboard.figures.base import escape
 from dashboard.findings import feature_words
 from dashboard.frame import PageContext, plain
@@ -135,10 +135,10 @@ def _may(context: PageContext, scene_id: str) -> bool:
 
 
 def _record_false(context: PageContext, shown: ShownFinding, why: str) -> None:
-    who, reason = who_decides(context), str(st.session_state.get(why) or "").strip()
-    if not who or not reason:
-        hint(_("Give your name and the reason."))
+    given = who_and_why(context, why)
+    if given is None:
         return
+    who, reason = given
     named = plain(feature_words(shown.feature.id, context.locale))
     act = partial(mark_false, context.archive.root, who, shown, reason)
     attempt(context, act, _("Marked: no fastener at {named}.", named=named), None, lambda: None)
@@ -162,9 +162,9 @@ def _record_missed(context: PageContext, shown: ShownScene, note_key: str) -> No
 
 
 def _record_back(context: PageContext, mark: Entry, why: str) -> None:
-    who, reason = who_decides(context), str(st.session_state.get(why) or "").strip()
-    if not who or not reason:
-        hint(_("Give your name and the reason."))
+    given = who_and_why(context, why)
+    if given is None:
         return
+    who, reason = given
     act = partial(unmark, context.archive.root, who, mark.scene_id, mark.number, reason)
     attempt(context, act, _("Mark {number} is taken back.", number=mark.number), None, lambda: None)

@@ -115,7 +115,9 @@ def _course(
 ) -> Course:
     # As the air meets it, where that is known: a step is B above A, and faces the wind where B lies downstream.
     sign = -1.0 if quantity is STEP and downstream == -1 else 1.0
+    values = _numbers(rows, quantity.column)
     bounds = np.full((4, len(rows)), np.nan)
+    severities: list[Severity | None] = [None] * len(rows)
     for k, zone in enumerate(rows["zone"]):
         limit = None
         if spec is not None:
@@ -123,23 +125,14 @@ def _course(
             limit = limit_of(named, quantity, downstream if quantity.into_wind else 0)
         if limit is not None:
             bounds[:, k] = [np.nan if bound is None else bound for bound in limit.bounds]
+            severities[k] = limit.severity(values[k]) if np.isfinite(values[k]) else None
     if sign < 0:
         bounds = -bounds[[1, 0, 3, 2]]
-    values = sign * _numbers(rows, quantity.column)
     lower, upper, serious_lower, serious_upper = bounds
     return Course(
-        quantity, values, _numbers(rows, quantity.u95_column), (lower, upper, serious_lower, serious_upper),
-        tuple(map(_severity, values, *bounds)), sign * _numbers(before, quantity.column),
+        quantity, sign * values, _numbers(rows, quantity.u95_column), (lower, upper, serious_lower, serious_upper),
+        tuple(severities), sign * _numbers(before, quantity.column),
     )  # fmt: skip
-
-
-def _severity(value: float, lower: float, upper: float, serious_lower: float, serious_upper: float) -> Severity | None:
-    """As inspections colour it: blue beyond a limit, red beyond a serious one."""
-    if np.isnan(value) or (np.isnan(lower) and np.isnan(upper)):
-        return None
-    if not (value < lower or value > upper):
-        return "green"
-    return "red" if value < serious_lower or value > serious_upper else "blue"
 
 
 def _numbers(rows: pd.DataFrame, column: str) -> Array:

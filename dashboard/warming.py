@@ -34,9 +34,8 @@ def keep_warm() -> None:
 def read_ahead(archive: Archive) -> None:
     """Read what the review and the overview show at first, and the review for each of its periods."""
     without = load_settings(archive.root).not_aircraft
-    with_margins(archive, findings(archive, Wanted(selection=Selection(without=without))))
     archive.shared_rows(drift_sql("true"))
-    for period in PERIODS:
+    for period in PERIODS:  # any time, which is shown at first, is the first of them
         selection = Selection(since=began(archive, period), without=without)
         with_margins(archive, findings(archive, Wanted(selection=selection)))
 
