@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from metrology.arrays import Float32
 from metrology.errors import RigError
 from metrology.fringe import Axis
+from metrology.jit import kernel, over_rows
+from metrology.pixel_directions import pixel_directions
 from metrology.rig import Device, Rig
 
 # Share of the phase gradient that must lie along the epipolar lines for a rig and a fringe axis to fit.
@@ -150,10 +152,23 @@ def _geometry(key: tuple[bytes, ...], hidden: _Hidden) -> EpipolarGeometry:
 def _maps(device: Device, across: NDArray, forward: NDArray, focal: float) -> tuple[Float32, NDArray[np.float64]]:
     """Undistorted coordinates (h, w, 2) and row (h, w) of every pixel of a camera."""
     xy = _undistorted(device)
-    # The two directions in the camera's own frame.
-    a, f = device.R @ across, device.R @ forward
-    row = focal * (xy @ a[:2] + a[2]) / (xy @ f[:2] + f[2])
-    return xy.astype(np.float32), row
+    rounded, row = np.empty(xy.shape, np.float32), np.empty(xy.shape[:2])
+
+    def label(first: int, end: int) -> None:
+        _label_rows(xy, focal * device.R @ across, device.R @ forward, first, end, rounded, row)
+
+    over_rows(label, device.height)
+    return rounded, row
+
+
+@kernel
+def _label_rows(xy, across, forward, first, end, rounded, row):  # type: ignore[no-untyped-def]
+    """Fill rows `first` to `end` of the rounded coordinates and of the plane that each pixel lies on."""
+    for v in range(first, end):
+        for u in range(xy.shape[1]):
+            x, y = xy[v, u]
+            rounded[v, u, 0], rounded[v, u, 1] = x, y
+            row[v, u] = (x * across[0] + y * across[1] + across[2]) / (x * forward[0] + y * forward[1] + forward[2])
 
 
 @contextlib.contextmanager
@@ -173,8 +188,7 @@ def _undistorted(device: Device) -> NDArray[np.float64]:
     key = b"".join(part.tobytes() for part in lens)
     if kept is not None and key in kept:
         return kept[key]
-    v, u = np.mgrid[: device.height, : device.width].astype(float)
-    xy = device.normalized(np.stack([u, v], axis=-1))
+    xy = pixel_directions(device)
     if kept is not None:
         while len(kept) >= _MOST_TRIED:
             del kept[next(iter(kept))]

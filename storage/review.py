@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metrology.errors import OutdatedError, UsageError
 from storage.review_details import Mark, MarkKind, Numbers, Signature
@@ -28,6 +28,9 @@ from storage.review_entries import (
 from storage.review_head import Head
 from storage.review_keeping import Check, Keeping
 from storage.review_shown import ShownFinding, ShownScene
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection
 
 __all__ = [
     "ASKS_FOR_WORK",
@@ -78,18 +81,23 @@ class ReviewLog:
 
     def of_scenes(self, scenes: Sequence[str]) -> Review:
         """What was decided about some scenes."""
-        from storage import review_database
 
-        return self._keeping.some(
-            lambda connection: review_database.entries_of_scenes(connection, scenes),
-            lambda entry: entry.scene_id in scenes,
-        )
+        def asked(connection: Connection) -> list[Entry]:
+            from storage.review_database import entries_of_scenes
+
+            return entries_of_scenes(connection, scenes)
+
+        return self._keeping.some(asked, lambda entry: entry.scene_id in scenes)
 
     def sign_offs(self) -> Review:
         """All sign-offs, and no other entries."""
-        from storage import review_database
 
-        return self._keeping.some(review_database.sign_off_entries, lambda entry: entry.action == "sign-off")
+        def asked(connection: Connection) -> list[Entry]:
+            from storage.review_database import sign_off_entries
+
+            return sign_off_entries(connection)
+
+        return self._keeping.some(asked, lambda entry: entry.action == "sign-off")
 
     def dispose(
         self, who: str, shown: Sequence[ShownFinding], disposition: Disposition, comment: str = "",

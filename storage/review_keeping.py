@@ -75,6 +75,12 @@ class Keeping:
         return None if self.url else self.folder / "decisions.sqlite"
 
     @property
+    def _untouched(self) -> bool:
+        """Whether files hold the log and none is there: then the database's library need not be loaded to ask it."""
+        files = (self._head_file.path, self.database_file, self.old_log, self._taken_over)
+        return self.url is None and not any(path and path.exists() for path in files)
+
+    @property
     def version(self) -> tuple[int, ...]:
         """Changes with every new entry, and where one of the files was changed."""
         found: list[int] = []
@@ -104,6 +110,8 @@ class Keeping:
         """Entries that a query gives, or that belong to what it asks for."""
         if old := self.only_old_log():
             return Review(tuple(filter(belongs, old.entries)), old.problem)
+        if self._untouched:
+            return Review()
         try:
             with self.looking() as (connection, problem):
                 return Review(tuple(ask(connection)) if connection is not None else (), problem)
