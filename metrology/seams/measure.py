@@ -80,13 +80,15 @@ def measure_seams(
     heads = head_mask(rivets, usable.shape, _RIVET_GUARD_PX)
     usable &= ~heads
     seams = [line for line in lines if line.relief]
+    masks = [gap_mask(line, settings.guard_px, usable.shape) for line in lines] if len(lines) > 1 else []
     stations = []
     for seam in seams:
         others = [other for other in seams if other is not seam]
-        clear = usable.copy() if len(lines) > 1 else usable
+        clear = usable.copy()
         # What lies on the skin is no skin, nor is what a flush seam is sealed with.
-        for other in (line for line in lines if line is not seam):
-            clear &= ~gap_mask(other, settings.guard_px, usable.shape)
+        for other, mask in zip(lines, masks, strict=False):
+            if other is not seam:
+                clear &= ~mask
         track = lay_on_skin(oriented(seam.centre_px), seam.width_px, reconstruction, clear, settings.guard_px)
         if track is not None:
             courses = [coarse_course(other) for other in others]
