@@ -31,7 +31,7 @@ from numba.core.compiler_lock import global_compiler_lock
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 # Bands small enough to even out, large enough that a band's start costs nothing.
 _ROWS_PER_BAND = 48
-_FORM = "copies of its own, and names"  # of the code on disk: of another form it is compiled again
+_FORM = "copies of its own as written, and names"  # of the code on disk: of another form it is compiled again
 
 
 def _with_copies_of_its_own(optimize: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -39,10 +39,15 @@ def _with_copies_of_its_own(optimize: Callable[[Any], None]) -> Callable[[Any], 
 
     A copy is optimized where it stands, so its sums are in another order than the kernel's own. By numba's way
     all copies bear one name, and a process takes the first one that it meets: results would depend on what was compiled
-    or loaded before.
+    or loaded before. Copies are made of what a kernel is before it is optimized: optimized ones, each with its own
+    copies in it, would be gone through again at every call above them, a sixth of the time of compiling.
     """
 
     def optimize_own(library: Any) -> None:
+        library._shared_module = library._final_module.clone()
+        for function in library._shared_module.functions:
+            if function.linkage.name == "external" and not function.is_declaration:
+                function.linkage = "linkonce_odr"
         for function in library._final_module.functions:
             if function.linkage.name == "linkonce_odr" and not function.is_declaration:
                 function.linkage = "internal"
@@ -104,7 +109,8 @@ CPUCodeLibrary._get_module_for_linking = _with_bitcode_read_late(CPUCodeLibrary.
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function`: cached on disk, without the interpreter lock, IEEE division, relaxed summation order."""
-    return cached(numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy"), function)
+    compiler = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy", no_cfunc_wrapper=True)
+    return cached(compiler, function)
 
 
 def cached(compiler: Callable[..., Any], function: Callable[..., Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Small linear systems, compiled."""
+"""Small linear systems, and copying, compiled."""
 
 from __future__ import annotations
 
@@ -7,6 +7,17 @@ import math
 from metrology.jit import kernel
 
 _SINGULAR = 1e-12  # least pivot, as a share of the diagonal's entry
+
+
+@kernel
+def copy_values(target, source):  # type: ignore[no-untyped-def]
+    """Fill an array with another of its shape.
+
+    A slice assignment would do, but numba compiles the message of shapes that differ with it, which takes seconds.
+    """
+    to, values = target.reshape(-1), source.reshape(-1)
+    for i in range(values.size):
+        to[i] = values[i]
 
 
 @kernel

@@ -16,7 +16,7 @@ _CLOSE = 1e-7  # of a focal length: of the step, whose square is about what is l
 
 
 def pixel_directions(device: Device) -> Array:
-    """(h, w, 2) x/z, y/z in the device's own frame of each of its pixels; as `Device.normalized` gives them, to 1e-9."""
+    """(h, w, 2) x/z, y/z in the device's own frame of each of its pixels, as `Device.normalized` gives them."""
     directions = np.empty((device.height, device.width, 2))
     first = device.normalized(np.column_stack([np.zeros(device.height), np.arange(device.height)]))
     missed = np.zeros(device.height, np.bool_)

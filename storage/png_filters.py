@@ -31,9 +31,11 @@ def unfilter(stored: NDArray[np.uint8], sample_bytes: int, rows: NDArray[np.uint
     for y in range(height):
         kind, given, row = stored[y, 0], stored[y, 1:], rows[y]
         if kind == _NONE:
-            row[:] = given
+            for x in range(n):
+                row[x] = given[x]
         elif kind == _SUB:
-            row[:sample_bytes] = given[:sample_bytes]
+            for x in range(sample_bytes):
+                row[x] = given[x]
             for x in range(sample_bytes, n):
                 row[x] = given[x] + row[x - sample_bytes]
         elif kind == _UP:

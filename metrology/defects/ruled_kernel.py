@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from metrology.arrays import Array
 from metrology.jit import kernel
 
 _STIFFNESSES = 9  # of which each bends √10 times as much as the one before
 
 
-@kernel
-def bin_medians(low, values, count):  # type: ignore[no-untyped-def]
+def bin_medians(low: NDArray[np.int64], values: Array, count: int) -> Array:
     """(count,) medians (upper of two) of values (n,) in bins low (n,); an empty bin lies between its neighbours."""
+    known, middle = _medians(low, values, count)
+    return np.interp(np.arange(count), known, middle)
+
+
+@kernel
+def _medians(low, values, count):  # type: ignore[no-untyped-def]
+    """Bins that hold values, in order, and each one's median."""
     first = np.zeros(count + 1, np.int64)
     for k in range(low.shape[0]):
         first[low[k] + 1] += 1
@@ -28,7 +36,7 @@ def bin_medians(low, values, count):  # type: ignore[no-untyped-def]
             here.sort()
             known[number], middle[number] = b, here[here.shape[0] // 2]
             number += 1
-    return np.interp(np.arange(count), known[:number], middle[:number])
+    return known[:number], middle[:number]
 
 
 @kernel

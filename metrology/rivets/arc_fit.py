@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from metrology.jit import kernel
+from metrology.linear import solve
 
 
 @kernel
@@ -63,8 +64,9 @@ def fit_conic(x, y, use, ellipse):  # type: ignore[no-untyped-def]
                     normal[j, k] += row[j] * row[k]
     for j in range(5):
         normal[j, j] += 1e-9 * count
-    s = np.linalg.solve(normal, right)
-    ca, cb, cc, cd, ce, cf = s[0], s[1], 1.0 - s[0], s[2], s[3], s[4]
+    if not solve(normal, right, 5):
+        return False
+    ca, cb, cc, cd, ce, cf = right[0], right[1], 1.0 - right[0], right[2], right[3], right[4]
     discriminant = 4.0 * ca * cc - cb * cb
     if discriminant <= 1e-6:
         return False
@@ -306,12 +308,14 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
         coverage, distance = _points_on(ellipse, limit, pu, pv, mu, mv, use)
         if step == 4 or coverage < 0.5:
             break
-        trial[:] = ellipse
+        for i in range(5):
+            trial[i] = ellipse[i]
         if freedom > 0.0 and fit_conic(pu, pv, use, trial):
             ex, ey = _elongation(trial)
             as_large = trial[3] >= 0.45 * radius and trial[2] <= 1.7 * radius * math.sqrt(large)
             if as_large and math.hypot(ex - expected_x, ey - expected_y) < freedom:
-                ellipse[:] = trial
+                for i in range(5):
+                    ellipse[i] = trial[i]
                 continue
         a, b, mode = _circle(x, y, use)
         if mode < 0.6 * radius or mode > 1.6 * radius:

@@ -281,7 +281,8 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
     place, reach, share = _room(angles)
     response = np.empty(angles)
     width = image.shape[1]
-    found[:] = ellipse
+    for i in range(5):
+        found[i] = ellipse[i]
     best = -1.0
     unit = min(0.5, _STEP_SHARE * ellipse[2])
     for step in (2, 1):
@@ -294,7 +295,8 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
             value = abs(_template_mean(image, place, reach, share, 0, 0, response))
             if value > best:
                 best = value
-                found[:] = trial
+                for i in range(5):
+                    found[i] = trial[i]
         _template(found, sigma, width, place, reach, share)
         du = 0
         dv = 0

@@ -239,6 +239,7 @@ def fit_rim_kernel(profiles, ends, first, spacing, directions, height, slopes, l
         move = _advance(unknowns, step)
         if move < _CONVERGED_MM:
             break
-    out[:UNKNOWNS] = unknowns
+    for i in range(UNKNOWNS):
+        out[i] = unknowns[i]
     out[UNKNOWNS] = noise
     return move < 20.0 * _CONVERGED_MM

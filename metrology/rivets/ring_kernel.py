@@ -115,8 +115,9 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         if not factor_scaled(system.normal, UNKNOWNS, _DAMPING, system.work, system.scale):
             return False
         solve_scaled(system.work, system.scale, UNKNOWNS, system.step)
-        params[:SIGMA] += system.step[:SIGMA]
-        params[DENSE:] += system.step[DENSE:]
+        for i in range(UNKNOWNS):
+            if i < SIGMA or i >= DENSE:
+                params[i] += system.step[i]
         if iteration <= settled:
             # Hopeless starts show early: a ring is dark all round, or bright.
             if iteration > 0 and not _steady(params, _STEADY[iteration]):
@@ -302,12 +303,16 @@ def _judge(band, system, params, residual, shape, shape_sd, out, covariance):  #
         return False
     for j in range(5):
         _column_of_inverse(system, GEOMETRY + j)
-        covariance[j] = system.step[GEOMETRY:DENSE] * (variance * _WEIGHTED_COVARIANCE)
+        for i in range(5):
+            covariance[j, i] = system.step[GEOMETRY + i] * (variance * _WEIGHTED_COVARIANCE)
     _column_of_inverse(system, BACKGROUND)
     step_sd = math.sqrt(system.step[BACKGROUND]) * noise
-    covariance[:] *= together / _true_share(system, params, variance)
+    share = together / _true_share(system, params, variance)
+    for j in range(5):
+        out[j] = params[GEOMETRY + j]
+        for i in range(5):
+            covariance[j, i] *= share
     mean = scores.sum() / norm
-    out[:5] = params[GEOMETRY:DENSE]
     out[5] = params[SIGMA]
     out[6] = mean
     out[7] = params[BACKGROUND]

@@ -57,8 +57,9 @@ class EdgeResponse:
         half = int(np.ceil(reach * _NODES_PER_PIXEL / pixel))
         step = pixel / _NODES_PER_PIXEL
         thin = _THIN * max(side_u, side_v)
-        values, slopes, *_ = _tabulate(half, step, max(side_u, thin), max(side_v, thin), sigma, blur.spill)
-        return cls(step, values, slopes)
+        table = np.zeros((6, 2 * half + 1))
+        _tabulate(half, step, max(side_u, thin), max(side_v, thin), sigma, blur.spill, table)
+        return cls(step, table[0], table[1])
 
 
 @kernel
@@ -68,10 +69,10 @@ def blurred_steps(normals, lenses, spill, nodes_per_px, reach_px):  # type: igno
     Rows: the step, its change with the spill, and that with the lens, each with its slope.
     """
     half = int(np.ceil(reach_px * nodes_per_px))
-    tables = np.empty((lenses.size, 6, 2 * half + 1))
+    tables = np.zeros((lenses.size, 6, 2 * half + 1))
     for k in range(lenses.size):
         side_u, side_v = max(abs(normals[k, 0]), _THIN), max(abs(normals[k, 1]), _THIN)
-        tables[k] = _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, lenses[k], spill)
+        _tabulate(half, 1.0 / nodes_per_px, side_u, side_v, lenses[k], spill, tables[k])
     return tables
 
 
@@ -85,13 +86,12 @@ def _shares(spill):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-untyped-def]
-    """A Gaussian edge folded with two boxes (differences of its second antiderivative) and with the spill.
+def _tabulate(half, step, side_u, side_v, sigma, spill, table):  # type: ignore[no-untyped-def]
+    """Add to `table` (6, n) a Gaussian edge folded with two boxes (differences of its second antiderivative) and spill.
 
     Rows: the step, its change with the spill, and that with sigma, each with its slope. The second antiderivative
     ``σ² (t φ + (t² + 1) Φ) / 2``, t = x/σ, changes with sigma by ``σ Φ``.
     """
-    table = np.zeros((6, 2 * half + 1))
     shares, changed = _shares(spill), _shares(spill + _SPILL_DIFFERENCE)
     for i in range(6):
         for j in range(6):
@@ -117,4 +117,3 @@ def _tabulate(half, step, side_u, side_v, sigma, spill):  # type: ignore[no-unty
         for row in range(0, 6, 2):
             table[row, 2 * half - k] = (1.0 if row == 0 else 0.0) - table[row, k]
             table[row + 1, 2 * half - k] = table[row + 1, k]
-    return table

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from metrology.jit import kernel
-from metrology.linear import solve
+from metrology.linear import copy_values, solve
 from metrology.seams.blur import blurred_steps
 from metrology.seams.gap.equations import normal_equations
 from metrology.seams.gap.model import NODES_PER_PX
@@ -68,8 +68,12 @@ def descend(pictures, across, sealed, prior, iterations, borders, shared, normal
             if damping > _MOST:
                 break
             continue
-        borders[:], shared[:], levels[:], costs[:] = borders_there, shared_there, levels_there, costs_there
-        normals[:], gradients[:] = normals_there, gradients_there
+        copy_values(borders, borders_there)
+        copy_values(shared, shared_there)
+        copy_values(levels, levels_there)
+        copy_values(costs, costs_there)
+        copy_values(normals, normals_there)
+        copy_values(gradients, gradients_there)
         limit, damping = DOUBTFUL * np.median(costs), max(_BOLDER * damping, _LEAST)
         if gain < _SETTLED:
             break
@@ -159,7 +163,8 @@ def _step(normals, gradients, costs, limit, prior, damping, borders, shared, bor
         for i in range(size):
             for j in range(i + 1):
                 system[i, j] -= cross[0, i] * pulled[0, j] + cross[1, i] * pulled[1, j]
-    shared_there[:], borders_there[:] = shared, borders
+    copy_values(shared_there, shared)
+    copy_values(borders_there, borders)
     if not solve(system, right, size):
         return
     for i in range(size):

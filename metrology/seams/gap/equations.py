@@ -71,7 +71,8 @@ def normal_equations(  # type: ignore[no-untyped-def]
     for s in range(stations):
         normals[s], gradients[s], costs[s] = 0.0, 0.0, 0.0
         outline[A], outline[B] = borders[s, 0], borders[s, 1]
-        outline[CHAMFER_WIDTH_A:] = shared[: OUTLINE - 2]
+        for p in range(CHAMFER_WIDTH_A, OUTLINE):
+            outline[p] = shared[p - CHAMFER_WIDTH_A]
         outline[LEAN] += places[s] * shared[OUTLINE - 2]
         counts[OUTLINE] = cut(outline, sealed, tilts[s], lamps[s], x[OUTLINE], h[OUTLINE], pieces[OUTLINE])
         for p in range(changes):
