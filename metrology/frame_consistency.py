@@ -53,8 +53,7 @@ _FRINGES_PER_BAND = 1.2
 _PART_SEEN = 0.5
 _LEAST_COUNT = 8
 _LEAST_PIXELS = 30
-# Standard deviations, taken off where parts of the picture deviate by more than vibration leaves at clean edges.
-_SURE, _UNSURE = 2.0, 0.5
+_SURE = 2.0  # standard deviations
 # Pixels with more clipped samples than one are left out: a frame brighter than the others clips alone.
 _CLIPPED_SAMPLES = 1
 _UNLIT = PixelFlag.SATURATED | PixelFlag.LOW_MODULATION
@@ -128,7 +127,7 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
     # Flicker that is no fault makes parts of the picture odd that hold few pixels.
     local = even if whole <= 1 else fit
     largest, odd_rows, odd_columns = _oddities(local, sample, lit, contradictory, 0.0)
-    if largest > _UNSURE:
+    if largest > _UNEVEN:
         largest, odd_rows, odd_columns = _oddities(local, sample, lit, contradictory, _SURE)
     return FrameConsistency(
         judged=int(lit.sum()),
