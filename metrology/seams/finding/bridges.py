@@ -13,6 +13,7 @@ from metrology.cloud import Reconstruction
 from metrology.results import SeamLine
 from metrology.seams.finding.relief import Relief, examine_relief
 from metrology.seams.finding.step_edges import LEAST_STEP_MM, step_course
+from metrology.seams.polyline import resample
 from metrology.seams.settings import SeamSettings
 
 # The direction of an end is that of so much of the line; a gap is as long as this and half the shorter piece at most.
@@ -70,7 +71,8 @@ def _one_line(
     if relief.step_share < _SHARE or unlike > _UNLIKE * max(height):
         return None
     forward = course[(course - first.centre_px[-1]) @ gap > 0]
-    between = forward[(second.centre_px[0] - forward) @ gap > 0]
+    inner = forward[(second.centre_px[0] - forward) @ gap > 0]
+    between = resample(np.concatenate([first.centre_px[-1:], inner, second.centre_px[:1]]), 1.0)[1:-1]
     width = np.full(len(between), 0.5 * (np.nanmedian(first.width_px) + np.nanmedian(second.width_px)))
     return replace(
         first,
