@@ -10,6 +10,7 @@ import pytest
 from metrology.results import SeamStation
 from metrology.seams.skins.neighbours import smoothed, smoothed_sections
 from metrology.seams.skins.sections import Section, SkinLine
+from metrology.seams.skins.skin_lines import CLUMPING_MEDIAN
 from metrology.seams.skins.step import step_gradient, step_height, with_unresolved_bends
 from metrology.surfaces import Frame
 
@@ -82,7 +83,10 @@ def test_evenly_changing_slopes_leave_little_but_the_heights_noise(rng):
 
 def test_waves_that_all_sections_share_are_in_the_step_s_uncertainty(rng):
     # A station's step errs as its own noise lets it, but all in a row by the same amount: residuals hold none of it.
-    own = [replace(section, stretches=rng.normal(0, 1, 8)) for section in seam(0.01 + 2e-5 * S, rng, step=STEP)]
+    own = [
+        replace(section, clumping=CLUMPING_MEDIAN, stretches=rng.normal(0, 1, 8))
+        for section in seam(0.01 + 2e-5 * S, rng, step=STEP)
+    ]
     alone = smoothed(own, S, HALF_LENGTH)
     kept, free = (sigmas(found) / sigmas(own) for found in (smoothed_sections(own, S, HALF_LENGTH), alone))
     assert kept**2 == pytest.approx(0.9 * free**2 + 0.1, rel=0.02)
