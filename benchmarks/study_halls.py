@@ -1,10 +1,11 @@
 """Panels as a hall has them, in scans of 1.4 megapixels: rivets, holes, what U95 of step and width covers.
 
-python benchmarks/study_halls.py --keep FOLDER [--first 1] [--panels 6] [--stations]
+python benchmarks/study_halls.py --keep FOLDER [--kind hall] [--first 1] [--panels 6] [--stations]
 
 Four rows of four heads with one left out (an open hole), half of them recessed, a seam between the plates, letters and
 a sticker across it, dents beside it, painted rings, chips and drops; shaken by 15 µm, flickering by 3 %, gamma 1.6.
-Pictures stay in FOLDER. With --stations every seam station is printed: place, errors, U95, what lies nearest.
+Pictures stay in FOLDER. With --kind lap or along panels of `coarse_panels.py`, before coarser cameras. With --stations
+every seam station is printed: place, errors, U95, what lies nearest.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import coarse_panels
 import numpy as np
 from study_clutter import Kept, count_holes, count_rivets, kept_or_rendered, report
 from study_seams import errors, summary
@@ -179,9 +181,13 @@ def height_errors(name: str, kept: Kept, rivets: Sequence[Rivet]) -> list[tuple[
     return found
 
 
+KINDS = {"hall": specification, "lap": coarse_panels.lap, "along": coarse_panels.along}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--keep", type=Path, required=True, help="folder of the rendered panels")
+    parser.add_argument("--kind", choices=sorted(KINDS), default="hall")
     parser.add_argument("--first", type=int, default=1, help="number of the first panel")
     parser.add_argument("--panels", type=int, default=6)
     parser.add_argument("--stations", action="store_true", help="print every seam station")
@@ -189,8 +195,9 @@ def main() -> None:
     arguments.keep.mkdir(parents=True, exist_ok=True)
     total, seams, heights = Counter[str](), [], []
     for k in range(arguments.first, arguments.first + arguments.panels):
-        kept = kept_or_rendered(specification(k), arguments.keep / f"hall-{k:03d}.pkl")
-        name, cloud = f"panel {k}:", cloud_of(kept, arguments.keep / f"hall-{k:03d}")
+        folder = arguments.keep / f"{arguments.kind}-{k:03d}"
+        kept = kept_or_rendered(KINDS[arguments.kind](k), folder.with_suffix(".pkl"))
+        name, cloud = f"panel {k}:", cloud_of(kept, folder)
         fasteners = detect_fasteners(cloud)
         lines = detect_seams(cloud, fasteners.rivets)
         stations = measure_seams(lines, cloud, fasteners.rivets)

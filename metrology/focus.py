@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from metrology.cloud import DecodedView
+from metrology.flicker import levelled
 from metrology.frame_consistency import unclipped
 from metrology.frame_sample import FrameSample, fit_sinusoids
 
@@ -29,14 +30,17 @@ def fringe_blur(sample: FrameSample, view: DecodedView, size: int) -> float | No
     """
     code = sample.code
     levels = sample.frames(0)[: code.fringe_frames]
+    whole = unclipped(levels, sample.saturation)
     fit = fit_sinusoids(levels, range(len(levels)), code)
+    if fit is not None and whole.any():  # flicker of a percent in one count alone would pass for half a pixel of blur
+        fit = fit_sinusoids(levelled(levels, fit, whole, code), range(len(levels)), code)
     told = [] if fit is None else [k for k, used in enumerate(fit.used) if code.counts[used] >= _LEAST_COUNT]
     if fit is None or len(told) < 2:
         return None
     fine, coarse = (pick(told, key=lambda k: code.counts[fit.used[k]]) for pick in (max, min))
     slopes = np.abs(np.diff(view.coordinate[::8, ::1] if code.axis == "x" else view.coordinate[:, ::8].T, axis=1))
     least = fit.amplitude[[fine, coarse]].min(0)
-    use = unclipped(levels, sample.saturation) & (least > _BRIGHT * np.median(least))
+    use = whole & (least > _BRIGHT * np.median(least))
     if use.sum() < _FEWEST or not np.isfinite(slopes).any():
         return None
     per_count = size / float(np.nanmedian(slopes))

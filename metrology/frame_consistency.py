@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from metrology.arrays import Array, Float32
 from metrology.cloud import PixelFlag
-from metrology.frame_ghosts import disagreement
+from metrology.flicker import levelled
+from metrology.frame_ghosts import Disagreement, disagreement
 from metrology.frame_sample import Agreement, FrameSample, SinusoidFit, agreement, coarse_positions, fit_sinusoids
 from metrology.fringe import FringeCode
 from metrology.robust import MAD
@@ -78,8 +79,8 @@ class FrameConsistency:
     rolling: float = 0.0
     """Scatter of the frames' brightness from band to band of rows beyond noise, relative: light that flickers while a
     shutter rolls."""
-    disagreement_rad: float | None = None
-    """What the phases of the counts miss each other by beyond noise; None where that cannot be told."""
+    disagreement: Disagreement | None = None
+    """What the phases of the counts miss each other by; None where that cannot be told."""
 
     @property
     def uneven(self) -> bool:
@@ -121,18 +122,22 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
     if lit.sum() < _LEAST_PIXELS:
         return nothing
     contradictory = told.contradictory & lit
-    largest, odd_rows, odd_columns = _oddities(fit, sample, lit, contradictory, 0.0)
-    if largest > 1:
-        largest, odd_rows, odd_columns = _oddities(fit, sample, lit, contradictory, _SURE)
+    whole = float(largest_deviation(fit, sample.code, lit, rows, np.array([0]))[0])
+    even = _without_flicker(fit, levels, lit & ~contradictory, sample.code)
+    # Flicker that is no fault makes parts of the picture odd that hold few pixels.
+    local = even if whole <= 1 else fit
+    largest, odd_rows, odd_columns = _oddities(local, sample, lit, contradictory, 0.0)
+    if largest > _UNEVEN:
+        largest, odd_rows, odd_columns = _oddities(local, sample, lit, contradictory, _SURE)
     return FrameConsistency(
         judged=int(lit.sum()),
         contradictory=float(contradictory[lit].mean()),
         odd_rows=odd_rows,
         odd_columns=odd_columns,
-        deviation=largest,
+        deviation=max(largest, whole),
         drift=told.drift / DRIFT,
         rolling=_rolling(fit, lit, rows, max(_BLOCK, _rows_per_band(sample))),
-        disagreement_rad=_disagreement(told, fit, lit, sample),
+        disagreement=_disagreement(told, even, lit & ~contradictory, sample),
     )
 
 
@@ -151,11 +156,20 @@ def _rolling(fit: SinusoidFit, lit: NDArray[np.bool_], rows: int, tall: int) -> 
     return float(np.sqrt(max(np.square(off).mean() - noise, 0.0)))
 
 
-def _disagreement(told: Agreement, fit: SinusoidFit, lit: NDArray[np.bool_], sample: FrameSample) -> float | None:
-    if told.missed is None:
-        return None
-    counts = tuple(sample.code.counts[k] for k in fit.used)
-    return disagreement(told.missed, counts, lit & ~told.contradictory, len(sample.rows))
+def _without_flicker(fit: SinusoidFit, levels: Float32, use: NDArray[np.bool_], code: FringeCode) -> SinusoidFit:
+    """The fit of frames of one level, where enough is seen to tell it."""
+    if use.sum() < _LEAST_PIXELS:
+        return fit
+    return fit_sinusoids(levelled(levels, fit, use, code), fit.shows.tolist(), code) or fit
+
+
+def _disagreement(
+    told: Agreement, even: SinusoidFit, use: NDArray[np.bool_], sample: FrameSample
+) -> Disagreement | None:
+    """See `FrameConsistency.disagreement`; light that flickers would skew what the counts miss each other by."""
+    missed = None if told.missed is None else agreement(even, sample.code, sample.noise).missed
+    counts = tuple(sample.code.counts[k] for k in even.used)
+    return None if missed is None else disagreement(missed, counts, use, len(sample.rows))
 
 
 def _oddities(

@@ -9,23 +9,48 @@ one count share the movement, and 15 µm of it leave one to three milliradians.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.arrays import Array
+from metrology.flicker import LEAST_COUNT
+from metrology.fringe import Axis
+from metrology.rig import Rig
 from metrology.robust import MAD
 
 _BLOCKS = 8  # along each side of the picture
-# Fringes over the projector, so that two and more lie in a block even where half of them are in view.
-_LEAST_COUNT = 32
 _LEAST_PIXELS = 40
 _FEWEST_BLOCKS = 12
 _OF_NOISE = 2.0  # the scatter of blocks that noise explains: seldom 1.5 times what is expected
 _MEDIAN = np.pi / 2  # variance of a median, relative to a mean's
+_STEP_MM = 1e-3
+_SEEN_BY_BOTH = 0.1  # of the movement, squared, that the camera sees that sees less of it
 
 
-def disagreement(missed: Array, counts: tuple[int, ...], use: NDArray[np.bool_], rows: int) -> float | None:
-    """What blocks of pixels miss a common position by in one count: the root mean square beyond noise.
+@dataclass(frozen=True)
+class Disagreement:
+    """What the counts of one camera miss a common position by."""
+
+    mean: Array
+    """(counts,) over the picture, rad."""
+    square: Array
+    """(counts,) mean over blocks of its square, rad²."""
+    noise: Array
+    """(counts,) variance that noise gives it in a block, rad²."""
+
+    def beyond_noise(self, mean: Array | None = None) -> float:
+        """The root mean square over blocks in the worst count, rad, 0 where noise explains it.
+
+        With `mean` as if what the whole picture misses by were that.
+        """
+        found = self.square if mean is None else self.square - self.mean**2 + mean**2
+        return float(np.sqrt(np.where(found > _OF_NOISE**2 * self.noise, found - self.noise, 0.0).max()))
+
+
+def disagreement(missed: Array, counts: tuple[int, ...], use: NDArray[np.bool_], rows: int) -> Disagreement | None:
+    """What the counts miss a common position by, in blocks of pixels.
 
     Parameters
     ----------
@@ -37,10 +62,10 @@ def disagreement(missed: Array, counts: tuple[int, ...], use: NDArray[np.bool_],
 
     Returns
     -------
-    float or None
-        In rad; 0 where noise explains it, None where too little is seen, or a count has too few fringes for a block.
+    Disagreement or None
+        None where too little is seen, or a count has too few fringes for a block.
     """
-    if len(counts) < 2 or min(counts) < _LEAST_COUNT:
+    if len(counts) < 2 or min(counts) < LEAST_COUNT:
         return None
     grid, good = missed.reshape(len(counts), rows, -1) * 2 * np.pi, use.reshape(rows, -1)
     columns = good.shape[1]
@@ -58,5 +83,42 @@ def disagreement(missed: Array, counts: tuple[int, ...], use: NDArray[np.bool_],
             expected.append(_MEDIAN * scatter**2 / seen.sum())
     if len(middles) < _FEWEST_BLOCKS:
         return None
-    found, noise = np.square(middles).mean(0), np.mean(expected, axis=0)
-    return float(np.sqrt(np.where(found > _OF_NOISE**2 * noise, found - noise, 0.0).max()))
+    return Disagreement(np.mean(middles, axis=0), np.square(middles).mean(0), np.mean(expected, axis=0))
+
+
+def moved_by(rig: Rig, axis: Axis) -> tuple[float, float] | None:
+    """By how many projector pixels the coordinate that each camera sees grows, per mm by which the skin comes nearer.
+
+    Of a skin that faces both cameras where the optical axis of the left one passes the right one's closest; None
+    without a right camera or a projector.
+    """
+    if rig.right is None or rig.projector is None:
+        return None
+    cameras, gap = (rig.left, rig.right), rig.right.centre - rig.left.centre
+    axes = np.stack([camera.R[2] for camera in cameras])
+    reach = np.linalg.lstsq(np.stack([axes[0], -axes[1]], axis=1), gap, rcond=None)[0][0]
+    place = rig.left.centre + reach * axes[0]
+    rays = np.stack([(place - camera.centre) / np.linalg.norm(place - camera.centre) for camera in cameras])
+    normal = -rays.sum(0) / np.linalg.norm(rays.sum(0))
+    seen = rig.projector.project(np.concatenate([place + _STEP_MM * rays / (rays @ normal)[:, None], place[None]]))
+    column = seen[:, 0 if axis == "x" else 1]
+    return float(column[0] - column[2]) / _STEP_MM, float(column[1] - column[2]) / _STEP_MM
+
+
+def beyond_movement(left: Disagreement, right: Disagreement, moved: tuple[float, float]) -> tuple[float, float]:
+    """What each camera's counts miss each other by, rad, that a movement of the skin between them does not explain.
+
+    Both cameras see one movement, in proportion to what `moved_by` gives. Whatever else one camera alone sees is taken
+    for movement in part, and is told in full here; what both see alike is told as it is.
+    """
+    weight = np.square(moved) / np.sum(np.square(moved))
+    (a, b), (ours, theirs) = moved, (left.mean, right.mean)
+    if min(weight) < _SEEN_BY_BOTH:
+        return left.beyond_noise(ours), right.beyond_noise(theirs)
+    shared = (a * ours + b * theirs) / (a**2 + b**2)
+    rest = (ours - a * shared) / weight[1], (theirs - b * shared) / weight[0]
+    return left.beyond_noise(_lesser(ours, rest[0])), right.beyond_noise(_lesser(theirs, rest[1]))
+
+
+def _lesser(one: Array, other: Array) -> Array:
+    return np.where(np.abs(one) < np.abs(other), one, other)

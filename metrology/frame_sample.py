@@ -21,9 +21,10 @@ from metrology.gray import stripe_positions
 from metrology.noise import NoiseModel
 from metrology.unwrap import nearest_lattice_point, order_lattice
 
-# About this many rows and columns are looked at; the columns lie differently in each row, whatever the fringes' period.
+# About this many rows and columns are looked at. Each sample lies elsewhere in its cell of the grid, evenly spread (by
+# powers of the plastic number), so that no period of fringes meets the grid's.
 _ROWS, _COLUMNS = 136, 64
-_COLUMN_SHIFT = 0.382
+_SHIFT = 0.5698, 0.7549
 # An edge: brightness changes by this share of itself from pixel to pixel. What trembles by a tenth of a pixel there
 # changes it by a fiftieth from frame to frame, and more where the slope is steeper.
 _EDGE = 0.2
@@ -109,8 +110,9 @@ def sample_frames(
     row_stride, column_stride = max(1, height // _ROWS), max(1, width // _COLUMNS)
     if rows is None:
         rows = np.arange(row_stride // 2, height, row_stride)
-    shift = (np.arange(len(rows)) * _COLUMN_SHIFT * column_stride).astype(int) % column_stride
-    columns = np.arange(0, width - column_stride + 1, column_stride)[None] + shift[:, None]
+    first = np.arange(0, width - column_stride + 1, column_stride)
+    within = np.arange(len(rows))[:, None] * _SHIFT[0] + np.arange(len(first)) * _SHIFT[1]
+    columns = first + (within % 1 * column_stride).astype(int)
     levels = frames[:, :, rows[:, None], columns].astype(np.float32)
     saturation = _CLIPPED * float(np.quantile(levels[..., ::5, ::3], _BRIGHTEST))
     read = min(noise.read_variance, max((_MOST_READ_NOISE * saturation) ** 2, 1e-3))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +11,11 @@ from metrology.cloud import DecodedView, PixelFlag, Reconstruction
 from metrology.contrast_match import CONTRAST_LIMIT, contrast_apart
 from metrology.focus import fringe_blur
 from metrology.frame_doubts import FrameDoubt
-from metrology.fringe import Axis
+from metrology.frame_ghosts import beyond_movement, moved_by
+from metrology.fringe import Axis, FringeCode
 from metrology.noise_texture import NoiseTexture
+from metrology.reconstruct import coordinate_size
+from metrology.rig import Rig
 from metrology.ripple import with_equal_ripples
 from metrology.third_view import bent_places
 from storage.scene import Scene
@@ -41,8 +44,9 @@ _HARMONICS_APART = 0.02
 _STRIPED, _PER_HARMONIC, _REACHES = 2.0, 5.0, 0.6
 # Of lit pixels; a pixel is lit that reaches this level.
 _MOST_CUT, _BRIGHT = 0.002, 10
-# Vibration of 15 µm leaves half of it at most, a second picture of a fiftieth as much and more.
-_DISAGREEMENT_RAD = 0.006
+# What counts miss each other by: sound scans leave less than noise once flicker and movement are allowed for, a second
+# picture of a fiftieth 0.003 to 0.018. One camera alone does not tell movement: 15 µm of it leave up to 0.005.
+_DISAGREEMENT_RAD, _DISAGREEMENT_MOVED_RAD = 0.004, 0.006
 # Flicker of this share from row to row makes relief of some micrometres; a sound scan's rows differ by noise alone.
 _ROLLING = 0.006
 # Glints of heads and edges are less.
@@ -56,9 +60,14 @@ def widened(view: DecodedView, texture: NoiseTexture | None) -> DecodedView:
 
 
 def frame_doubts(
-    views: Sequence[DecodedView], checked: Sequence[CheckedFrames], size: int, blur_radius_px: float
+    views: Sequence[DecodedView],
+    checked: Sequence[CheckedFrames],
+    rig: Rig,
+    code: FringeCode,
+    blur_radius_px: float,
 ) -> list[FrameDoubt]:
     """What the frames of the cameras make doubtful, the first of its kind."""
+    size = coordinate_size(rig, code)
     both, bent = list(zip(views, checked, strict=True)), len(checked) == 2 and _shapes(checked) is not None
     found = (
         (_blurred(view, frames, size, _BLURRED * blur_radius_px) for view, frames in both),
@@ -66,7 +75,7 @@ def frame_doubts(
         (_clipped(view, frames) for view, frames in both),
         (_cut_off(frames) for frames in checked),
         (_rolling(frames) or _processed(frames.camera, frames.texture, bent) for frames in checked),
-        (_seen_twice(frames) for frames in checked),
+        _seen_twice(checked, rig, code.axis),
     )
     return [doubt for kind in found if (doubt := next(filter(None, kind), None))]
 
@@ -232,15 +241,26 @@ def _cut_off(frames: CheckedFrames) -> FrameDoubt | None:
     )
 
 
-def _seen_twice(frames: CheckedFrames) -> FrameDoubt | None:
-    """A second picture of the fringes, which every frame holds."""
-    found = max((judged.disagreement_rad or 0.0 for judged in frames.found), default=0.0)
-    if found <= _DISAGREEMENT_RAD:
+def _seen_twice(checked: Sequence[CheckedFrames], rig: Rig, axis: Axis) -> Iterator[FrameDoubt | None]:
+    """A second picture of the fringes, which every frame holds, in each camera."""
+    told = [[judged.disagreement for judged in frames.found] for frames in checked]
+    moved = moved_by(rig, axis) if len(checked) == 2 else None
+    found = [[missed.beyond_noise() if missed else 0.0 for missed in camera] for camera in told]
+    if moved:
+        for k, (left, right) in enumerate(zip(*told, strict=True)):
+            if left and right:
+                found[0][k], found[1][k] = beyond_movement(left, right, moved)
+    limit = _DISAGREEMENT_RAD if moved else _DISAGREEMENT_MOVED_RAD
+    return (_second(frames, max(each, default=0.0), limit) for frames, each in zip(checked, found, strict=True))
+
+
+def _second(frames: CheckedFrames, found: float, limit: float) -> FrameDoubt | None:
+    if found <= limit:
         return None
     camera = frames.camera
     return FrameDoubt(
         f"the {camera} camera sees a second, fainter picture of the fringes (phases of its counts miss each other by "
-        f"{found:.3f} rad, expected at most {_DISAGREEMENT_RAD:g}): what looks like a dent or a bump may be none; look "
+        f"{found:.3f} rad, expected at most {limit:g}): what looks like a dent or a bump may be none; look "
         "for a reflection within the lens, its filter or a window, or from something bright beside the skin, and for "
         "movement between the counts",
         f"a second picture of the fringes in the {camera} camera",

@@ -115,7 +115,7 @@ def _from_frames(loaded: LoadedScene, scene: Scene, settings: InspectionSettings
     digest = frames_digest(scene.code, scene.exposures, checksums["left"], checksums.get("right", unread))
     if loaded.known:
         loaded.known.refuse_other(scene.key.scene_id, digest, scene.folder)
-    doubts = tuple(frame_doubts(views, checked, size, settings.reconstruction.blur_radius_px))
+    doubts = tuple(frame_doubts(views, checked, rig, scene.code, settings.reconstruction.blur_radius_px))
     views = [widened(view, frames.texture) for view, frames in zip(views, checked, strict=True)]
     if len(views) == 1:
         found = triangulate_one(views[0], replace(rig, right=None), scene.code, size, settings.reconstruction)

@@ -8,7 +8,10 @@ import pytest
 from metrology.fits import SkinLine
 from metrology.kinds import SEAM_STATION
 from metrology.limits import Limit, PanelSpec
-from metrology.seams import detect_seams, measure_seams
+from metrology.results import SeamLine
+from metrology.seams import SeamSettings, detect_seams, measure_seams
+from metrology.seams.finding import relief as found_relief
+from metrology.seams.finding.bridges import bridged
 from metrology.seams.gap.lap_shadow import gap_or_edge, shadow_alone
 from metrology.seams.skins.residuals import shared_share
 from metrology.seams.skins.sections import Section
@@ -48,6 +51,25 @@ def test_waves_and_paint_are_no_lap_joints(rng):
 def test_line_of_the_picture_along_an_edge_is_found_once(rng):
     scan = seam_scan([Band((450.0, 350.0), 80.0, 8.0, 40.0)], [Relief(1.0, 0.8)], rng)
     assert len(detect_seams(scan, ())) == 1
+
+
+@pytest.mark.parametrize(("step", "lines"), [(0.8, 1), (0.0, 2)])
+def test_pieces_of_a_line_are_one_where_the_step_runs_on_between_them(step, lines, rng):
+    band = Band((450.0, 350.0), 80.0, 4.0, 0.0)
+    scan = seam_scan([band], [Relief(0.0, step)], rng)
+    along = np.arange(-260.0, 260.0)
+    course = np.array([450.0, 350.0]) + along[:, None] * [np.cos(np.deg2rad(80.0)), np.sin(np.deg2rad(80.0))]
+    seen = found_relief.Relief(skin_share=1.0, groove_share=0.9, step_mm=0.8, step_share=1.0)
+    pieces = [
+        (SeamLine("", piece, np.full(len(piece), 4.0), 0.9, True), seen) for piece in (course[:200][::-1], course[316:])
+    ]
+    found = bridged(pieces, scan, scan.valid, SeamSettings())
+    assert len(found) == lines
+    if lines == 1:
+        (line, _), spacing = found[0], np.hypot(*np.diff(found[0][0].centre_px, axis=0).T)
+        assert len(line.centre_px) == len(line.width_px)
+        assert spacing.max() < 2.5
+        assert np.abs(band.local(*line.centre_px.T)[1]).max() < 1.5
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from metrology.seams.gap.fit import fit_gap
 from metrology.seams.gap.floor import Floor, possible_floors
 from metrology.seams.gap.levels import courses
 from metrology.seams.gap.piecewise import fit_pieces, project_onto, side_of_section
-from metrology.seams.gap.prior import Prior
+from metrology.seams.gap.prior import LEAN_CHANGE, Prior
 from metrology.seams.gap.width import GapEdge, gap_width
 from metrology.seams.skins.other_seams import beyond
 from metrology.seams.skins.sections import Section, SkinLine
@@ -190,6 +190,17 @@ def test_wide_gap_over_a_floor_dark_at_its_walls(rng):
     fit = fit_gap(profiles(gap, 24, rng), possible_floors(2.1))
     widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
     assert np.abs(widths - gap.width_mm).mean() < 0.01
+
+
+def test_walls_that_lean_as_none_are_cut_widen_the_width_s_uncertainty(rng):
+    some = profiles(Gap(1.5, 0.3, 0.2), 3, rng)
+    known = Prior(some, Floor(False))
+    shared = known.mean.copy()
+    assert known.strain(shared) == 1
+    shared[LEAN_CHANGE] = 0.03  # as far as they usually are
+    assert known.strain(shared) == 1
+    shared[LEAN_CHANGE] = 0.21
+    assert known.strain(shared) == pytest.approx(7 / np.sqrt(3))
 
 
 def test_normal_equations_are_the_cost_s_derivatives(rng):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from metrology.results import SeamStation
-from metrology.seams.skins.neighbours import smoothed
+from metrology.seams.skins.neighbours import smoothed, smoothed_sections
 from metrology.seams.skins.sections import Section, SkinLine
+from metrology.seams.skins.skin_lines import CLUMPING_MEDIAN
 from metrology.seams.skins.step import step_gradient, step_height, with_unresolved_bends
 from metrology.surfaces import Frame
 
@@ -78,6 +79,17 @@ def test_evenly_changing_slopes_leave_little_but_the_heights_noise(rng):
     assert after.std() < 0.62 * before.std()
     assert np.abs(stated).mean() == pytest.approx(np.sqrt(2 / np.pi), rel=0.12)
     assert 0.92 < np.mean(np.abs(stated) < 1.96) < 0.98
+
+
+def test_waves_that_all_sections_share_are_in_the_step_s_uncertainty(rng):
+    # A station's step errs as its own noise lets it, but all in a row by the same amount: residuals hold none of it.
+    own = [
+        replace(section, clumping=CLUMPING_MEDIAN, stretches=rng.normal(0, 1, 8))
+        for section in seam(0.01 + 2e-5 * S, rng, step=STEP)
+    ]
+    alone = smoothed(own, S, HALF_LENGTH)
+    kept, free = (sigmas(found) / sigmas(own) for found in (smoothed_sections(own, S, HALF_LENGTH), alone))
+    assert kept**2 == pytest.approx(0.9 * free**2 + 0.1, rel=0.02)
 
 
 @pytest.mark.parametrize("period_mm", [12.0, 25.0, 50.0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.results import RivetDetection, SeamLine
+from metrology.seams.finding.bridges import bridged
 from metrology.seams.finding.image_line import ImageLine
 from metrology.seams.finding.laps import band_of, is_beside, with_laps
 from metrology.seams.finding.lines import detect_lines
@@ -61,6 +62,7 @@ def detect_seams(
             seams.append((SeamLine("", line.centre_px, line.width_px, _confidence(line, relief), True), relief))
         elif relief.between_skins and _is_shown(line):
             others.append(SeamLine("", line.centre_px, line.width_px, NO_SEAM, False))
+    seams = bridged(seams, reconstruction, usable, settings)
     scratches = scratches_of(seams, reconstruction.valid, heads)
     lines = with_laps(seams, reconstruction, usable, settings)
     raised = [line for line in lines if not line.relief]

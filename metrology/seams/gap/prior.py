@@ -125,6 +125,15 @@ class Prior:
         away = shared - self.mean
         return float(away @ self.precision @ away)
 
+    def strain(self, shared: Array) -> float:
+        """How many times farther than expected the directions of walls and chamfers are from their means; 1 at least.
+
+        Far beyond what edges are cut to, they stand in for something that the model does not hold, and do so less well
+        than their own uncertainty says (Birge 1932).
+        """
+        away = (shared - self.mean)[list(_DIRECTIONS)]
+        return float(np.sqrt(max(1.0, np.mean(away**2 * np.diag(self.precision)[list(_DIRECTIONS)]))))
+
     @property
     def limits(self) -> tuple[Array, Array, NDArray[np.int64], Array, Array]:
         """Mean, precision, what is free, and the lowest and highest values that can be."""

@@ -64,7 +64,8 @@ def _fit_some(
     """Some of the stations fitted from a start; what follows for all of them."""
     free = fit_shape_from(some, borders, shared, known, _ITERATIONS)
     shape, doubt = (free, 0.0) if known.floor.sealed else weigh_chamfers(free, some)
-    return shape, _like(shape, some, profiles), float(np.hypot(shape.mean_width_sigma, doubt))
+    sigma = known.strain(shape.shared) * shape.mean_width_sigma
+    return shape, _like(shape, some, profiles), float(np.hypot(sigma, doubt))
 
 
 def _evenly(n: int, most: int) -> Indices:

@@ -38,6 +38,8 @@ _LEAN, _STEP = slice(0, 3), 3
 # on one side, and a straight line is four times as uncertain (variance) at its end as in its middle: twice as far.
 _REACH_MM = np.array([16.0, 16.0, 16.0, 32.0])
 _ROUNDING_MM = 1e-6
+# What neighbours share and skin lines follow (waves along the seam) is not in residuals: so much of the variance stays.
+_LEAST_SHARED = 0.1
 
 
 def smoothed_sections(own: Sequence[Section | None], s_mm: Array, half_length: float) -> list[Section | None]:
@@ -56,7 +58,8 @@ def smoothed_sections(own: Sequence[Section | None], s_mm: Array, half_length: f
         replace(section, covariance=clumping * section.covariance) if section else None
         for section, clumping in zip(own, clumpings(own), strict=True)
     ]
-    return smoothed(scaled, s_mm, half_length, shared_share(own, s_mm, half_length))
+    shared = max(_LEAST_SHARED, shared_share(own, s_mm, half_length))
+    return smoothed(scaled, s_mm, half_length, shared)
 
 
 def smoothed(
