@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metrology.fringe import FringeCode
 
-# Shares of half the difference of dark and bright. Bits nearer to the level between them than the first may be misread …
+# Shares of half the difference of dark and bright. Bits nearer to the level between them than this may be misread …
 _UNSURE = 0.25
 # … and those that cross at the same place, which noise makes differ a little, are nearer than this.
 _CROSSING = 0.5
