@@ -26,6 +26,7 @@ _SHARED = 9  # neighbours within a matching window share their noise
 _ROUNDS = 5
 _OUTLIER = 3.0
 _MOST_SPHERES = 12
+_MISPLACED = 5.0  # robust standard deviations: a corner half out of focus or in a reflection
 
 
 @dataclass(frozen=True)
@@ -88,21 +89,21 @@ def board_in_scan(cloud: Reconstruction, board: Board, seen: BoardView) -> list[
     """Longest lines on a board, its scale against what it states (%), and how flat its points are.
 
     A feature is where its pixel's ray meets the plane through the board's points; of discs the middles of their images
-    count, whose eccentricity is less than what a scan tells.
+    count, whose eccentricity is less than what a scan tells. Features far off the others are left out.
     """
-    known = board.points[seen.index]
+    known, pixels = board.points[seen.index], seen.pixels
     inside = np.zeros(cloud.valid.shape, np.uint8)
     outline = cv2.convexHull(seen.pixels.astype(np.float32))
     cv2.fillConvexPoly(inside, np.rint(outline).astype(np.int32), 1)
     plane = _plane_of(cloud, inside > 0, "the board")
-    rays = cloud.rig.left.rays(seen.pixels)
+    rays = cloud.rig.left.rays(pixels)
     points = rays * ((plane.normal @ plane.middle) / (rays @ plane.normal))[:, None]
-    R, t = fitted_pose(known, points)
-    off = (points - t) @ R
+    scale, sigma, residual = _scale(known, points)
+    good = residual <= _MISPLACED * MAD * float(np.median(residual)) + 1e-9
+    if not good.all():
+        known, points = known[good], points[good]
+        scale, sigma, _ = _scale(known, points)
     centred = known - known.mean(0)
-    scale = float((off - off.mean(0)).ravel() @ centred.ravel() / (centred**2).sum())
-    residual = (off - off.mean(0)) - scale * centred
-    sigma = float(np.sqrt((residual[:, :2] ** 2).sum() / max(2 * len(known) - 4, 1)))
     found = []
     for name, (i, j) in ends(known).items():
         measured, nominal = (float(np.linalg.norm(of[j] - of[i])) for of in (points, known))
@@ -110,6 +111,17 @@ def board_in_scan(cloud: Reconstruction, board: Board, seen: BoardView) -> list[
     found.append(Length("scale", 100 * (scale - 1), 200 * sigma / float(np.sqrt((centred**2).sum())), "%"))
     found.append(Length("points about their plane", plane.scatter, 0.0))
     return found
+
+
+def _scale(known: Array, points: Array) -> tuple[float, float, Array]:
+    """Scale of points against known ones, the standard deviation of a coordinate, and (n,) distances left, mm."""
+    R, t = fitted_pose(known, points)
+    off, centred = (points - t) @ R, known - known.mean(0)
+    off = off - off.mean(0)
+    scale = float(off.ravel() @ centred.ravel() / (centred**2).sum())
+    residual = (off - scale * centred)[:, :2]
+    sigma = float(np.sqrt((residual**2).sum() / max(2 * len(known) - 4, 1)))
+    return scale, sigma, np.asarray(np.linalg.norm(residual, axis=1))
 
 
 @dataclass(frozen=True)
@@ -170,7 +182,7 @@ def _plane_of(cloud: Reconstruction, inside: NDArray[np.bool_], name: str, share
     `shared` is by how much common noise raises the variance of a mean, where the points are too few to tell.
     """
     used = inside & cloud.valid
-    for _ in range(_ROUNDS):
+    for last in (*[False] * (_ROUNDS - 1), True):
         points = cloud.points[used].astype(float)
         if len(points) < _LEAST_POINTS:
             raise SceneError(
@@ -181,7 +193,7 @@ def _plane_of(cloud: Reconstruction, inside: NDArray[np.bool_], name: str, share
         off = (points - middle) @ normal
         scatter = MAD * float(np.median(np.abs(off)))
         keep = np.abs(off) <= _OUTLIER * scatter + 1e-9
-        if keep.all():
+        if last or keep.all():
             break
         used[used] = keep
     normal = normal if normal @ middle < 0 else -normal

@@ -68,6 +68,9 @@ def test_a_board_tells_the_rig_s_scale() -> None:
         assert row.nominal == pytest.approx(96.0)
         assert row.value == pytest.approx(96.0 * factor, abs=row.u95)
     assert found["scale"].u95 < 0.05
+    pixels[0] += 5.0  # a corner in a reflection
+    moved = {one.name: one for one in board_in_scan(cloud(rig, plane(rig), rng), board, replace(view, pixels=pixels))}
+    assert abs(moved["scale"].value) <= moved["scale"].u95 < 0.05
 
 
 def test_where_nothing_is_seen_nothing_is_measured() -> None:
