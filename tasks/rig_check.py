@@ -31,13 +31,18 @@ def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) 
     SceneError
         Where mixed up frames explain that the rig does not fit.
     """
+    return checked_scene(rig, folder, settings)[0]
+
+
+def checked_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> tuple[RigHealth, Reconstruction]:
+    """`check_scene`, with the cloud that it judged by."""
     scene = load_scene(folder)
     scene.check_fits(rig)
     reconstruction = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code, scene.exposures)
     health = epipolar_health(reconstruction, axis=scene.code.axis, settings=settings)
     if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings)):
         raise problem
-    return health
+    return health, reconstruction
 
 
 def doubtful(health: RigHealth) -> bool:

@@ -39,14 +39,14 @@ def board_lengths(rig: Rig, board: Board, left: BoardView, right: BoardView) -> 
         raise CalibrationError(f"board: found {len(index)} features in both pictures, expected {_LEAST} or more")
     pixels = [left.pixels[a], right.pixels[b]]
     known = board.points[index]
-    points, miss = _triangulated(rig, pixels)
+    points, miss = triangulated(rig, pixels)
     for _ in range(_ROUNDS if board.radius_mm else 0):
         R, t = fitted_pose(known, points)
         free = [
             pixel - eccentricity(_image_of(device, R, t), known[:, :2], board.radius_mm)
             for device, pixel in zip((rig.left, rig.with_right()), pixels, strict=True)
         ]
-        points, miss = _triangulated(rig, free)
+        points, miss = triangulated(rig, free)
     R, t = fitted_pose(known, points)
     residual = (points - t) @ R - known
     sigma = np.sqrt((residual**2).sum(0) / max(len(index) - 2, 1))
@@ -63,7 +63,7 @@ def _image_of(device: Device, R: Array, t: Array) -> Callable[[Array], Array]:
     return lambda plane: device.project(np.column_stack([plane, np.zeros(len(plane))]) @ R.T + t)
 
 
-def _triangulated(rig: Rig, pixels: list[Array]) -> tuple[Array, float]:
+def triangulated(rig: Rig, pixels: list[Array]) -> tuple[Array, float]:
     """Middles of the shortest lines between both cameras' rays, and the RMS of these lines in left pixels."""
     origins = [device.centre for device in (rig.left, rig.with_right())]
     rays = [device.rays(pixel) for device, pixel in zip((rig.left, rig.with_right()), pixels, strict=True)]
