@@ -23,19 +23,14 @@ _LEAST_MATCHED = 0.1
 _HARDLY_PX = 0.1
 
 
-def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> RigHealth:
-    """Reconstruct a scene with a rig and judge the rig by it; nothing is stored.
+def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> tuple[RigHealth, Reconstruction]:
+    """Reconstruct a scene with a rig and judge the rig by it; nothing is stored. The cloud comes with the judgement.
 
     Raises
     ------
     SceneError
         Where mixed up frames explain that the rig does not fit.
     """
-    return checked_scene(rig, folder, settings)[0]
-
-
-def checked_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> tuple[RigHealth, Reconstruction]:
-    """`check_scene`, with the cloud that it judged by."""
     scene = load_scene(folder)
     scene.check_fits(rig)
     reconstruction = reconstruct(scene.frames("left"), scene.frames("right"), rig, scene.code, scene.exposures)

@@ -79,13 +79,13 @@ def run_check(options: argparse.Namespace) -> int:
     from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, print_error
     from metrology.errors import FlushlineError
     from storage.rig import load_rig
-    from tasks.rig_check import checked_scene
+    from tasks.rig_check import check_scene
 
     rig = load_rig(options.rig)
     refused = checked = 0
     for folder in options.scenes:
         try:
-            health, cloud = checked_scene(rig, folder)
+            health, cloud = check_scene(rig, folder)
         except FlushlineError as problem:
             if options.debug:
                 raise
