@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from flows.cli import main
 from metrology.fringe import FringeCode
@@ -15,7 +16,16 @@ from metrology.results import SceneKey
 from metrology.rig import Rig
 from storage.rig import save_rig
 from storage.scene import write_scene
-from tests.support.rendered_fringes import PLANE_DISTANCE, PLANE_NORMAL, plane_depth, plane_scan, small_rig
+from tests.support.rendered_fringes import (
+    PLANE_DISTANCE,
+    PLANE_NORMAL,
+    clean_frames,
+    plane_depth,
+    plane_scan,
+    recorded,
+    seen_coordinate,
+    small_rig,
+)
 
 
 def measured(folder: Path, rig: Rig, *more: str) -> int:
@@ -44,3 +54,31 @@ def test_a_published_distance_tells_a_wrong_scale(tmp_path: Path, capsys: pytest
     with pytest.raises(SystemExit):
         measured(tmp_path, rig, "--faces", "1,2,3")
     assert "expected column, row, width, height such as 100,80,60,40" in capsys.readouterr().err
+
+
+def grained_scan(folder: Path) -> None:
+    """The plane with a grain of some millimetres, the same in both cameras."""
+    rig, code, rng = small_rig(), FringeCode("x", 4, (13, 12, 11)), np.random.default_rng(5)
+    waves = [(rng.normal(0, 0.7, 2), rng.uniform(0, 6.3)) for _ in range(40)]  # radians per millimetre
+    views: list[NDArray[np.uint8]] = []
+    for device in (rig.left, rig.with_right()):
+        points = plane_depth(device, PLANE_NORMAL, PLANE_DISTANCE)
+        grain = np.mean([np.sin(points[..., :2] @ along + phase) for along, phase in waves], axis=0)
+        seen = seen_coordinate(rig, points, "x")
+        clean = clean_frames(np.nan_to_num(seen), code, 320, 100 + 60 * grain, 60.0)
+        views.append(recorded(np.where(np.isfinite(seen), clean, 4.0), rng, 1.0))
+    key = SceneKey("A", "P", "S", moment_of("2026-11-01T00:00:00Z"))
+    write_scene(folder, key, "small", code, (1.0,), views[0], views[1])
+
+
+def test_a_check_says_what_two_cameras_would_not_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_rig(replace(small_rig(), projector=None), tmp_path / "rig.json")
+    save_rig(small_rig(), tmp_path / "whole.json")
+    grained_scan(tmp_path / "scan")
+    assert main(["rig", "check", str(tmp_path / "rig.json"), str(tmp_path / "scan")]) == 0
+    said = capsys.readouterr().out
+    assert ": ok;" in said
+    assert "not shown by this scan: a yaw below" in said
+    assert "a wrong distance between the cameras (all lengths); flushline measure tells" in said
+    assert main(["rig", "check", str(tmp_path / "whole.json"), str(tmp_path / "scan")]) == 0
+    assert "not shown" not in capsys.readouterr().out
