@@ -66,7 +66,8 @@ SENTENCES = (
     "may be taken for a head's rim",
     "rig {rig} has no calibrated projector: the overlay is drawn over the left camera's picture",
     "rig {rig} has no calibrated projector: the overlay is drawn over the left camera's picture, gaps' edges and "
-    "heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed",
+    "heads' rims come from points and rings alone, and neither a small yaw between the cameras nor a wrong scale of "
+    "all lengths would be noticed (flushline measure)",
     "rig {rig} has a projector of which scans told the columns or the rows alone: the overlay is drawn over the left "
     "camera's picture, gaps' edges and heads' rims come from points and rings alone",
     "rig {rig} was given with other values than the store has for that id; a calibration needs an id of its own",

@@ -35,7 +35,8 @@ def _states(folder: Path, options: argparse.Namespace) -> Iterator[tuple[str, Ca
             for number, paths in enumerate(of, start=1):
                 stack = read_stack(paths, read_header(paths[0], SceneError), SceneError).frames
                 several = f", exposure {number}" if len(of) > 1 else ""
-                yield f"{camera}{several}", check_capture(np.stack(shown.ordered(list(stack))), shown.code)
+                ordered = shown.as_gray_code(np.stack(shown.ordered(list(stack)))[None])[0]
+                yield f"{camera}{several}", check_capture(ordered, shown.code)
         return
     if not (folder / MANIFEST).is_file():
         raise SceneError(f"{folder}: found no {MANIFEST}, expected one, or their names by --pattern (scene guess)")

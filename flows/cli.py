@@ -27,6 +27,7 @@ COMMANDS = (
     "overlay",
     "report",
     "trace",
+    "measure",
     "verify",
     "artefact",
     "panel",

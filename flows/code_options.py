@@ -15,7 +15,7 @@ def add_code_options(parser: argparse.ArgumentParser, both_axes: bool = False) -
     group = parser.add_argument_group("code", "what the projector showed")
     group.add_argument("--steps", type=int, nargs="+", default=(4,), help="phase steps, or one number per count")
     counts, across = ((), "none") if both_axes else ((70, 64, 59), "70 64 59")
-    group.add_argument("--counts", type=int, nargs="*", default=counts, help=f"fringes across (default {across})")
+    group.add_argument("--counts", type=_count, nargs="*", default=counts, help=f"fringes across (default {across})")
     if both_axes:
         group.add_argument("--counts-y", type=int, nargs="*", help="those along y, where they are others")
     group.add_argument("--periods", type=int, nargs="+", metavar="PX", help="periods in projector pixels, not counts")
@@ -33,9 +33,18 @@ def add_code_options(parser: argparse.ArgumentParser, both_axes: bool = False) -
     group.add_argument("--inverse-first", action="store_true", help="each inverse comes before its frame")
     group.add_argument("--references", action="store_true", help="an all-white and an all-black frame come last")
     group.add_argument("--lsb", action="store_true", help="Gray code begins with the finest stripes")
+    group.add_argument("--binary", action="store_true", help="the stripes' bits count in plain binary, not Gray code")
     group.add_argument(
         "--shift", type=float, default=0.0, metavar="STRIPES", help="by which the stripes' borders lie later"
     )
+
+
+def _count(text: str) -> int:
+    """A number of fringes; what `scene guess` left open is named."""
+    if not text.isdigit():
+        left_open = ", which scene guess left open" if text.startswith("COUNT") else ""
+        raise argparse.ArgumentTypeError(f"found {text!r}{left_open}, expected how many fringes the projector showed")
+    return int(text)
 
 
 def fringe_model(options: argparse.Namespace) -> FringeModel:
@@ -65,10 +74,12 @@ def fringe_model(options: argparse.Namespace) -> FringeModel:
             "inverse_first": options.inverse_first,
             "references": options.references,
             "first": "lsb" if options.lsb else "msb",
+            "binary": options.binary,
             "shift": options.shift,
         }
-    elif options.inverse or options.inverse_first or options.references or options.lsb or options.shift:
-        raise UsageError("found --inverse, --inverse-first, --references, --lsb or --shift, expected them with --gray")
+    elif any((options.inverse, options.inverse_first, options.references, options.lsb, options.binary, options.shift)):
+        names = "--inverse, --inverse-first, --references, --lsb, --binary or --shift"
+        raise UsageError(f"found {names}, expected them with --gray")
     if not columns:
         document.pop("steps")
     model = validate(FringeModel, document, Path("code"), UsageError)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +16,19 @@ from metrology.code_guess import CodeGuess, guess_code
 from metrology.errors import SceneError
 from metrology.frame_kinds import Run, runs_of, sample
 from metrology.fringe import Axis, FringeCode, GrayCode
-from metrology.saturation import saturation_level
-from storage.frame_patterns import NamePattern, name_patterns
-from storage.frames import read_as_grey
-from storage.scene_names import by_number, cameras_of, matching, natural
+from metrology.saturation import code_saturation
+from storage.frame_pages import write_pages
+from storage.frame_patterns import NamePattern, joint_pattern, name_patterns
+from storage.frames import can_be_turned, read_as_grey, read_frame, read_header
+from storage.scene_names import by_number, cameras_of, matching, natural, runs_through
 
 _PER_STRIPE = (1, 2, 4)  # stripes per fringe that codes have
 _MOST_PATTERNS = 4
 _LEAST_FRAMES = 3
 _LEAST_BITS, _MOST_BITS = 3, 14
 _COUNTS = (
-    "COUNT: how many fringes the projector showed across, in the frames' order; the frames do not tell. Periods in "
-    "projector pixels do as well: --periods in place of --counts"
+    "How many fringes the projector showed across, the frames do not tell. Periods in projector pixels do as well: "
+    "--periods in place of --counts"
 )
 _ID = "ID is the rig's, as `flushline rig import --id` has it; whether all is right shows scene new's contact sheet"
 
@@ -39,55 +42,111 @@ class _Command:
     """None where the numbers of fringes are not known."""
     frames: tuple[int, ...]
     """Which of the frames, in the order of their names, are the code's."""
+    open: str = ""
+    """Which frames each number that is left open is of."""
 
 
 def guess_folder(folder: Path) -> list[str]:
     """Lines that say which pictures there are, what they show, and what to call.
+
+    Frames that lie in one file together are written out.
 
     Raises
     ------
     SceneError
         Where there are no pictures, or none that show a pattern.
     """
-    patterns = [one for one in name_patterns(folder) if len(one.paths) >= _LEAST_FRAMES]
-    lines = []
-    for one in patterns[:_MOST_PATTERNS]:
-        lines += _of_pattern(folder, one)
-    if not lines:
+    lines = write_pages(folder)
+    named = name_patterns(folder)
+    patterns = [_look_at(folder, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
+    shown = sorted(patterns[:_MOST_PATTERNS], key=lambda one: not one.across)
+    joint = joint_pattern(folder, named)
+    if joint is not None and len(joint.paths) >= _LEAST_FRAMES:
+        together = _look_at(folder, joint)
+        if together.sound and (together.known or not any(one.known for one in patterns)):
+            patterns = shown = [together]
+    if not shown:
         raise SceneError(f"{folder}: found no three pictures whose names differ in numbers alone, expected frames")
+    for one in shown:
+        lines += one.lines
     if more := patterns[_MOST_PATTERNS:]:
-        lines.append(f"and {len(more)} more kinds of names, such as {more[0].paths[0].name}")
+        lines.append(f"and {len(more)} more kinds of names, such as {more[0].named.paths[0].name}")
     return [*lines, _ID] if any("--rig ID" in line for line in lines) else lines
 
 
-def _of_pattern(folder: Path, named: NamePattern) -> list[str]:
+def _without_parts(folder: Path, named: Sequence[NamePattern]) -> list[NamePattern]:
+    """Patterns whose names no other one has among its own."""
+    having = {one.pattern: set(matching(folder, one.pattern)) for one in named}
+    return [one for one in named if not any(set(one.paths) < having[other.pattern] for other in named if other != one)]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What was seen of the pictures of one pattern."""
+
+    named: NamePattern
+    lines: tuple[str, ...]
+    runs: tuple[Run, ...] = ()
+    known: bool = False
+    """Whether all of its codes are told, fringes' numbers too."""
+
+    @property
+    def across(self) -> bool:
+        """Whether patterns along x are among them."""
+        return any(run.axis == "x" for run in self.runs)
+
+    @property
+    def sound(self) -> bool:
+        """Whether these are the frames of one code along each axis."""
+        shown = [(run.kind, run.axis) for run in self.runs if run.axis]
+        return 0 < len(shown) == len(set(shown)) and all(run.steps for run in self.runs if run.kind == "fringes")
+
+
+def _look_at(folder: Path, named: NamePattern) -> _Look:
     found = matching(folder, named.pattern)
     cameras = cameras_of(found, None) if "{camera}" in named.pattern else {"left": ""}
     frames = {side: _in_order(found, name) for side, name in cameras.items()}
     called = ", ".join(f"{side} {name!r}" for side, name in cameras.items() if name) or "one camera"
-    lines = [f"{len(named.paths)} pictures fit --pattern '{named.pattern}': {called}"]
+    lines = [f"{len(found)} pictures fit --pattern '{named.pattern}': {called}"]
     try:
         runs = runs_of(sample(_pictures(frames["left"])))
     except SceneError as problem:
-        return [*lines, f"  {problem}"]
-    if "{count}" in named.pattern and (len(runs) > 1 or not runs[0].steps):
-        return [
-            *lines,
-            f"  in no order of one code; where these are several captures, guess one: {frames['left'][0].parent}",
-        ]
+        return _Look(named, (*lines, f"  {problem}"))
     names = sorted({values.get("count", "") for values in found.values()}, key=natural)
+    if "{count}" in named.pattern and (len(runs) > 1 or len(runs[0].steps) != len(names)):
+        if len(runs) == 1 and runs[0].by_step:  # what stands first in the names is the step
+            turned = named.pattern.replace("{count}", "{}").replace("{step}", "{count}").replace("{}", "{step}")
+            return _look_at(folder, NamePattern(turned, named.paths))
+        return _Look(named, (*lines, f"  {_several(folder, named)}"))
     lines += [f"  {_told(run, first)}" for run, first in zip(runs, _firsts(runs), strict=True)]
-    across = any(run.axis == "x" for run in runs)
+    look = _Look(named, (), tuple(runs))
+    known = []
     for axis in ("x", "y"):
         command = _command(folder, named.pattern, runs, axis, frames["left"], names)
         if command is not None:
-            lines.append(f"  {command.text}")
-            lines += [f"    {line}" for line in _agreement(command, frames)]
-            if axis == "y" and not across:
+            try:
+                said = _agreement(command, frames)
+            except SceneError as problem:
+                known.append(False)
+                lines.append(f"  along {axis}: {problem}")
+                continue
+            known.append(command.code is not None)
+            lines += [f"  {command.text}", *(f"    {line}" for line in said)]
+            if axis == "y" and not look.across:
                 lines.append(
                     "    --axis y is for cameras that stand upright; where they lie on their side, leave it out"
                 )
-    return lines
+    return replace(look, lines=tuple(lines), known=bool(known) and all(known))
+
+
+def _several(folder: Path, named: NamePattern) -> str:
+    """What is to be said of pictures that are no one code by their two numbers."""
+    parts = named.pattern.split("/")
+    depth = next(k for k, part in enumerate(parts) if "{count}" in part) + 1
+    if depth == len(parts):
+        return "in no order of one code: the two numbers in the names are not the counts and their steps"
+    one = folder.joinpath(*named.paths[0].relative_to(folder).parts[:depth])
+    return f"in no order of one code; where these are several captures, guess one: flushline scene guess {one}"
 
 
 def _in_order(found: dict[Path, dict[str, str]], camera: str) -> list[Path]:
@@ -102,11 +161,17 @@ def _in_order(found: dict[Path, dict[str, str]], camera: str) -> list[Path]:
 def _pictures(paths: Sequence[Path]) -> Iterator[NDArray]:
     shape = None
     for path in paths:
-        frame = read_as_grey(path) if path.suffix.lower() != ".npy" else np.load(path, allow_pickle=False)
-        if frame is None or frame.ndim != 2 or shape not in (None, frame.shape):
+        frame = (
+            read_as_grey(path) if can_be_turned(path) else read_frame(path, read_header(path, SceneError), SceneError)
+        )
+        if frame is None or shape not in (None, frame.shape):
             raise SceneError(f"{path}: found no picture of one size with the others, expected frames of one camera")
         shape = frame.shape
         yield frame
+
+
+def _frame(path: Path) -> NDArray:
+    return read_frame(path, read_header(path, SceneError), SceneError)
 
 
 def _firsts(runs: Sequence[Run]) -> list[int]:
@@ -120,11 +185,13 @@ def _told(run: Run, first: int) -> str:
         return f"{where}: all {run.kind}"
     along = f"along {run.axis}"
     if run.kind == "gray":
-        return f"{where}: stripes {along}, {'each followed by its inverse' if run.inverse else 'without inverses'}"
+        beside = "then the inverses of all" if run.apart else "each followed by its inverse"
+        return f"{where}: stripes {along}, {beside if run.inverse else 'without inverses'}"
     if not run.steps:
         return f"{where}: fringes {along}, in no even steps that could be found"
     each = f"{run.steps[0]} steps" if len(set(run.steps)) == 1 else f"{' and '.join(map(str, run.steps))} steps"
-    return f"{where}: fringes {along}, {len(run.steps)} count{'s' * (len(run.steps) > 1)} of {each}"
+    turn = ", all counts of a step one after the other" if run.by_step else ""
+    return f"{where}: fringes {along}, {len(run.steps)} count{'s' * (len(run.steps) > 1)} of {each}{turn}"
 
 
 def _command(
@@ -137,7 +204,7 @@ def _command(
         return None
     steps = runs[fringes].steps if fringes is not None else ()
     firsts, kinds = _firsts(runs), [run.kind for run in runs]
-    own = [firsts[k] + n for k in (fringes, gray) if k is not None for n in range(runs[k].frames)]
+    own = [firsts[k] + n for k in (fringes, gray) if k is not None for n in _own_order(runs[k])]
     stripes, inverse = 0, False
     if gray is not None:
         inverse, stripes = runs[gray].inverse, 2 ** _bits(runs[gray])
@@ -146,16 +213,36 @@ def _command(
     shown = GrayCode(stripes, inverse, references) if stripes else None
     code = _code(axis, steps, shown, [paths[k] for k in own], names)
     counts = code.counts if code else [f"COUNT{k + 1}" for k in range(len(steps))]
-    words = [f"flushline scene new {folder} --pattern '{pattern}'"]
-    words += ["--axis y"] * (axis == "y") + [" ".join(["--counts", *map(str, counts)])]
+    words = [f"flushline scene new {quote(str(folder))} --pattern '{pattern}'"]
+    words += ["--axis y"] * (axis == "y")
+    if code and code.size_px:
+        words += ["--periods " + " ".join(str(code.size_px // count) for count in code.counts)]
+    else:
+        words += [" ".join(["--counts", *map(str, counts)])]
     words += [" ".join(["--steps", *map(str, steps[:1] if len(set(steps)) == 1 else steps)])] * bool(steps)
     words += [f"--gray {stripes}"] * bool(stripes) + ["--inverse"] * inverse + ["--references"] * references
-    if "{frame}" in pattern:
+    if runs_through(pattern):
         used = {fringes: "fringes", gray: "gray"}
+        if fringes is not None and runs[fringes].by_step:
+            used[fringes] = "fringes-by-step"
+        if gray is not None and runs[gray].apart:
+            used[gray] = "gray inverse"
         uniform = {k: run.kind for k, run in enumerate(runs) if run.kind in ("white", "black") and run.frames == 1}
         tokens = [used.get(k) or uniform.get(k) or f"skip:{run.frames}" for k, run in enumerate(runs)]
         words.append(f"--sequence {' '.join(tokens)}")
-    return _Command(" ".join([*words, "--rig ID"]), code, tuple(own))
+    ends = np.cumsum([0, *steps])
+    inside = [paths[k].relative_to(folder).with_suffix("").as_posix() for k in own]
+    shown_by = [(inside[ends[k]], inside[ends[k + 1] - 1]) for k in range(len(steps))]
+    left_open = "; ".join(f"COUNT{k + 1}: {first} to {last}" for k, (first, last) in enumerate(shown_by))
+    return _Command(" ".join([*words, "--rig ID"]), code, tuple(own), f"{left_open}. ")
+
+
+def _own_order(run: Run) -> list[int]:
+    """A run's frames in Flushline's order."""
+    numbers, half = list(range(run.frames)), run.frames // 2
+    if run.by_step:
+        return [n for k in range(len(run.steps)) for n in numbers[k :: len(run.steps)]]
+    return [n for pair in zip(numbers[:half], numbers[half:], strict=True) for n in pair] if run.apart else numbers
 
 
 def _bits(run: Run) -> int:
@@ -172,18 +259,20 @@ def _code(
     """
     if not steps:
         return FringeCode(axis, 4, (), gray)
-    tried: list[tuple[int, ...]] = []
+    tried: list[tuple[tuple[int, ...], int | None]] = []
     if gray is not None and len(steps) == 1:
-        tried = [(gray.stripes // each,) for each in _PER_STRIPE]
+        tried = [((gray.stripes // each,), None) for each in _PER_STRIPE]
     elif gray is None and len(steps) == len(names) > 1 and all(name.isdigit() and int(name) > 0 for name in names):
         said = tuple(int(name) for name in names)
-        tried = [said] if said != tuple(range(1, len(names) + 1)) else []  # which merely number the counts
+        size = math.lcm(*said)
+        if said != tuple(range(1, len(names) + 1)):  # which merely number the counts
+            tried = [(said, None), (tuple(size // period for period in said), size)]
     frames = np.stack(list(_pictures(paths))) if tried else np.empty(0)
     best: tuple[float, FringeCode] | None = None
-    for counts in tried:
+    for told, size_px in tried:
         try:
-            code = FringeCode(axis, steps, counts, gray)
-            agreement = guess_code(frames, code, saturation_level(frames[None], frames[None, : steps[0]])).agreement
+            code = FringeCode(axis, steps, told, gray, size_px=size_px)
+            agreement = guess_code(frames, code, code_saturation(frames[None], code)).agreement
         except SceneError:
             continue
         if best is None or agreement > best[0] + 0.02:
@@ -192,15 +281,14 @@ def _code(
 
 
 def _agreement(command: _Command, frames: dict[str, list[Path]]) -> list[str]:
-    """What the frames say of the code, where it is known; what else is to be said."""
+    """What the frames say of the code, where it is known; SceneError where they contradict it."""
     if command.code is None:
-        return [_COUNTS]
+        return [command.open + _COUNTS]
     found: dict[str, CodeGuess] = {}
     for side, paths in frames.items():
         try:
             levels = np.stack(list(_pictures([paths[k] for k in command.frames])))
-            fringes = levels[None, : command.code.fringe_frames or None]
-            found[side] = guess_code(levels, command.code, saturation_level(levels[None], fringes))
+            found[side] = guess_code(levels, command.code, code_saturation(levels[None], command.code))
         except (SceneError, IndexError) as problem:
-            return [f"{side} camera: {problem}"]
+            raise SceneError(f"{side} camera: {problem}") from None
     return guess_lines(found)

@@ -17,8 +17,9 @@ from metrology.frame_consistency import frame_consistency
 from metrology.frame_sample import sample_frames
 from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
-from metrology.saturation import saturation_level
+from metrology.saturation import code_saturation
 from storage.documents import utc_text
+from storage.frame_pages import PAGES, write_pages
 from storage.frames import read_header, read_stack
 from storage.models import validate
 from storage.scene_models import FORMAT, MANIFEST, Camera, FringeModel, SceneModel, fringe_document
@@ -32,10 +33,12 @@ from storage.scene_names import (
     exposure_names,
     in_sequence,
     matching,
+    runs_through,
 )
 
 _MOST_CONTRADICTORY = 0.03
 _MOST_LABELS = 4
+_USUAL_SIGMA = 2 / 255  # of the range
 _OFFSETS_ALIKE = 0.06  # radians
 _SHIFTS_ALIKE = 0.04  # stripes
 
@@ -45,6 +48,8 @@ Listed = dict[str, list[list[Path]]]
 
 def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Listed, list[str]]:
     """Each camera's frames by the patterns of their names; and notes about them."""
+    if options.pattern.startswith(f"{PAGES}/"):
+        write_pages(options.folder)
     found = matching(options.folder, options.pattern)
     named: dict[Camera, str] = cameras_of(found, options.left) if "{camera}" in options.pattern else {"left": ""}
     listed: Listed = {}
@@ -65,7 +70,7 @@ def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Liste
 def _of_one_exposure(
     options: argparse.Namespace, code: FringeCode, found: Mapping[Path, Values], camera: str, name: str
 ) -> list[Path]:
-    if "{frame}" in options.pattern:
+    if runs_through(options.pattern):
         usual = ["fringes"] * bool(code.counts) + ["gray"] * bool(code.gray)
         usual += ["white", "black"] * bool(code.gray and code.gray.references)
         paths = in_sequence(by_number(found, name), code, options.sequence or usual)
@@ -151,6 +156,8 @@ def new_scene(
             fringe["gray"] |= {"first": "lsb"}
         if best.inverse_first and "gray" in fringe:
             fringe["gray"] |= {"inverse_first": True}
+        if best.binary and "gray" in fringe:
+            fringe["gray"] |= {"binary": True}
     document = {
         "format": FORMAT,
         **dict(zip(("aircraft_serial", "panel", "station", "captured_at"), key, strict=True)),
@@ -183,7 +190,7 @@ def guesses(
         paths = of[len(of) // 2]
         frames = _read(paths)
         try:
-            saturation = saturation_level(frames[None], frames[None, : code.fringe_frames])
+            saturation = code_saturation(frames[None], code)
             found[camera] = guess_code(frames, code, saturation)
         except SceneError as problem:
             better = _other_labels(frames, code, saturation, labels)
@@ -222,7 +229,8 @@ def guess_lines(found: Mapping[str, CodeGuess]) -> list[str]:
                 said.append("steps forward" if one.direction > 0 else "steps backward (direction -1)")
         if one.code.gray:
             inverse = ", each bit's inverse first" if one.inverse_first else ""
-            said.append(f"Gray code from the {'finest' if one.lsb_first else 'coarsest'} bit on{inverse}")
+            name = "plain binary" if one.binary else "Gray code"
+            said.append(f"{name} from the {'finest' if one.lsb_first else 'coarsest'} bit on{inverse}")
         if one.code.gray and one.code.counts:
             said.append(f"stripes' borders {one.code.gray.shift:+.3f} stripes beyond the fringes' wraps")
         lines.append(f"{camera}: {'; '.join(said)}; agreement {one.agreement:.0%}")
@@ -234,7 +242,9 @@ def _common(found: Mapping[str, CodeGuess]) -> CodeGuess:
     if len(found) == 1:
         return found["left"]
     left, right = found["left"], found["right"]
-    same = all(getattr(left, name) == getattr(right, name) for name in ("direction", "lsb_first", "inverse_first"))
+    same = all(
+        getattr(left, name) == getattr(right, name) for name in ("direction", "lsb_first", "inverse_first", "binary")
+    )
     offsets = [np.array(one.code.phase_offsets_rad or (0.0,) * len(one.code.counts)) for one in (left, right)]
     apart = np.angle(np.exp(1j * (offsets[0] - offsets[1])))
     shifts = [one.code.gray.shift if one.code.gray else 0.0 for one in (left, right)]
@@ -251,15 +261,20 @@ def _refuse_contradictions(model: SceneModel, folder: Path) -> None:
     for camera in model.frames.cameras:
         exposures = getattr(model.frames, camera)
         paths = exposures[len(exposures) // 2]
-        frames = _read([folder / path for path in model.fringe.ordered(paths)])[None]
         if not code.counts:
             continue
-        judged = frame_consistency(sample_frames(frames, code, NoiseModel(4.0, 0.0)), 0)
+        frames = model.fringe.as_gray_code(_read([folder / path for path in model.fringe.ordered(paths)])[None])
+        judged = frame_consistency(sample_frames(frames, code, NoiseModel(_usual_variance(frames, code), 0.0)), 0)
         if judged.judged and judged.contradictory > _MOST_CONTRADICTORY:
             raise SceneError(
                 f"{folder}: found fringes that contradict each other in {judged.contradictory:.0%} of the lit pixels "
                 f"of the {camera} camera, expected the counts, steps and order of the frames that were shown"
             )
+
+
+def _usual_variance(frames: NDArray, code: FringeCode) -> float:
+    """Of a sample, in squares of its own grey levels: that of two levels in 255."""
+    return (_USUAL_SIGMA * code_saturation(frames, code)) ** 2
 
 
 def _read(paths: Sequence[Path]) -> NDArray:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metrology.arrays import Array
+from metrology.binary_code import gray_swings
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
 from metrology.gray import resolved_bits, runs_along_rows, stripe_numbers
@@ -21,6 +23,7 @@ from metrology.unwrap import order_lattice
 
 _LEAST_AMPLITUDE = 0.02  # of the range
 _LEAST_PIXELS = 500
+_LEAST_BY_ONE = 0.75  # of neighbours in two stripes: how many are in this and the next; half where bits are misread
 _LEAST_AGREEMENT = 0.7  # length of the mean of unit vectors: below, there is no one fraction
 _SAME = 0.04  # of a lattice step: offsets this near are alike; or as near as the pixels' own fractions are
 _APART = 0.1  # radians: offsets farther apart are not the same one
@@ -42,6 +45,8 @@ class CodeGuess:
     """From 0, chance, to 1."""
     inverse_first: bool = False
     """Whether each bit's inverse comes before the bit."""
+    binary: bool = False
+    """Whether the stripes count in plain binary, not in Gray code."""
     others: tuple[float, ...] = ()
     """Offsets at which the counts agree as well; the coordinate is then another part of the projector's width."""
 
@@ -142,20 +147,23 @@ def _one_range(a: float, b: float, missed: Callable[[float], float], same: float
 def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code: FringeCode) -> CodeGuess:
     """The order of the bits that leaves the smoothest stripes, the sign of the phase, and where the borders lie."""
     assert code.gray is not None
-    orders = [(lsb, turned) for turned in ((False, True) if code.gray.inverse else (False,)) for lsb in (False, True)]
-    read = {order: _numbers(levels, code, *order, lit) for order in orders}
+    inverses = (False, True) if code.gray.inverse else (False,)
+    orders = list(product((False, True), inverses, (False, True)))  # plain binary, inverse first, finest bit first
+    read = {order: _numbers(levels, code, order, lit) for order in orders}
     smoothness = {order: _smooth(number, lit) for order, (number, _) in read.items()}
     # In a wrong order few bits are told apart, and the stripes of few bits are always smooth.
-    lsb, turned = max(orders, key=lambda order: (read[order][1], smoothness[order]))
-    smooth, number = smoothness[lsb, turned], read[lsb, turned][0]
-    if smooth < _LEAST_AGREEMENT:
+    best_order = max(orders, key=lambda order: (read[order][1], smoothness[order]))
+    binary, turned, lsb = best_order
+    smooth, number = smoothness[best_order], read[best_order][0]
+    by_one = _by_one(number, lit)
+    if smooth < _LEAST_AGREEMENT or by_one < _LEAST_BY_ONE:
         raise SceneError(
-            f"found stripes whose numbers jump between neighbouring pixels (smooth in {smooth:.0%}), expected "
-            f"{code.gray.bits} bits of Gray code, from the coarsest or the finest on"
-            f"{', each followed by its inverse' if code.gray.inverse else ''}"
+            f"found stripes whose numbers jump between neighbouring pixels (by one in {by_one:.0%}), expected "
+            f"{code.gray.bits} bits of Gray code or plain binary, from the coarsest or the finest on"
+            f"{', each beside its inverse' if code.gray.inverse else ', no inverses'}"
         )
     if not code.counts:
-        return CodeGuess(1, lsb, code, smooth, turned)
+        return CodeGuess(1, lsb, code, smooth, turned, binary)
     if not runs_along_rows(np.where(lit, number, np.nan).astype(np.float32)):
         number, turns, lit = number.T, turns.transpose(0, 2, 1), lit.T
     k = int(np.argmin(code.counts))
@@ -182,15 +190,16 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
         )
     near = abs(best) < 0.02
     gray = replace(code.gray, shift=0.0 if near else round(best, 3))
-    return CodeGuess(direction, lsb, replace(code, gray=gray), agreement, turned)
+    return CodeGuess(direction, lsb, replace(code, gray=gray), agreement, turned, binary)
 
 
 def _numbers(
-    levels: NDArray, code: FringeCode, lsb: bool, inverse_first: bool, lit: NDArray[np.bool_]
+    levels: NDArray, code: FringeCode, order: tuple[bool, bool, bool], lit: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], int]:
-    """(h, w) stripe numbers with the bits in either order, of a code alone the resolved ones; and how many bits."""
+    """(h, w) stripe numbers with the bits in an order, of a code alone the resolved ones; and how many bits."""
     gray = code.gray
     assert gray is not None
+    binary, inverse_first, lsb = order
     stripes = levels[code.fringe_frames : code.fringe_frames + gray.stripe_frames]
     if gray.inverse:
         swing = (stripes[::2] - stripes[1::2]) * (-1 if inverse_first else 1)
@@ -201,6 +210,7 @@ def _numbers(
     else:
         swing = stripes - 0.5 * (stripes.max(0) + stripes.min(0))
     swing = swing[::-1] if lsb else swing
+    swing = gray_swings(swing) if binary else swing
     bits = len(swing) if code.counts else resolved_bits(swing, lit)
     return stripe_numbers(swing[:bits] > 0), bits
 
@@ -213,6 +223,17 @@ def _smooth(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:
         both = lit[:-1] & lit[1:] if axis == 0 else lit[:, :-1] & lit[:, 1:]
         shares.append(float((steps[both] <= 1).mean()) if both.any() else 0.0)
     return min(shares)
+
+
+def _by_one(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:
+    """Of lit neighbours that see different stripes, the share that sees one and the next; 1 where there are none."""
+    changes = []
+    for axis in (0, 1):
+        steps = np.abs(np.diff(number, axis=axis))
+        both = lit[:-1] & lit[1:] if axis == 0 else lit[:, :-1] & lit[:, 1:]
+        changes.append(steps[both & (steps > 0)])
+    among = np.concatenate(changes)
+    return float((among == 1).mean()) if among.size else 1.0
 
 
 def _rising(number: NDArray[np.int64], turns: NDArray, lit: NDArray[np.bool_]) -> int:

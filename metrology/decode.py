@@ -19,7 +19,7 @@ from metrology.phase.exposures import StepTables
 from metrology.phase.rows import decode_rows
 from metrology.phase.unwrapping import COARSE, HETERODYNE, LATTICE
 from metrology.reconstruction_settings import ReconstructionSettings
-from metrology.saturation import saturation_level
+from metrology.saturation import code_saturation
 from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice
 
 # A contradiction between the phases is one that noise explains in 1 of 1e6 pixels and that exceeds this share of the
@@ -60,7 +60,7 @@ def decode_phase(
     settings = settings or ReconstructionSettings()
     _check(frames, code, exposures)
     fringes = np.ascontiguousarray(frames[:, : code.fringe_frames])
-    saturation = settings.saturation or saturation_level(frames, fringes)
+    saturation = settings.saturation or code_saturation(frames, code)
     noise = noise or _noise(frames, fringes, code, saturation)
     if not code.counts:
         return decode_stripes(frames, code, projector_size, exposures, settings, saturation)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from metrology.saturation import sampled, saturation_level
+from metrology.saturation import code_saturation, sampled
 
 MAX_RATIO = 1e6  # of the longest to the shortest: more than any camera has
 _TOLERANCE = 1.2  # factor between the ratio that is stated and the one that is seen
@@ -45,7 +45,7 @@ def check_brightness(frames: NDArray, code: FringeCode, exposures: Sequence[floa
     if len(exposures) < 2:
         return
     samples = sampled(frames)[..., ::2, ::2]
-    limit = saturation_level(frames, frames[:, : code.fringe_frames])
+    limit = code_saturation(frames, code)
     found = _first_mismatch(samples, code, exposures, limit)
     if isinstance(found, _Mismatch):
         raise SceneError(

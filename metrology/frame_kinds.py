@@ -28,6 +28,7 @@ _UNIFORM = 0.97  # of the lit pixels: an all-white or all-black frame
 _LEAST_BETWEEN = 0.2  # of the lit pixels between low and high: of a sinusoid 0.41
 _MOST_STEPS = 36
 _LARGEST_MISFIT = 0.45  # of the amplitude: what a projector's gamma leaves of a sinusoid
+_CLEARLY = 0.5  # of the misfit of another order of the frames
 _LEAST_TURN = 0.2  # of all change: what a turn of the code from one axis to the other explains more than none
 _TOGETHER = -0.5  # correlation with its inverse that a frame is below
 
@@ -53,7 +54,11 @@ class Run:
     steps: tuple[int, ...] = ()
     """Phase steps of each count; empty where they were not found."""
     inverse: bool = False
-    """Whether Gray-code frames come in pairs of a bit and its inverse."""
+    """Whether Gray-code frames come with their inverses."""
+    apart: bool = False
+    """Whether the inverses of all bits come after the bits, or else each after its bit."""
+    by_step: bool = False
+    """Whether fringes run through all counts at each step, or else through all steps of each count."""
 
 
 def sample(frames: Iterable[NDArray]) -> FrameSample:
@@ -89,9 +94,11 @@ def runs_of(taken: FrameSample) -> list[Run]:
     runs = []
     for first, end in _stretches(list(zip(kinds, axes, strict=True))):
         kind, axis, own = kinds[first], axes[first], taken.here[first:end][:, lit]
-        steps = _steps(own) if kind == "fringes" else ()
-        inverse = kind == "gray" and (end - first) % 2 == 0 and _paired(own)
-        runs.append(Run(kind, axis, end - first, steps, inverse))
+        steps, by_step = _steps(own) if kind == "fringes" else ((), False)
+        even = kind == "gray" and (end - first) % 2 == 0
+        paired = even and _paired(own)
+        apart = even and not paired and _paired(_in_turn(own))
+        runs.append(Run(kind, axis, end - first, steps, paired or apart, apart, by_step))
     return runs
 
 
@@ -118,6 +125,9 @@ def _name_references(level: Array, kinds: list[Kind]) -> None:
         inside = 0 < k < len(kinds) - 2 and said[k - 1] == said[k + 2] == "gray"
         if min(pair) > _UNIFORM and not inside:
             kinds[k : k + 2] = ["white", "black"] if white_first else ["black", "white"]
+    ends = (high[0], low[-1]) if high[0] > low[0] else (low[0], high[-1])
+    if min(ends) > _UNIFORM and said[0] == said[-1] == "gray":  # named so that one comes first and the other last
+        kinds[0], kinds[-1] = ("white", "black") if high[0] > low[0] else ("black", "white")
 
 
 def _axes(taken: FrameSample, lit: NDArray[np.bool_], kinds: Sequence[Kind]) -> list[Axis | None]:
@@ -153,8 +163,11 @@ def _stretches(labels: Sequence[object]) -> list[tuple[int, int]]:
     return list(zip(starts, [*starts[1:], len(labels)], strict=True))
 
 
-def _steps(levels: Array) -> tuple[int, ...]:
-    """Steps of each count: the division into blocks that are one sinusoid each, about one and the same mean."""
+def _steps(levels: Array) -> tuple[tuple[int, ...], bool]:
+    """Steps of each count: the division into blocks that are one sinusoid each, about one and the same mean.
+
+    The second value is whether the blocks' frames come in turn, step by step.
+    """
     count = len(levels)
     best: list[tuple[float, tuple[int, ...]]] = [(np.inf, ()) for _ in range(count + 1)]
     best[0] = (0.0, ())
@@ -170,7 +183,13 @@ def _steps(levels: Array) -> tuple[int, ...]:
             worst = max(before, _misfit(levels[end - steps : end], mean, amplitude))
             if worst < best[end][0] - 1e-3:
                 best[end] = (worst, (*told, steps))
-    return best[count][1] if best[count][0] < _LARGEST_MISFIT else ()
+    misfit, told = best[count]
+    turns = [n for n in range(2, count // 3 + 1) if count % n == 0 and count // n <= _MOST_STEPS]
+    by_step = {n: max(_misfit(levels[k::n], mean, amplitude) for k in range(n)) for n in turns}
+    n = min(by_step, key=by_step.__getitem__, default=0)
+    if n and by_step[n] < min(_CLEARLY * misfit, _LARGEST_MISFIT):
+        return (count // n,) * n, True
+    return (told, False) if misfit < _LARGEST_MISFIT else ((), False)
 
 
 def _misfit(block: Array, mean: Array, amplitude: Array) -> float:
@@ -182,6 +201,12 @@ def _misfit(block: Array, mean: Array, amplitude: Array) -> float:
     off = block - own - (np.exp(1j * angle)[:, None] * phasor).real
     parts = (np.sqrt((off**2).mean(0) * 2), np.abs(own - mean), np.abs(np.abs(phasor) - amplitude))
     return float(sum(np.median(part / amplitude) for part in parts))
+
+
+def _in_turn(frames: Array) -> Array:
+    """Bits and then their inverses as each bit and its inverse."""
+    half = len(frames) // 2
+    return np.asarray(np.stack([frames[:half], frames[half:]], axis=1).reshape(frames.shape))
 
 
 def _paired(levels: Array) -> bool:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.fringe import FringeCode
+
 _SAMPLED_PIXELS = 30_000  # of a frame: enough to see a ten-thousandth of all samples
 _BITS = (8, 10, 12, 14)  # of cameras whose samples lie in 16
 # Stamped and hot pixels beyond the camera's range: at most this share of all samples, and of these next to none in the
@@ -43,6 +45,11 @@ def saturation_level(frames: NDArray, pictures: NDArray | None = None) -> float:
     full = _camera_range(frames)
     levels = (_pile_up(exposure, full) for exposure in (frames if pictures is None else pictures))
     return min(full * 254 / 255, *levels)
+
+
+def code_saturation(frames: NDArray, code: FringeCode) -> float:
+    """`saturation_level` of the (exposures, code.frames, h, w) frames of a code: stripes tell the range alone."""
+    return saturation_level(frames, frames[:, : code.fringe_frames])
 
 
 def _camera_range(frames: NDArray) -> int:

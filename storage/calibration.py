@@ -193,7 +193,8 @@ class CalibrationCapture:
             for axis in self.codes:
                 shown: FringeModel = getattr(self.model.projector.fringe, axis)
                 paths = [self.folder / path for path in shown.ordered(getattr(frames.fringes, axis))]
-                fringes[axis] = read_stack(paths, header, CalibrationError, executor).frames
+                stack = read_stack(paths, header, CalibrationError, executor).frames
+                fringes[axis] = shown.as_gray_code(stack[None])[0]
         white = read(frames.white)
         if white is None:
             white = np.rint(np.mean([stack.mean(0) for stack in fringes.values()], axis=0)).astype(header.dtype)

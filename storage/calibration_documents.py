@@ -28,6 +28,9 @@ _LARGEST_BYTES = 64 * 2**20
 _HDF5 = b"\x89HDF"
 _PICKLES = (".pkl", ".pickle", ".p")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)\s*[=:]\s*\[([^\]]*)\]")
+_PRINTED = re.compile(  # by Python
+    r"([A-Za-z_][\w.]*)\s*[=:]\s*(?:np\.|numpy\.)?array\(\s*(\[.*?\])\s*(?:,\s*dtype=[\w.]+\s*)?\)", re.DOTALL
+)
 _LINE = re.compile(r"^\s*([A-Za-z_][\w.]*)\s*[=:]\s*([-+\d.eE,;\s]+)$")
 _SECTION = re.compile(r"^\[[^\[\]=,;]*[A-Za-z][^\[\]=,;]*\]\s*$", re.MULTILINE)
 _COMMENT = re.compile(r"\s*(?:#|%|//).*$", re.MULTILINE)
@@ -151,7 +154,14 @@ def _plain_text(text: str, name: str) -> dict[str, Any]:
     """Whatever kind of text holds numbers: sections, names and values, headings over rows, or one matrix alone."""
     if _SECTION.search(text):
         return _sections(text)
+    if printed := {name: numbers(_list_of(inside)) for name, inside in _PRINTED.findall(text)}:
+        return {name: value for name, value in printed.items() if value is not None}
     return _headed(text, name) | _text(text)
+
+
+def _list_of(text: str) -> Any:
+    """Nested lists of numbers as Python prints them."""
+    return json.loads(re.sub(r"(?<=\d)\.(?=[\s,\]e])", ".0", text))
 
 
 def _sections(text: str) -> dict[str, Any]:

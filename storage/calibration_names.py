@@ -14,13 +14,14 @@ import cv2
 import numpy as np
 
 from metrology.arrays import Array
+from metrology.errors import RigError
 from storage.calibration_documents import numbers
 
 Found = dict[str, Array]
 
 NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size2", "size3")
 # Of a file of one camera, or of a rectification: `storage.other_rigs.pose_of_both`.
-_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "rectified1", "rectified2", "projection2")
+_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "placed1", "placed2", "rectified1", "rectified2", "projection2")
 _RECTIFIED = {"R1": ("rectified1", (3, 3)), "R2": ("rectified2", (3, 3)), "P2": ("projection2", (3, 4))}
 # Names whose device or role their words do not tell.
 _EXACT = {
@@ -40,7 +41,7 @@ _ROLES = {
           "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
           "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
-          "stereor", "rstereo", "rodrigues", "rotationofcamera"),
+          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
           "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
           "transformationmatrix", "rt", "translationofcamera", "tvector"),
@@ -66,6 +67,17 @@ _OTHER_THINGS = (
     "initial",
 )
 _CAMERA = ("cam", "camera", "stereo", "calib", "calibration", "params", "parameters", "the")
+# From camera coordinates to those of the world, and from one camera's to the other's.
+_PLACED = re.compile(
+    r"(?:c|cam|camera)_?(?:2|to)_?(?:w|world)|(?:c|cam|camera)(?:ToWorld|Pose|_pose)|T_?(?:w|world)_?(?:c|cam|camera)(?![a-z])"
+)
+_BETWEEN = re.compile(
+    r"(?i)(?<![a-z])(left|right|l|r|cam[01]|c[01])_?(?:to|2)_?(left|right|l|r|cam[01]|c[01])(?![a-z])"
+)
+_FIRST = ("left", "l", "cam0", "c0")
+_FOCAL = ("focal", "focallength", "focallengths", "focallengthpx", "fc", "f")
+_POINTS = ("principal_point", "principalPoint", "PrincipalPoint", "pp", "cc", "center", "centre", "c")
+_SURE_W = 0.7  # of a unit quaternion: cameras turned by less than 90° to each other have more
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 
@@ -80,10 +92,21 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
         The camera that the file as a whole is of, for names that tell none.
     """
     arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
+    arrays |= _by_axes(arrays) | _by_parts(arrays)
     found: Found = {}
+    backward: Found = {}
     told: list[tuple[str, int | None, str]] = []
     placed = {"R1", "T1", "R2", "T2"} <= set(arrays)
     for name, array in arrays.items():
+        if _PLACED.search(name):
+            told += [("W", _side_of(_PLACED.sub("", name)), name)] * (array.size in (12, 16))
+            continue
+        if (between := _BETWEEN.search(name)) and name not in _EXACT:
+            read = _role_and_side(_BETWEEN.sub("", name))
+            if read and read[0] in "RT" and _fits(read[0], array):
+                forward = between[1].lower() in _FIRST
+                (found if forward else backward)[read[0]] = turned(array) if read[0] == "R" else array
+            continue
         exact = _EXACT.get(name) or _EXACT.get(name.rsplit(".", 1)[-1])
         if exact is not None:
             found[exact] = array
@@ -98,13 +121,16 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
         number = side - first + 1 if side is not None and side >= 10 else side
         if role == "size":
             found.setdefault(_size_of(number or file_side), _ordered(name, arrays))
+        elif role == "W":
+            found.setdefault(f"placed{number or file_side or 0}", _square(arrays[name]))
         elif role in "MD":
-            found.setdefault(f"{role}{number or file_side or (1 if one_camera else 0)}", arrays[name])
+            value = _four(arrays[name]) if role == "M" and arrays[name].size == 4 else arrays[name]
+            found.setdefault(f"{role}{number or file_side or (1 if one_camera else 0)}", value)
         else:
             poses.setdefault(f"{role}{number or 0}", arrays[name])
     if any(role == "M" and side is None for role, side, _ in told) and file_side and not one_camera:
         poses = {f"posed{key[0]}{file_side}" if key in ("R0", "T0") else key: pose for key, pose in poses.items()}
-    found |= {key: value for key, value in poses.items() if key in _OWN}
+    found |= {key: value for key, value in poses.items() if key in _OWN} | _turned_back(backward)
     if not placed:
         turns = {as_: arrays[name] for name, (as_, shape) in _RECTIFIED.items() if _shape(arrays, name) == shape}
         found |= turns if len(turns) == len(_RECTIFIED) else {}
@@ -112,6 +138,52 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     found |= {key: value for key, value in _scalars(values, file_side).items() if key not in found}
     found |= {key: value for key, value in _size(arrays, first, file_side).items() if key not in found}
     return _shaped({key: value for key, value in found.items() if key in NAMES + _OWN})
+
+
+def _by_axes(arrays: Mapping[str, Array]) -> Found:
+    """Vectors and quaternions whose parts are named x, y, z, w, as arrays of the table's name."""
+    heads = {name.rpartition(".")[0] for name in arrays if name.endswith(".z")}
+    found: Found = {}
+    for head in heads:
+        parts = [arrays.get(f"{head}.{axis}") for axis in "xyzw"]
+        sound = [part.item() for part in parts if part is not None and part.size == 1]
+        if len(sound) >= 3:
+            found[head] = np.array(sound)
+    return found
+
+
+def _four(value: Array) -> Array:
+    """(3, 3) camera matrix of fx, fy, cx, cy."""
+    fx, fy, cx, cy = value.ravel()
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def _by_parts(arrays: Mapping[str, Array]) -> Found:
+    """fx, fy, cx, cy of cameras told by focal lengths and principal point."""
+    found: Found = {}
+    for name, focal in arrays.items():
+        head, _, leaf = name.rpartition(".")
+        words = "".join(_WORD.findall(leaf)).lower()
+        if words not in _FOCAL or focal.size not in (1, 2) or not head:
+            continue
+        points = [arrays[f"{head}.{other}"] for other in _POINTS if f"{head}.{other}" in arrays]
+        if points and points[0].size == 2:
+            found[f"{head}.K"] = np.array([*np.resize(focal, 2), *points[0].ravel()])
+    return found
+
+
+def _square(value: Array) -> Array:
+    """(4, 4) of a matrix that may lack its last row."""
+    return np.vstack([value.reshape(-1, 4)[:3], [[0.0, 0.0, 0.0, 1.0]]])
+
+
+def _turned_back(pose: Found) -> Found:
+    """R and T from left to right of those from right to left."""
+    if "T" in pose and pose["T"].size in (12, 16):
+        pose = {"R": _square(pose["T"])[:3, :3], "T": _square(pose["T"])[:3, 3]}
+    if set(pose) != {"R", "T"}:
+        return {}
+    return {"R": pose["R"].T, "T": -pose["R"].T @ pose["T"].ravel()}
 
 
 def _shape(arrays: Mapping[str, Array], name: str) -> tuple[int, ...]:
@@ -177,33 +249,52 @@ def _role(words: list[str]) -> str | None:
     return next((role for role in last if role is not None and role != "size"), None)
 
 
+def _is_row(value: Array, size: int) -> bool:
+    """Whether a value is so many numbers in a row or a column."""
+    return value.size == max(value.shape, default=0) == size
+
+
 def _fits(role: str, array: Array) -> bool:
     """Whether a value can be what its name says: `T` may be a time, `d` a distance."""
     if role == "M":
-        return array.shape in ((3, 3), (9,), (1, 9))
+        return array.shape in ((3, 3), (9,), (1, 9)) or _is_row(array, 4)
     if role == "D":
         return array.size in (4, 5, 8, 12, 14) and max(array.shape) == array.size
     if role == "R":
-        return array.size in (3, 9)
+        return array.size in (3, 9) or _is_row(array, 4)
     return array.size in (3, 12, 16) if role == "T" else array.size == 2
 
 
 def _poses(said: Found) -> Found:
     """R and T of the second camera from the first, and those of the projector."""
     found: Found = {}
+    for side in ("1", "2"):
+        if f"R{side}" not in said and f"T{side}" in said and said[f"T{side}"].size in (12, 16):
+            placed = _square(said[f"T{side}"])
+            said = said | {f"R{side}": placed[:3, :3], f"T{side}": placed[:3, 3]}
     for role in "RT":
         pose = next((said[f"{role}{side}"] for side in ("0", "2") if f"{role}{side}" in said), None)
         found |= {role: pose} if pose is not None else {}
         found |= {f"{role}3": said[f"{role}3"]} if f"{role}3" in said else {}
     if {"R1", "R2", "T1", "T2"} <= set(said) and "R0" not in said:
-        first, second = turned(said["R1"]), turned(said["R2"])
-        turn = second @ first.T  # both stand to the same object
+        first, second = turned(said["R1"]), turned(said["R2"])  # both stand to the same object
+        turn = second @ first.T
         found |= {"R": turn, "T": said["T2"].ravel() - turn @ said["T1"].ravel()}
     return found
 
 
 def turned(value: Array) -> Array:
-    """(3, 3) rotation of a matrix or a rotation vector."""
+    """(3, 3) rotation of a matrix, a rotation vector, or a quaternion, whose w comes first or last."""
+    if _is_row(value, 4):
+        from scipy.spatial.transform import Rotation
+
+        q = value.ravel() / np.linalg.norm(value)
+        if max(abs(q[0]), abs(q[3])) < _SURE_W:
+            raise RigError(
+                f"found a quaternion {', '.join(f'{part:.3f}' for part in q)} of a turn by more than 90°, expected R "
+                "as a matrix: whether w comes first or last cannot be told"
+            )
+        return np.asarray(Rotation.from_quat(np.roll(q, -1) if abs(q[0]) > abs(q[3]) else q).as_matrix(), float)
     return np.asarray(cv2.Rodrigues(value.ravel())[0], float) if value.size == 3 else value.reshape(3, 3)
 
 

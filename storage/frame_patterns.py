@@ -8,15 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metrology.errors import SceneError
-from storage.scene_names import GREY, PICTURES, SHEET, natural
+from storage.frame_pages import pages_of
+from storage.scene_names import GREY, PICTURES, SHEET, matching, natural
 
-_TOKEN = re.compile(r"\d+|(?i:left|right)|(?:(?!(?i:left|right))[A-Za-z])+|[^A-Za-z\d]+")
+_SIDES = "left|right|左|右"
+_WORD = rf"(?i:{_SIDES})|(?:(?!(?i:{_SIDES}))[A-Za-z])+|(?:(?!左|右)[^A-Za-z\d])+"
+_TOKEN = re.compile(rf"\d+|{_WORD}")
+_DECIMAL_TOKEN = re.compile(rf"\d+(?:\.\d+)?|{_WORD}")
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 _PAIRS = (
     ("left", "right"), ("l", "r"), ("lt", "rt"), ("lft", "rgt"), ("master", "slave"), ("a", "b"), ("cama", "camb"),
-    ("lcam", "rcam"), ("caml", "camr"), ("imgl", "imgr"), ("iml", "imr"), ("cameral", "camerar"),
+    ("lcam", "rcam"), ("caml", "camr"), ("imgl", "imgr"), ("iml", "imr"), ("cameral", "camerar"), ("左", "右"),
+    ("links", "rechts"), ("gauche", "droite"), ("main", "sub"), ("primary", "secondary"),
 )  # fmt: skip
 _CAMERA_WORDS = ("cam", "camera", "c", "view", "cameras", "frames", "sensor", "dev")
 _LEAST_FRAMES = 3
+_MOST_JOINED = 8  # kinds of names that one capture has
 
 Tokens = tuple[str, ...]
 
@@ -44,16 +51,77 @@ def name_patterns(folder: Path) -> list[NamePattern]:
     if not paths:
         raise SceneError(f"{folder}: found no pictures, expected frames as {', '.join(PICTURES)}")
     groups: dict[Tokens, dict[Path, Tokens]] = {}
-    for path in paths:
-        tokens = tuple(_TOKEN.findall(path.relative_to(folder).as_posix()))
-        groups.setdefault(tuple("#" if token.isdigit() else token for token in tokens), {})[path] = tokens
+    for path, tokens in _tokens(paths, folder).items():
+        groups.setdefault(_shape(tokens), {})[path] = tokens
     found = [_of_group(group) for group in _joined(groups)]
     return sorted(found, key=lambda one: -len(one.paths))
 
 
+def joint_pattern(folder: Path, patterns: Sequence[NamePattern]) -> NamePattern | None:
+    """One pattern for several kinds of names, such as those of fringes, stripes, white and black; None where there is
+    none that has as many pictures of either camera.
+    """
+    if not 2 <= len(patterns) <= _MOST_JOINED:
+        return None
+    fields = [re.split(r"(\{\w+\}|\*)", one.pattern) for one in patterns]
+    first = _common(fields)
+    last = [part[::-1] for part in _common([[part[::-1] for part in parts[::-1]] for parts in fields])][::-1]
+    before, behind = "".join(first), "".join(last)
+    middles = [one.pattern[len(before) : len(one.pattern) - len(behind)] for one in patterns]
+    if not all(middles) or any("{camera}" in middle for middle in middles):
+        return None
+    field = "{path}" if any("/" in middle for middle in middles) else "{frame}"
+    pattern = f"{before}{field}{behind}"
+    paths = tuple(path for one in patterns for path in one.paths)
+    found = matching(folder, pattern)
+    if set(found) != set(paths):
+        return None
+    if "{camera}" in pattern:
+        names = [values["camera"] for values in found.values()]
+        if len(set(names)) != 2 or names.count(names[0]) * 2 != len(names):
+            return None
+    return NamePattern(pattern, paths)
+
+
+def _common(parts: Sequence[Sequence[str]]) -> list[str]:
+    """What lists of words and fields begin with alike, up to a field that is not the camera's; of words also a part."""
+    alike: list[str] = []
+    for words in zip(*parts, strict=False):
+        other_field = any(re.search(r"[{}*]", word) and "camera" not in (word[1:-1], word[-2:0:-1]) for word in words)
+        if len(set(words)) > 1 or other_field:
+            return alike if any(re.search(r"[{}*]", word) for word in words) else [*alike, _common_start(words)]
+        alike.append(words[0])
+    return alike
+
+
+def _common_start(words: Sequence[str]) -> str:
+    first, last = min(words), max(words)
+    return first[: next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
+
+
 def _is_frame(path: Path, folder: Path) -> bool:
     inside = path.relative_to(folder).parts
-    return path.suffix.lower() in PICTURES and path.name != SHEET and inside[0] != GREY and path.is_file()
+    if path.suffix.lower() not in PICTURES or path.name == SHEET or inside[0] == GREY or not path.is_file():
+        return False
+    return not pages_of(folder, path).is_dir()
+
+
+def _tokens(paths: Sequence[Path], folder: Path) -> dict[Path, Tokens]:
+    """The words, numbers and what lies between them of each path. Numbers have decimals where some of a kind do and
+    others do not: phases 0, 1.5708, 3.1416.
+    """
+    inside = {path: path.relative_to(folder).as_posix() for path in paths}
+    plain = {path: tuple(_TOKEN.findall(text)) for path, text in inside.items()}
+    shapes = {_shape(tokens) for tokens in plain.values()}
+    for path, text in inside.items():
+        decimal = tuple(_DECIMAL_TOKEN.findall(text))
+        if decimal != plain[path] and _shape(decimal) in shapes:
+            plain[path] = decimal
+    return plain
+
+
+def _shape(tokens: Tokens) -> Tokens:
+    return tuple("#" if _NUMBER.fullmatch(token) else token for token in tokens)
 
 
 def _joined(groups: Mapping[Tokens, dict[Path, Tokens]]) -> list[dict[Path, Tokens]]:
@@ -75,8 +143,8 @@ def _are_twins(a: Tokens, b: Tokens) -> bool:
 def _of_group(group: dict[Path, Tokens]) -> NamePattern:
     columns = list(zip(*group.values(), strict=True))
     varying = [place for place, column in enumerate(columns) if len(set(column)) > 1]
-    words = [place for place in varying if not columns[place][0].isdigit()]
-    digits = [place for place in varying if columns[place][0].isdigit()]
+    words = [place for place in varying if not _NUMBER.fullmatch(columns[place][0])]
+    digits = [place for place in varying if _NUMBER.fullmatch(columns[place][0])]
     names = dict.fromkeys(words, "{camera}")
     if not words and (camera := _numbered_camera(columns, digits)) is not None:
         names[camera] = "{camera}"
@@ -86,14 +154,35 @@ def _of_group(group: dict[Path, Tokens]) -> NamePattern:
     told = [place for place in digits if sides and _one_to_one(columns[place], columns[sides[0]])]
     names |= dict.fromkeys(told, "*")  # a second word for the camera, as in L/cam0_1.png and R/cam1_1.png
     digits = [place for place in digits if place not in told]
-    distinct = list(dict.fromkeys(columns[place] for place in digits))  # a number may stand twice, as in s1/s1_2.png
+    first = next(iter(group.values()))
+    if span := _one_number(columns, digits, sides):
+        names |= dict.fromkeys(span, "") | {span[0]: "{frame}"}
+    else:
+        names |= _fields(columns, digits)
+    return NamePattern("".join(names.get(place, token) for place, token in enumerate(first)), tuple(group))
+
+
+def _fields(columns: Sequence[Tokens], digits: Sequence[int]) -> dict[int, str]:
+    """What each number is: the frame's where there is one, else count and step; a number may stand twice, as in
+    s1/s1_2.png.
+    """
+    distinct = list(dict.fromkeys(columns[place] for place in digits))
     fields = ["{frame}"] if len(distinct) == 1 else ["{count}", "{step}"]
     if len(distinct) > 2:
         fields = ["*"] * (len(distinct) - 2) + fields
-    for place in digits:
-        names[place] = fields[distinct.index(columns[place])]
-    first = next(iter(group.values()))
-    return NamePattern("".join(names.get(place, token) for place, token in enumerate(first)), tuple(group))
+    return {place: fields[distinct.index(columns[place])] for place in digits}
+
+
+def _one_number(columns: Sequence[Tokens], digits: Sequence[int], sides: Sequence[int]) -> list[int]:
+    """The places of numbers that are one together, as a time of day and its milliseconds, with what lies between; none
+    where they are not. The first of them then is another one in almost every picture of a camera.
+    """
+    span = list(range(digits[0], digits[-1] + 1)) if len(digits) > 1 else []
+    if not span or set(span) & set(sides) or any("/" in columns[place][0] for place in span):
+        return []
+    frames = len(columns[0]) // (2 if sides else 1)
+    different = len(set(columns[span[0]]))
+    return span if frames >= 2 * _LEAST_FRAMES and different > frames // 2 else []
 
 
 def _one_to_one(a: Tokens, b: Tokens) -> bool:

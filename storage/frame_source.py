@@ -16,6 +16,10 @@ class BadFrame(Exception):
     """What was found in a frame, and what was expected; the file's name is added by who knows it."""
 
 
+class OtherFrame(BadFrame):
+    """A picture of a kind that frames do not have, but can be turned into: in colour, or of another format."""
+
+
 class ShortFrame(BadFrame):
     """A frame that ends before its header does."""
 

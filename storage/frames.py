@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from metrology.errors import StoreError
 from storage import png, tiff
 from storage.documents import ErrorType, brief, check_regular_file, read_bytes
-from storage.frame_source import BadFrame, FrameSource, open_source, source_of
+from storage.frame_source import BadFrame, FrameSource, OtherFrame, open_source, source_of
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -68,6 +68,18 @@ def read_header(path: Path, error: ErrorType) -> FrameHeader:
         raise error(f"{path}: {problem}") from None
     except OSError as problem:
         raise error(f'{path}: found "{problem.strerror}", expected a readable file') from None
+
+
+def can_be_turned(path: Path) -> bool:
+    """Whether a picture that is no frame is one of another kind: in colour or of another format, not a damaged one."""
+    try:
+        with open_source(path) as source:
+            _header_of(source)
+    except OtherFrame:
+        return True
+    except (BadFrame, OSError):
+        pass
+    return False
 
 
 def read_frame(path: Path, expected: FrameHeader, error: ErrorType) -> Frame:
@@ -183,13 +195,13 @@ def _header_of(source: FrameSource, chunks: list[png.Chunk] | None = None) -> Fr
     elif start[:6] == _NPY_SIGNATURE:
         header = _npy_header(source)
     else:
-        raise BadFrame("found none of the known image signatures, expected a PNG, TIFF, BMP or npy file")
+        raise OtherFrame("found none of the known image signatures, expected a PNG, TIFF, BMP or npy file")
     if header.height < 1 or header.width < 1 or header.height * header.width > MAX_FRAME_PIXELS:
         raise BadFrame(
             f"found a header that says {header.width}×{header.height} pixels, expected 1 to {MAX_FRAME_PIXELS:,} pixels"
         )
     if header.bits not in (8, 16):
-        raise BadFrame(f"found {header.bits} bits per pixel, expected 8 or 16")
+        raise OtherFrame(f"found {header.bits} bits per pixel, expected 8 or 16")
     return header
 
 
@@ -199,7 +211,7 @@ def _bmp_header(source: FrameSource) -> FrameHeader:
     if header_size not in _BMP_HEADERS:
         raise BadFrame(f"found a BMP with a header of {header_size} bytes, expected one of {_BMP_HEADERS[0]} or more")
     if bits != 8 or compression not in (0, 1):
-        raise BadFrame(
+        raise OtherFrame(
             f"found a BMP with {bits} bits per pixel (compression {compression}), expected a grey one with 8"
         )
     palette_at = 14 + header_size
@@ -209,7 +221,7 @@ def _bmp_header(source: FrameSource) -> FrameHeader:
         raise BadFrame("found a BMP whose header contradicts itself, expected a whole one")
     palette = np.frombuffer(source.read(palette_at, 4 * entries), np.uint8).reshape(-1, 4)
     if (palette[:, :3] != palette[:, :1]).any():
-        raise BadFrame("found a BMP with a colour palette, expected a grey one")
+        raise OtherFrame("found a BMP with a colour palette, expected a grey one")
     if compression == 0 and pixels_at + (width + 3) // 4 * 4 * height > source.size:
         raise BadFrame(f"found a BMP truncated after {source.size} bytes, expected a whole one")
     return FrameHeader(height, width, bits)

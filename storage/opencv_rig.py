@@ -19,7 +19,7 @@ from metrology.rig_plausibility import check_rig, doubtful_unit
 from storage import other_rigs
 from storage.archive.files import replacing
 from storage.calibration_documents import flat, read_document
-from storage.calibration_names import NAMES, by_given_names, first_number, from_names, side_of_file, told_shapes
+from storage.calibration_names import NAMES, by_given_names, first_number, from_names, side_of_file, told_shapes, turned
 from storage.lens_names import check_lens_names
 from storage.projection_matrices import from_projections
 
@@ -119,6 +119,9 @@ def _gathered(paths: Sequence[Path], given: Mapping[str, str]) -> tuple[dict[str
         found |= _read(file, found, first)
         if given or not set(_NEEDED) <= set(found):
             there |= {} if file.is_dir() else flat(read_document(file))
+    if not {"M1", "M2"} & set(found):  # beside matrices of the cameras, P1 and P2 are of their rectification
+        for file in files:
+            found |= from_projections(flat(read_document(file)), first)
     if unknown := sorted(set(given) - set(NAMES)) or sorted(set(given.values()) - set(there)):
         raise RigError(f"--names: found {unknown[0]!r}, expected {', '.join(NAMES)} = one of {_listed(there)}")
     return found | by_given_names(there, given), there
@@ -167,9 +170,7 @@ def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Arra
             return known
         check_lens_names(document)
         side = side_of_file([path.stem, path.parent.name], first) or (2 if "M1" in before and "M2" not in before else 1)
-        values = flat(document)
-        named = from_names(values, side)
-        return named if {"M1", "M2"} & set(named) else named | from_projections(values, first)
+        return from_names(flat(document), side)
     except (KeyError, ValueError, TypeError, IndexError) as problem:
         raise RigError(f"{path}: found no {problem}, expected a whole calibration") from None
     except RigError as problem:
@@ -235,10 +236,8 @@ def _terms(value: Array) -> Array:
 
 
 def _rotation(value: Array) -> Array:
-    """A matrix, or a rotation vector."""
-    if value.size == 3 and np.isfinite(value).all():
-        return np.asarray(cv2.Rodrigues(value.ravel())[0], float)
-    return value
+    """A matrix, of a rotation vector or a quaternion too."""
+    return turned(value) if max(value.shape) == value.size in (3, 4) and np.isfinite(value).all() else value
 
 
 def _projector(found: Mapping[str, Array], scale: float) -> Device | None:

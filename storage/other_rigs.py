@@ -47,7 +47,7 @@ def from_document(document: Mapping[str, Any], path: Path) -> Found | None:
     values = flat(document)
     if "CameraParameters1" in document:
         return _matlab(document)
-    if "cam0" in document and isinstance(document["cam0"], Mapping) and "intrinsics" in document["cam0"]:
+    if _is_camchain(document):
         return _kalibr(document)
     if {"fc_left", "fc_right"} <= set(values):
         return _bouguet(values)
@@ -74,6 +74,14 @@ def from_document(document: Mapping[str, Any], path: Path) -> Found | None:
         right = "right" in said or np.ravel(values[alone["P"]])[3] != 0
         return _rectified(values, alone, 2 if right else 1)
     return None
+
+
+def _is_camchain(document: Mapping[str, Any]) -> bool:
+    """Whether a file is Kalibr's; others name cameras alike and say otherwise where they stand."""
+    cameras = [document.get(name) for name in ("cam0", "cam1")]
+    if not isinstance(cameras[0], Mapping) or "intrinsics" not in cameras[0]:
+        return False
+    return not isinstance(cameras[1], Mapping) or "T_cn_cnm1" in cameras[1] or "camera_model" in cameras[0]
 
 
 def _unwrapped(document: Mapping[str, Any]) -> Mapping[str, Any]:

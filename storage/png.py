@@ -12,7 +12,7 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from storage.frame_source import BadFrame, FrameSource, ShortFrame, source_of
+from storage.frame_source import BadFrame, FrameSource, OtherFrame, ShortFrame, source_of
 from storage.tiff import TiffDirectory, check_orientation
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -54,7 +54,7 @@ def size_and_bits(source: FrameSource, walked: list[Chunk] | None = None) -> tup
         if kind in (b"IDAT", b"tRNS") and not grey:
             break
     if not grey:
-        raise BadFrame(f"found a {_COLOURS.get(colour, 'unknown')} PNG, expected a grey one")
+        raise OtherFrame(f"found a {_COLOURS.get(colour, 'unknown')} PNG, expected a grey one")
     return height, width, bits
 
 

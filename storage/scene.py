@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from metrology.binary_code import gray_from_binary
 from metrology.errors import SceneError
 from metrology.exposures import relative_exposures
 from metrology.fringe import FringeCode
@@ -55,6 +56,8 @@ class Scene:
     """None where there is one camera, which then has no frames in `right`."""
     files_state: str | None = None
     """Names the folder's files as they lay on disk when they were looked at (see `storage.scan_identity`)."""
+    binary: bool = False
+    """Whether the stripes on disk count in plain binary; `read` gives those of Gray code."""
 
     @property
     def headers(self) -> dict[Camera, FrameHeader]:
@@ -85,7 +88,8 @@ class Scene:
         paths, header = getattr(self, camera), self.headers[camera]
         stack = read_stack(paths, header, SceneError, executor)
         shape = (len(self.exposures), self.code.frames, header.height, header.width)
-        return FrameStack(stack.frames.reshape(shape), stack.checksums)
+        frames = stack.frames.reshape(shape)
+        return FrameStack(gray_from_binary(frames, self.code) if self.binary else frames, stack.checksums)
 
     def check_fits(self, rig: Rig) -> None:
         """Refuse a rig whose cameras have other sizes than the frames, or whose projector cannot show the fringes."""
@@ -166,6 +170,7 @@ def look_at(folder: Path, model: SceneModel) -> Scene:
         left_header=left,
         right_header=right,
         files_state=state,
+        binary=bool(model.fringe.gray and model.fringe.gray.binary),
     )
 
 

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer, PlainValidator, model_validator
 
+from metrology.binary_code import gray_from_binary
 from metrology.errors import SceneError
 from metrology.exposures import MAX_RATIO
 from metrology.fringe import FringeCode, GrayCode
@@ -41,13 +43,14 @@ Steps = Annotated[int | tuple[int, ...], PlainValidator(_steps), PlainSerializer
 
 
 class GrayModel(StrictModel):
-    """`fringe.gray` of scene.json: Gray-code frames after the fringes."""
+    """`fringe.gray` of scene.json: Gray-code frames after the fringes; with `binary` their bits count plainly."""
 
     stripes: WholeNumber
     inverse: bool = False
     references: bool = False
     first: Literal["msb", "lsb"] = "msb"
     inverse_first: bool = False
+    binary: bool = False
     shift: float = 0.0
 
 
@@ -95,6 +98,10 @@ class FringeModel(StrictModel):
                 order += pair[::-1] if self.gray and self.gray.inverse_first else pair
             order += range(code.fringe_frames + code.gray.stripe_frames, code.frames)
         return tuple(frames[place] for place in order)
+
+    def as_gray_code(self, frames: NDArray) -> NDArray:
+        """(exposures, frames, h, w) frames in Flushline's order, those of plain binary as Gray code has them."""
+        return gray_from_binary(frames, self.code) if self.gray and self.gray.binary else frames
 
 
 Exposures = Annotated[

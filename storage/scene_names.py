@@ -8,15 +8,16 @@ from pathlib import Path
 
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
-from storage.frames import read_as_grey, read_header, write_frame
+from storage.frames import can_be_turned, read_as_grey, read_header, write_frame
 from storage.scene_models import Camera
 
-FIELDS = ("camera", "pose", "exposure", "count", "step", "frame", "bit", "inverse")
+FIELDS = ("camera", "pose", "exposure", "count", "step", "frame", "path", "bit", "inverse")
 GREY = "grey"
 SHEET = "contact-sheet.png"
 """The picture that `scene new` draws beside the frames."""
 PICTURES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".pgm")
-_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a")
+_GREY_ALONE = (".pgm",)
+_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a", "左", "gauche")
 
 Values = dict[str, str]
 
@@ -39,7 +40,8 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
         if name in seen:
             expression += f"(?P={name})"
         elif name:  # right behind another field a number begins where the digits do
-            expression += rf"(?<!\d)(?P<{name}>\d+)" if before.startswith("{") else f"(?P<{name}>[^/]+?)"
+            any_text = ".+?" if name == "path" else "[^/]+?"
+            expression += rf"(?<!\d)(?P<{name}>\d+)" if before.startswith("{") else f"(?P<{name}>{any_text})"
             seen.add(name)
         else:
             expression += "[^/]*" if part == "*" else re.escape(part)
@@ -123,7 +125,12 @@ def by_count_and_step(found: Mapping[Path, Values], camera: str, code: FringeCod
 def by_number(found: Mapping[Path, Values], camera: str) -> list[Path]:
     """A camera's frames in the order of their numbers."""
     mine = [path for path, values in found.items() if values.get("camera", camera) == camera]
-    return sorted(mine, key=lambda path: natural(found[path].get("frame", path.as_posix())))
+    return sorted(mine, key=lambda path: natural(found[path].get("frame", found[path].get("path", path.as_posix()))))
+
+
+def runs_through(pattern: str) -> bool:
+    """Whether a pattern numbers a camera's frames from first to last: {frame}, or {path}, which may have folders."""
+    return "{frame}" in pattern or "{path}" in pattern
 
 
 def in_sequence(paths: Sequence[Path], code: FringeCode, sequence: Sequence[str]) -> list[Path]:
@@ -134,12 +141,16 @@ def in_sequence(paths: Sequence[Path], code: FringeCode, sequence: Sequence[str]
     paths : sequence of Path
         In the order in which they were shown.
     sequence : sequence of str
-        What was shown: fringes, gray, white, black, skip or skip:N.
+        What was shown: fringes (count by count), fringes-by-step, gray, inverse (those of all bits, where they do not
+        come each beside its bit), white, black, skip or skip:N.
     """
     gray = code.gray
+    bits = gray.bits if gray else 0
     sizes = {
         "fringes": code.fringe_frames,
-        "gray": gray.stripe_frames if gray else 0,
+        "fringes-by-step": code.fringe_frames,
+        "gray": bits if "inverse" in sequence else gray.stripe_frames if gray else 0,
+        "inverse": bits,
         "white": 1,
         "black": 1,
         "skip": 1,
@@ -159,12 +170,23 @@ def in_sequence(paths: Sequence[Path], code: FringeCode, sequence: Sequence[str]
             f"found {len(paths)} frames, from {paths[0].name} to {paths[-1].name}, expected {at} for the sequence "
             f"{' '.join(sequence)}: --sequence says {more}"
         )
-    listed = blocks.get("fringes", []) + blocks.get("gray", [])
+    stripes, inverses = blocks.get("gray", []), blocks.get("inverse", [])
+    if inverses:
+        stripes = [path for pair in zip(stripes, inverses, strict=False) for path in pair]
+    listed = blocks.get("fringes", []) + _count_by_count(blocks.get("fringes-by-step", []), code) + stripes
     if gray and gray.references:
         listed += blocks.get("white", []) + blocks.get("black", [])
     if len(listed) != code.frames:
         raise SceneError(f"found {len(listed)} frames in {' '.join(sequence)}, expected {code.frames} for this code")
     return listed
+
+
+def _count_by_count(paths: Sequence[Path], code: FringeCode) -> list[Path]:
+    """Frames that run through all counts at each step, as those that run through all steps of each count."""
+    if paths and len(set(code.step_counts)) > 1:
+        raise SceneError(f"--sequence fringes-by-step: found steps {code.steps}, expected as many of each count")
+    counts = len(code.counts)
+    return [path for k in range(counts) for path in paths[k::counts]]
 
 
 def as_grey(path: Path, folder: Path) -> tuple[Path, str | None]:
@@ -173,12 +195,13 @@ def as_grey(path: Path, folder: Path) -> tuple[Path, str | None]:
         read_header(path, SceneError)
         return path, None
     except SceneError as problem:
-        frame = read_as_grey(path)
+        frame = read_as_grey(path) if can_be_turned(path) else None
         if frame is None:
             raise problem from None
     target = (folder / GREY / path.relative_to(folder)).with_suffix(".png")
     target.parent.mkdir(parents=True, exist_ok=True)
     write_frame(target, frame)
-    lossy = path.suffix.lower() in (".jpg", ".jpeg")
-    note = "JPEG has lost what the eye does not see, and phases do" if lossy else "colour was turned to grey"
-    return target, note
+    if path.suffix.lower() in (".jpg", ".jpeg"):
+        return target, "JPEG has lost what the eye does not see, and phases do"
+    grey = path.suffix.lower() in _GREY_ALONE
+    return target, f"{path.suffix} was written as PNG" if grey else "colour was turned to grey"

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from storage.frame_source import BadFrame, FrameSource, ShortFrame
+from storage.frame_source import BadFrame, FrameSource, OtherFrame, ShortFrame
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
@@ -80,13 +80,13 @@ def size_and_bits(source: FrameSource) -> tuple[int, int, int]:
             "found a TIFF in which 0 is white (photometric interpretation WhiteIsZero), expected one in which 0 is "
             "black: grey levels upside down are no camera's"
         )
+    if directory.following:
+        raise BadFrame("found a TIFF of several pages, expected one frame per file (scene guess writes its pages)")
+    check_orientation(directory)
     if samples != 1 or photometric != _BLACK_IS_ZERO:
-        raise BadFrame(f"found a TIFF with {samples} samples per pixel or a palette, expected a grey one")
+        raise OtherFrame(f"found a TIFF with {samples} samples per pixel or a palette, expected a grey one")
     if directory.first(_SAMPLE_FORMAT, 1) != 1:
         raise BadFrame("found a TIFF of signed or floating-point numbers, expected whole numbers from 0")
-    if directory.following:
-        raise BadFrame("found a TIFF of several pages, expected one frame per file")
-    check_orientation(directory)
     _check_pieces(directory, source.size)
     return directory.first(_HEIGHT, 0), directory.first(_WIDTH, 0), directory.first(_BITS, 1)
 

@@ -27,7 +27,8 @@ from tasks.scan_checks import contradiction_warnings, unseen_warnings
 from tasks.settings import InspectionSettings, SceneChecks
 
 _WITHOUT_PROJECTOR = (
-    ", gaps' edges and heads' rims come from points and rings alone, and a yaw between the cameras would not be noticed"
+    ", gaps' edges and heads' rims come from points and rings alone, and neither a small yaw between the cameras nor a "
+    "wrong scale of all lengths would be noticed (flushline measure)"
 )
 
 

@@ -23,8 +23,8 @@ _LEAST_MATCHED = 0.1
 _HARDLY_PX = 0.1
 
 
-def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> RigHealth:
-    """Reconstruct a scene with a rig and judge the rig by it; nothing is stored.
+def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) -> tuple[RigHealth, Reconstruction]:
+    """Reconstruct a scene with a rig and judge the rig by it; nothing is stored. The cloud comes with the judgement.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def check_scene(rig: Rig, folder: Path, settings: HealthSettings | None = None) 
     health = epipolar_health(reconstruction, axis=scene.code.axis, settings=settings)
     if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings)):
         raise problem
-    return health
+    return health, reconstruction
 
 
 def doubtful(health: RigHealth) -> bool:

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 from flows.code_options import add_code_options
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from storage.scene_models import FringeModel
 
 
@@ -77,7 +80,7 @@ def _write(options: argparse.Namespace) -> int:
         raise UsageError(f"--size: found {width} {height}, expected 1 to 16384 pixels each")
     shown = fringe_model(options)
     code = shown.code
-    frames = np.rint(255 * code.patterns(width, height)).astype(np.uint8)
+    frames = np.rint(255 * _images(shown, width, height)).astype(np.uint8)
     options.out.mkdir(parents=True, exist_ok=True)
     names = frame_names(code)
     listed = np.argsort(shown.ordered(range(code.frames)))  # as it is shown, from Flushline's own order
@@ -90,6 +93,19 @@ def _write(options: argparse.Namespace) -> int:
         write_frame(options.out / name, np.full((height, width), level, np.uint8))
     print(f"{len(names)} patterns, white and black in {options.out}; fringe.json there says what scene.json is to say")
     return 0
+
+
+def _images(shown: FringeModel, width: int, height: int) -> NDArray[np.float64]:
+    """(frames, height, width) values from 0 to 1, in Flushline's order."""
+    from metrology.binary_code import binary_from_gray
+
+    code = shown.code
+    images = code.patterns(width, height)
+    if not (shown.gray and shown.gray.binary):
+        return images
+    lines = images[:, 0] if code.axis == "x" else images[:, :, 0]
+    turned = binary_from_gray(lines, code)
+    return turned[:, None, :].repeat(height, 1) if code.axis == "x" else turned[:, :, None].repeat(width, 2)
 
 
 def _out_of_order(shown: FringeModel) -> bool:

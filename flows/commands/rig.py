@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from metrology.cloud import Reconstruction
+
+
+_SCALE = "scale: as the files say; no scan tells it, flushline measure does by anything of known size"
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
@@ -77,7 +85,7 @@ def run_check(options: argparse.Namespace) -> int:
     refused = checked = 0
     for folder in options.scenes:
         try:
-            health = check_scene(rig, folder)
+            health, cloud = check_scene(rig, folder)
         except FlushlineError as problem:
             if options.debug:
                 raise
@@ -92,9 +100,26 @@ def run_check(options: argparse.Namespace) -> int:
         )
         if health.reason:
             print(f"  {health.reason}")
+        if health.verdict == "unjudged":
+            print("  without texture, cameras exchanged or another calibration look the same: scan print or grain once")
+        if rig.projector is None and health.epipolar_drift_px is not None and health.verdict != "refused":
+            print(f"  {_not_told(cloud, health.epipolar_drift_px)}")
     if checked == 0:
         return EXIT_BAD_INPUT
     return EXIT_SOME_FAILED if refused or checked < len(options.scenes) else EXIT_DONE
+
+
+def _not_told(cloud: Reconstruction, drift_px: float) -> str:
+    """What a scan of two cameras does not show of their rig."""
+    from metrology.rig_health import HealthSettings
+    from metrology.rig_hidden import hidden_errors
+
+    said = {one.name: one for one in hidden_errors(cloud, max(HealthSettings().epipolar_floor_px, drift_px))}
+    yaw, focal = said.get("yaw"), said.get("focal lengths")
+    parts = [f"a yaw below {math.degrees(yaw.amount):.2g}° (lengths {yaw.lengths:.1%} off)"] if yaw else []
+    parts += [f"both focal lengths off by up to {focal.amount:.1%} (lengths {focal.lengths:.1%})"] if focal else []
+    parts.append("a wrong distance between the cameras (all lengths)")
+    return f"not shown by this scan: {', '.join(parts)}; flushline measure tells by anything of known size"
 
 
 def run_import(options: argparse.Namespace) -> int:
@@ -125,7 +150,7 @@ def run_import(options: argparse.Namespace) -> int:
     save_rig(rig, options.out)
     if said := rig.extra.get(READ_OTHERWISE):
         print(f"note: {said}")
-    print("\n".join([*rig_facts(rig), str(options.out)]))
+    print("\n".join([*rig_facts(rig), _SCALE, str(options.out)]))
     return 0
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from flows.code_options import add_code_options
 
+SEQUENCE = "what {frame} or {path} runs through: fringes fringes-by-step gray inverse white black skip:N"
+
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], common: argparse.ArgumentParser) -> None:
     """Add `scene new`, `scene from-cloud` and `scene guess`."""
@@ -25,7 +27,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "--pattern", required=True, help="such as '{camera}/f{count}_{step}.png'; of one camera without {camera}"
     )
     new.add_argument("--gray-pattern", help="Gray code beside such fringes: '{camera}/g{bit}.png'")
-    new.add_argument("--sequence", nargs="+", help="what {frame} runs through: fringes gray white black skip:N")
+    new.add_argument(
+        "--sequence",
+        nargs="+",
+        help=SEQUENCE,
+    )
     new.add_argument(
         "--exposures", type=float, nargs="+", metavar="TIME", help="of the {exposure}s; by default as they are named"
     )

@@ -39,19 +39,19 @@ def board_lengths(rig: Rig, board: Board, left: BoardView, right: BoardView) -> 
         raise CalibrationError(f"board: found {len(index)} features in both pictures, expected {_LEAST} or more")
     pixels = [left.pixels[a], right.pixels[b]]
     known = board.points[index]
-    points, miss = _triangulated(rig, pixels)
+    points, miss = triangulated(rig, pixels)
     for _ in range(_ROUNDS if board.radius_mm else 0):
-        R, t = _pose(known, points)
+        R, t = fitted_pose(known, points)
         free = [
             pixel - eccentricity(_image_of(device, R, t), known[:, :2], board.radius_mm)
             for device, pixel in zip((rig.left, rig.with_right()), pixels, strict=True)
         ]
-        points, miss = _triangulated(rig, free)
-    R, t = _pose(known, points)
+        points, miss = triangulated(rig, free)
+    R, t = fitted_pose(known, points)
     residual = (points - t) @ R - known
     sigma = np.sqrt((residual**2).sum(0) / max(len(index) - 2, 1))
     lengths = []
-    for name, (i, j) in _ends(known).items():
+    for name, (i, j) in ends(known).items():
         along = (known[j] - known[i]) / np.linalg.norm(known[j] - known[i])
         u95 = 2 * np.sqrt(2) * float(np.linalg.norm(sigma * along))
         measured, nominal = (float(np.linalg.norm(of[j] - of[i])) for of in (points, known))
@@ -63,7 +63,7 @@ def _image_of(device: Device, R: Array, t: Array) -> Callable[[Array], Array]:
     return lambda plane: device.project(np.column_stack([plane, np.zeros(len(plane))]) @ R.T + t)
 
 
-def _triangulated(rig: Rig, pixels: list[Array]) -> tuple[Array, float]:
+def triangulated(rig: Rig, pixels: list[Array]) -> tuple[Array, float]:
     """Middles of the shortest lines between both cameras' rays, and the RMS of these lines in left pixels."""
     origins = [device.centre for device in (rig.left, rig.with_right())]
     rays = [device.rays(pixel) for device, pixel in zip((rig.left, rig.with_right()), pixels, strict=True)]
@@ -77,7 +77,7 @@ def _triangulated(rig: Rig, pixels: list[Array]) -> tuple[Array, float]:
     return 0.5 * (ends[0] + ends[1]), float(np.sqrt(np.mean(miss**2)))
 
 
-def _pose(known: Array, points: Array) -> tuple[Array, Array]:
+def fitted_pose(known: Array, points: Array) -> tuple[Array, Array]:
     """Rigid motion from the board's frame to the rig's."""
     middle, seen = known.mean(0), points.mean(0)
     u, _, vt = np.linalg.svd((points - seen).T @ (known - middle))
@@ -85,7 +85,7 @@ def _pose(known: Array, points: Array) -> tuple[Array, Array]:
     return R, seen - R @ middle
 
 
-def _ends(known: Array) -> dict[str, tuple[int, int]]:
+def ends(known: Array) -> dict[str, tuple[int, int]]:
     """The features at the ends of the longest lines."""
     x, y = known[:, 0], known[:, 1]
     corners = {"diagonal": (x + y, x + y), "other diagonal": (x - y, x - y)}

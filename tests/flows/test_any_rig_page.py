@@ -39,7 +39,7 @@ def commands() -> list[str]:
 
 def frames_commands() -> list[str]:
     """Those that make, check and inspect scans, in the page's order."""
-    starts = ("flushline scene", "flushline capture check", "flushline inspect")
+    starts = ("flushline scene", "flushline capture check", "flushline inspect", "flushline measure")
     return [line for line in lines("flushline ") if line.startswith(starts) and not REAL.search(line)]
 
 
@@ -94,7 +94,7 @@ def test_the_page_s_scans_are_made_checked_and_inspected(tmp_path: Path, monkeyp
     save_rig(replace(small_rig(), projector=None, id="my-rig"), tmp_path / "rig.json")
     save_rig(replace(small_rig(), right=None, id="my-rig"), tmp_path / "one-camera.json")
     run = frames_commands()
-    assert len(run) == 14
+    assert len(run) == 15
     write_frames(next(command for command in run if "--pattern" in command))
     for number, command in enumerate(run):
         if "--pattern" in command:
@@ -162,7 +162,7 @@ def test_the_page_s_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     write_inputs(tmp_path)
     monkeypatch.chdir(tmp_path)
     run = commands()
-    assert len(run) == 13
+    assert len(run) == 14
     for command in run:
         assert main(shlex.split(command)[1:]) == 0, command
         if command.startswith("flushline rig import"):
@@ -202,7 +202,7 @@ def test_real_captures_become_scenes_as_the_page_says(
     for name in ("box-3freq-8step", "procam-graycode"):
         shutil.copytree(shared / "real" / name, tmp_path / name)
     run = [line for line in lines("flushline ") if REAL.search(line)]
-    assert len(run) == 6
+    assert len(run) == 7
     for command in run:
         assert main(shlex.split(command)[1:]) == 0, command
     said = capsys.readouterr().out

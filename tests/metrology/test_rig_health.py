@@ -209,7 +209,7 @@ def test_settings_that_make_no_sense_are_refused() -> None:
 def test_on_an_independent_rendering_of_a_skin(shared: Path) -> None:
     rig = load_rig(shared / "scenes" / "rig.json")
     scene = load_scene(shared / "scenes" / "skin")
-    assert check_scene(rig, scene.folder).verdict == "ok"
+    assert check_scene(rig, scene.folder)[0].verdict == "ok"
     size = coordinate_size(rig, scene.code)
     left, right = (decode(scene.frames(side), scene.code, size, scene.exposures) for side in ("left", "right"))
     turned_rig, zoomed_rig = replace(rig, right=turned(rig.right, 1, 0.05)), replace(rig, left=zoomed(rig.left, 1.003))

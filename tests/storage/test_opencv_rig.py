@@ -108,7 +108,7 @@ def test_missing_files_and_strange_endings_are_named(tmp_path: Path, rig: Rig) -
         ({"M2": np.array([[100.0, 1.5, 32], [0, 100.0, 24], [0, 0, 1]])}, "right: K: found a skew"),
         ({"M2": np.array([[100.0, 0, 320], [0, 100.0, 24], [0, 0, 1]])}, "right: K: found the principal point at 320"),
         ({"R": np.diag([1.0, 1.0, -1.0])}, "right: R: .*a mirror"),
-        ({"R": [[1.0, 0, 0, 0]]}, "right: R: found shape"),
+        ({"R": [[1.0, 0, 0, 0, 0]]}, "right: R: found shape"),
         ({"T3": [[-25.0], [np.nan], [0.0]]}, "projector: found a value that is not finite"),
         ({"image_size": [[HEIGHT, WIDTH]]}, "left: size: .* width and height are exchanged"),
         ({"distortion_model": "fisheye"}, "distortion_model: found 'fisheye'"),
