@@ -179,7 +179,7 @@ def _picture(order: CloudOrder, found: ForeignCloud | None, grid: tuple[int, int
         if found is None or found.grey is None:
             raise SceneError(f"{order.file}: found no brightness of the points, expected --picture")
         return found.grey.reshape(grid)
-    picture = read_as_grey(order.picture)
+    picture = read_as_grey(order.picture, SceneError)
     if picture is None:
         raise SceneError(f"{order.picture}: found no readable picture, expected one of 8 or 16 bit")
     if picture.shape != grid:
@@ -192,7 +192,7 @@ def _picture(order: CloudOrder, found: ForeignCloud | None, grid: tuple[int, int
 
 def _size_of_picture(order: CloudOrder, count: int) -> tuple[int, int] | None:
     """The picture's rows and columns, where there are as many points."""
-    picture = read_as_grey(order.picture) if order.picture else None
+    picture = read_as_grey(order.picture, SceneError) if order.picture else None
     return (picture.shape[0], picture.shape[1]) if picture is not None and picture.size == count else None
 
 

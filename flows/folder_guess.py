@@ -57,7 +57,10 @@ def guess_folder(folder: Path) -> list[str]:
         Where there are no pictures, or none that show a pattern.
     """
     lines = write_pages(folder)
-    named = name_patterns(folder)
+    try:
+        named = name_patterns(folder)
+    except SceneError as problem:
+        raise SceneError(". ".join([str(problem), *lines])) from None
     patterns = [_look_at(folder, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
     shown = sorted(patterns[:_MOST_PATTERNS], key=lambda one: not one.across)
     joint = joint_pattern(folder, named)
@@ -66,7 +69,8 @@ def guess_folder(folder: Path) -> list[str]:
         if together.sound and (together.known or not any(one.known for one in patterns)):
             patterns = shown = [together]
     if not shown:
-        raise SceneError(f"{folder}: found no three pictures whose names differ in numbers alone, expected frames")
+        none = f"{folder}: found no three pictures whose names differ in numbers alone, expected frames"
+        raise SceneError(". ".join([none, *lines]))
     for one in shown:
         lines += one.lines
     if more := patterns[_MOST_PATTERNS:]:
@@ -161,9 +165,7 @@ def _in_order(found: dict[Path, dict[str, str]], camera: str) -> list[Path]:
 def _pictures(paths: Sequence[Path]) -> Iterator[NDArray]:
     shape = None
     for path in paths:
-        frame = (
-            read_as_grey(path) if can_be_turned(path) else read_frame(path, read_header(path, SceneError), SceneError)
-        )
+        frame = read_as_grey(path, SceneError) if can_be_turned(path) else _frame(path)
         if frame is None or shape not in (None, frame.shape):
             raise SceneError(f"{path}: found no picture of one size with the others, expected frames of one camera")
         shape = frame.shape

@@ -61,7 +61,7 @@ def _picture(cloud: Reconstruction, folder: Path, name: str | None) -> NDArray[n
         texture = np.nan_to_num(cloud.left.texture)
         bright = max(float(np.quantile(texture, 0.999)), 1e-9)
         return np.asarray(np.clip(texture / bright * 250, 0, 250).astype(np.uint8))
-    picture = read_as_grey(folder / name)
+    picture = read_as_grey(folder / name, SceneError)
     if picture is None or picture.shape != cloud.valid.shape:
         raise SceneError(f"--picture {name}: found no picture of the left camera's size in the scan's folder")
     return np.asarray(picture if picture.dtype == np.uint8 else (picture // 257).astype(np.uint8))

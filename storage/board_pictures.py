@@ -72,7 +72,7 @@ def picture_pairs(folder: Path, pattern: str, left: str | None = None) -> list[d
 
 def read_picture(path: Path) -> Frame:
     """A picture of a board in grey, whatever its format."""
-    picture = read_as_grey(path)
+    picture = read_as_grey(path, CalibrationError)
     if picture is None:
         raise CalibrationError(f"{path}: found no picture that can be read, expected PNG, TIFF, BMP or JPEG")
     return picture

@@ -103,6 +103,8 @@ def _is_frame(path: Path, folder: Path) -> bool:
     inside = path.relative_to(folder).parts
     if path.suffix.lower() not in PICTURES or path.name == SHEET or inside[0] == GREY or not path.is_file():
         return False
+    if any(part.startswith(".") for part in inside):  # other programs' notes, what a kill left of pages
+        return False
     return not pages_of(folder, path).is_dir()
 
 

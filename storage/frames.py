@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from metrology.errors import StoreError
 from storage import png, tiff
 from storage.documents import ErrorType, brief, check_regular_file, read_bytes
-from storage.frame_source import BadFrame, FrameSource, OtherFrame, open_source, source_of
+from storage.frame_source import BadFrame, FrameSource, OtherFrame, ShortFrame, open_source, source_of
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -114,11 +114,32 @@ def read_preview(path: Path) -> NDArray[np.uint8]:
     return np.asarray(texture, np.uint8)
 
 
-def read_as_grey(path: Path) -> Frame | None:
-    """A picture of any format in grey, with its own depth; None where it is none that can be read."""
-    picture = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    if picture is None or picture.dtype not in (np.uint8, np.uint16):
+def read_as_grey(path: Path, error: ErrorType) -> Frame | None:
+    """A picture of any format in grey, with its own depth; None where it is none that can be read.
+
+    Raises
+    ------
+    error
+        Where the file says that it is to be turned or mirrored, as OpenCV would: the rig has the sensor's pixels.
+    """
+    try:
+        with open_source(path) as source:
+            if source.take(0, 4) in tiff.SIGNATURES:
+                tiff.check_orientation(tiff.TiffDirectory.read(source))
+    except (ShortFrame, OSError):
         return None
+    except BadFrame as problem:
+        raise error(f"{path}: {problem}") from None
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR
+    picture, stored = (cv2.imread(str(path), flags | more) for more in (0, cv2.IMREAD_IGNORE_ORIENTATION))
+    if picture is None or stored is None or picture.dtype not in (np.uint8, np.uint16):
+        return None
+    if not np.array_equal(picture, stored):
+        raise error(
+            f"{path}: found an orientation in its Exif data by which it is to be turned or mirrored, expected pictures "
+            "as the sensor has them, of scans and of the rig's calibration alike; take the tag out of all of them "
+            "(exiftool -Orientation= FILES)"
+        )
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)  # of three equal channels: these, exactly
     return grey.astype(np.uint8) if picture.dtype == np.uint8 else grey.astype(np.uint16)
 

@@ -110,9 +110,9 @@ class Keeping:
         """Entries that a query gives, or that belong to what it asks for."""
         if old := self.only_old_log():
             return Review(tuple(filter(belongs, old.entries)), old.problem)
-        if self._untouched:
-            return Review()
         try:
+            if self._untouched:
+                return Review()
             with self.looking() as (connection, problem):
                 return Review(tuple(ask(connection)) if connection is not None else (), problem)
         except StoreError as problem:

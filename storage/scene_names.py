@@ -195,7 +195,7 @@ def as_grey(path: Path, folder: Path) -> tuple[Path, str | None]:
         read_header(path, SceneError)
         return path, None
     except SceneError as problem:
-        frame = read_as_grey(path) if can_be_turned(path) else None
+        frame = read_as_grey(path, SceneError) if can_be_turned(path) else None
         if frame is None:
             raise problem from None
     target = (folder / GREY / path.relative_to(folder)).with_suffix(".png")

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from metrology.errors import SceneError
-from storage.frames import FrameHeader, read_frame, read_header
+from storage.frames import FrameHeader, read_as_grey, read_frame, read_header
 
 HEIGHT, WIDTH = 40, 60
 
@@ -198,3 +199,20 @@ def test_a_bmp_whose_pixels_begin_in_its_palette_is_refused(tmp_path: Path) -> N
     content[10:14] = struct.pack("<I", struct.unpack("<I", content[10:14])[0] - 1)
     with pytest.raises(SceneError, match="BMP whose header contradicts itself"):
         read(tmp_path, bytes(content))
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "tif"])
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+@pytest.mark.parametrize("orientation", [2, 3, 6, 8])
+def test_pictures_that_are_to_be_turned_are_refused(kind: str, mode: str, orientation: int, tmp_path: Path) -> None:
+    tags = Image.Exif()
+    tags[274] = 1
+    image, path = Image.fromarray(picture(np.uint8)).convert(mode), tmp_path / f"x.{kind}"
+    image.save(path, exif=tags)
+    upright = read_as_grey(path, SceneError)
+    assert upright is not None
+    assert upright.shape == (HEIGHT, WIDTH)
+    tags[274] = orientation
+    image.save(path, exif=tags)
+    with pytest.raises(SceneError, match=f"x.{kind}: found .*orientation.*expected .*as the sensor has them"):
+        read_as_grey(path, SceneError)
