@@ -33,12 +33,15 @@ def measure_scan(folder: Path, rig: Rig, options: argparse.Namespace) -> tuple[l
     told = [one for one in found if one.unit == "mm" and one.nominal is None and not one.name.startswith("points")]
     if len(stated) > len(told):
         raise UsageError(f"--expected: found {len(stated)} lengths, expected at most {len(told)}: {_names(told)}")
+    for one, value in zip(told, stated, strict=False):
+        if value <= 0 and not one.name.startswith("step"):
+            raise UsageError(f"--expected: found {value:g} mm for {one.name}, expected more than 0")
     nominal = {one.name: value for one, value in zip(told, stated, strict=False)}
     lines, met = [], True
     for one in found:
         wanted = nominal.get(one.name, one.nominal)
-        off = None if wanted is None else 100 * (one.value / wanted - 1)
-        met &= wanted is None or off is None or abs(off) <= options.within or abs(one.value - wanted) <= one.u95
+        off = 100 * (one.value / wanted - 1) if wanted else None
+        met &= wanted is None or abs(one.value - wanted) <= max(one.u95, options.within / 100 * abs(wanted))
         met &= one.unit != "%" or abs(one.value) <= max(options.within, one.u95)
         lines.append(_told(one, wanted, off))
     return lines, met
@@ -78,7 +81,9 @@ def _cloud(folder: Path, rig: Rig) -> Reconstruction:
 
 def _told(one: Length, wanted: float | None, off: float | None) -> str:
     u95 = f" ± {one.u95:.4f}" if one.u95 else ""
-    against = "" if wanted is None else f" (stated {wanted:g}: {off:+.3f} %)"
+    against = (
+        "" if wanted is None else f" (stated {wanted:g})" if off is None else f" (stated {wanted:g}: {off:+.3f} %)"
+    )
     return f"  {one.name}: {one.value:.4f}{u95} {one.unit}{against}"
 
 

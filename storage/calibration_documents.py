@@ -70,10 +70,10 @@ def flat(document: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def numbers(value: Any) -> Array | None:
     """A value as an array of numbers, None where it is none."""
     try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):
+        array = None if np.iscomplexobj(value) else np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError):
         return None
-    return array if array.size else None
+    return array if array is not None and array.size else None
 
 
 def _document(path: Path) -> Any:

@@ -288,6 +288,8 @@ def turned(value: Array) -> Array:
     if _is_row(value, 4):
         from scipy.spatial.transform import Rotation
 
+        if not np.linalg.norm(value) > 0:
+            raise RigError("found a quaternion of 0 0 0 0, expected a turn")
         q = value.ravel() / np.linalg.norm(value)
         if max(abs(q[0]), abs(q[3])) < _SURE_W:
             raise RigError(

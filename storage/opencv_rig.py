@@ -172,7 +172,8 @@ def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Arra
         side = side_of_file([path.stem, path.parent.name], first) or (2 if "M1" in before and "M2" not in before else 1)
         return from_names(flat(document), side)
     except (KeyError, ValueError, TypeError, IndexError) as problem:
-        raise RigError(f"{path}: found no {problem}, expected a whole calibration") from None
+        what = f"no {problem}" if isinstance(problem, KeyError) else f"values that do not fit ({problem})"
+        raise RigError(f"{path}: found {what}, expected a whole calibration") from None
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None

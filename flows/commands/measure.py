@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 
@@ -27,7 +28,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         help="distances from each pixel of the left image to the next",
     )
     what.add_argument(
-        "--spheres", type=float, metavar="MM", help="diameters of spheres of about this one, from left to right, and "
+        "--spheres", type=_size, metavar="MM", help="diameters of spheres of about this one, from left to right, and "
         "distances of their centres",
     )  # fmt: skip
     what.add_argument(
@@ -36,9 +37,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     )  # fmt: skip
     what.add_argument("--board", metavar="BOARD", help="such as chessboard:9x6:25, as `calibrate` has it")
     parser.add_argument("--picture", metavar="FILE", help="in the scan's folder, that shows the board; else the frames")
-    parser.add_argument("--expected", type=float, nargs="+", default=[], metavar="MM", help="lengths, as they are said")
     parser.add_argument(
-        "--within", type=float, default=0.2, metavar="%", help="by how many per cent they may be off (default 0.2)"
+        "--expected", type=_number, nargs="+", default=[], metavar="MM", help="lengths, as they are said"
+    )
+    parser.add_argument(
+        "--within", type=_size, default=0.2, metavar="%", help="by how many per cent they may be off (default 0.2)"
     )
     parser.set_defaults(run=run)
 
@@ -59,6 +62,17 @@ def run(options: argparse.Namespace) -> int:
     return EXIT_DONE if held == len(options.scenes) else EXIT_SOME_FAILED
 
 
+def _number(text: str) -> float:
+    return _parts(text, "a number", 1)[0]
+
+
+def _size(text: str) -> float:
+    value = _number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected more than 0")
+    return value
+
+
 def _pixel(text: str) -> tuple[float, float]:
     return _parts(text, "column and row such as 812,617", 2)  # type: ignore[return-value]
 
@@ -72,6 +86,6 @@ def _parts(text: str, expected: str, count: int) -> tuple[float, ...]:
         parts = tuple(float(part) for part in text.split(","))
     except ValueError:
         parts = ()
-    if len(parts) != count:
+    if len(parts) != count or not all(map(math.isfinite, parts)):
         raise argparse.ArgumentTypeError(f"found {text!r}, expected {expected}")
     return parts

@@ -161,6 +161,7 @@ def _surface_point(cloud: Reconstruction, pixel: tuple[float, float]) -> tuple[A
     """Where a pixel's ray meets the plane through the points about it, and the standard deviation along the ray."""
     u, v = (round(part) for part in pixel)
     around = np.zeros(cloud.valid.shape, bool)
+    _check_inside(cloud, u, v, 1, 1, f"pixel {pixel[0]:g},{pixel[1]:g}")
     around[max(v - _WINDOW_PX, 0) : v + _WINDOW_PX + 1, max(u - _WINDOW_PX, 0) : u + _WINDOW_PX + 1] = True
     plane = _plane_of(cloud, around, f"pixel {pixel[0]:g},{pixel[1]:g}", shared=_SHARED)
     ray = cloud.rig.left.rays(np.array([pixel], float))[0]
@@ -172,8 +173,16 @@ def _surface_point(cloud: Reconstruction, pixel: tuple[float, float]) -> tuple[A
 def _face(cloud: Reconstruction, box: tuple[int, int, int, int]) -> _Plane:
     u, v, width, height = box
     inside = np.zeros(cloud.valid.shape, bool)
-    inside[max(v, 0) : v + height, max(u, 0) : u + width] = True
-    return _plane_of(cloud, inside, f"the box {u},{v},{width},{height}")
+    name = f"the box {u},{v},{width},{height}"
+    _check_inside(cloud, u, v, width, height, name)
+    inside[v : v + height, u : u + width] = True
+    return _plane_of(cloud, inside, name)
+
+
+def _check_inside(cloud: Reconstruction, u: int, v: int, width: int, height: int, name: str) -> None:
+    rows, columns = cloud.valid.shape
+    if min(u, v) < 0 or min(width, height) < 1 or u + width > columns or v + height > rows:
+        raise SceneError(f"found {name}, expected a place in the left image of {columns}×{rows} pixels")
 
 
 def _plane_of(cloud: Reconstruction, inside: NDArray[np.bool_], name: str, shared: float | None = None) -> _Plane:

@@ -33,6 +33,13 @@ def measured(folder: Path, rig: Rig, *more: str) -> int:
     return main(["measure", str(folder / "scan"), "--rig", str(folder / "rig.json"), *more])
 
 
+def refused(folder: Path, rig: Rig, *more: str) -> bool:
+    try:
+        return measured(folder, rig, *more) == 2
+    except SystemExit as left:
+        return left.code == 2
+
+
 def test_a_published_distance_tells_a_wrong_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, code = replace(small_rig(), projector=None), FringeCode("x", 4, (13, 12, 11))
     left, right = plane_scan(small_rig(), code, np.random.default_rng(5), 1.0)
@@ -54,6 +61,17 @@ def test_a_published_distance_tells_a_wrong_scale(tmp_path: Path, capsys: pytest
     with pytest.raises(SystemExit):
         measured(tmp_path, rig, "--faces", "1,2,3")
     assert "expected column, row, width, height such as 100,80,60,40" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        measured(tmp_path, rig, "--points", "nan,90", "230,160")
+    for value in ("nan", "-3"):
+        assert refused(tmp_path, rig, *points, "--expected", value)
+    assert measured(tmp_path, rig, "--points", "110,-20", "230,160") == 2
+    assert "found pixel 110,-20, expected a place in the left image of 320×240 pixels" in capsys.readouterr().err
+    faces = ("--faces", "60,60,40,40", "180,120,40,40")
+    assert measured(tmp_path, rig, *faces, "--expected", "0") in (0, 1)  # whether noise keeps to U95 is another test's
+    assert "(stated 0)" in capsys.readouterr().out
+    assert measured(tmp_path, rig, "--faces", "60,-50,40,10", "180,120,40,40") == 2
+    assert "found the box 60,-50,40,10, expected a place in the left image" in capsys.readouterr().err
 
 
 def grained_scan(folder: Path) -> None:

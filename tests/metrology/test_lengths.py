@@ -79,7 +79,12 @@ def test_where_nothing_is_seen_nothing_is_measured() -> None:
     empty = replace(seen, points=np.full_like(seen.points, np.nan))
     with pytest.raises(SceneError, match="found 0 points at pixel 40,90"):
         point_lengths(empty, [(40.0, 90.0), (260.0, 150.0)])
-    with pytest.raises(SceneError, match="found 0 points at the box 500,40,9,9"):
-        face_lengths(seen, [(500, 40, 9, 9), (1, 1, 9, 9)])
+    with pytest.raises(SceneError, match="found 0 points at the box 50,40,9,9"):
+        face_lengths(empty, [(50, 40, 9, 9), (1, 1, 9, 9)])
+    for box in ((500, 40, 9, 9), (40, -60, 9, 20), (40, 60, -3, 9)):  # rows -60 to -40 are not counted from below
+        with pytest.raises(SceneError, match=f"found the box {','.join(map(str, box))}, expected a place in the left"):
+            face_lengths(seen, [box, (1, 1, 9, 9)])
+    with pytest.raises(SceneError, match="found pixel 40,-20, expected a place in the left image of 320×240"):
+        point_lengths(seen, [(40.0, -20.0), (260.0, 150.0)])
     with pytest.raises(SceneError, match="found no sphere of 20 mm"):
         sphere_lengths(seen, 20.0)

@@ -126,6 +126,27 @@ def test_another_convention_is_refused_on_import(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            '{"K1": %(K)s, "D1": %(D)s, "K2": %(K)s, "D2": %(D)s, "q": [0, 0, 0, 0], "T": [-120, 0, 0]}',
+            "0 0 0 0, expected",
+        ),
+        (
+            '{"K1": %(K)s, "D1": %(D)s, "K2": %(K)s, "D2": %(D)s, "R": [0, 0, 0], "T": [1%(zeros)s, 0, 0]}',
+            "found no T, exp",
+        ),
+    ],
+)
+def test_numbers_that_are_none_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "rig.json").write_text(
+        text % {"K": [[1200, 0, 640], [0, 1200, 512], [0, 0, 1]], "D": [-0.1, 0.05, 0, 0, 0], "zeros": 400 * "0"}
+    )
+    with pytest.raises(RigError, match=said):
+        load_opencv_rig([tmp_path / "rig.json"], "cv", WHEN, (1280, 1024))
+
+
 def test_a_rotation_that_is_none_is_taken_from_the_rectification(tmp_path: Path, rig: Rig) -> None:
     """OpenCV's own test data hold P2 under the name of R."""
     left, right = rig.left, rig.with_right()
