@@ -53,16 +53,19 @@ def test_line_of_the_picture_along_an_edge_is_found_once(rng):
     assert len(detect_seams(scan, ())) == 1
 
 
-@pytest.mark.parametrize(("step", "lines"), [(0.8, 1), (0.0, 2)])
-def test_pieces_of_a_line_are_one_where_the_step_runs_on_between_them(step, lines, rng):
+@pytest.mark.parametrize(("step", "turns", "lines"), [(0.8, False, 1), (0.0, False, 2), (0.8, True, 2)])
+def test_pieces_of_a_line_are_one_where_the_step_runs_on_between_them(step, turns, lines, rng):
+    """One joint; nothing between; and where the second piece begins, the other skin is on top."""
     band = Band((450.0, 350.0), 80.0, 4.0, 0.0)
     scan = seam_scan([band], [Relief(0.0, step)], rng)
-    along = np.arange(-260.0, 260.0)
-    course = np.array([450.0, 350.0]) + along[:, None] * [np.cos(np.deg2rad(80.0)), np.sin(np.deg2rad(80.0))]
-    seen = found_relief.Relief(skin_share=1.0, groove_share=0.9, step_mm=0.8, step_share=1.0)
-    pieces = [
-        (SeamLine("", piece, np.full(len(piece), 4.0), 0.9, True), seen) for piece in (course[:200][::-1], course[316:])
+    course = np.array([450.0, 350.0]) + np.arange(-260.0, 260.0)[:, None] * [
+        np.cos(np.deg2rad(80.0)),
+        np.sin(np.deg2rad(80.0)),
     ]
+    pieces = []
+    for piece, forward in ((course[:200][::-1], -1), (course[316:], -1 if turns else 1)):
+        relief = found_relief.Relief(skin_share=1.0, groove_share=0.9, step_mm=0.8 * forward, step_share=1.0)
+        pieces.append((SeamLine("", piece, np.full(len(piece), 4.0), 0.9, True), relief))
     found = bridged(pieces, scan, scan.valid, SeamSettings())
     assert len(found) == lines
     if lines == 1:

@@ -37,10 +37,9 @@ def bridged(
     pieces = list(seams)
     while True:
         for a, b in combinations(range(len(pieces)), 2):
-            line = _one_line(pieces[a], pieces[b], reconstruction, usable, settings)
-            if line is not None:
-                relief = max(pieces[a][1], pieces[b][1], key=lambda one: one.share)
-                pieces = [piece for k, piece in enumerate(pieces) if k not in (a, b)] + [(line, relief)]
+            joined = _one_line(pieces[a], pieces[b], reconstruction, usable, settings)
+            if joined is not None:
+                pieces = [piece for k, piece in enumerate(pieces) if k not in (a, b)] + [joined]
                 break
         else:
             return pieces
@@ -52,12 +51,13 @@ def _one_line(
     reconstruction: Reconstruction,
     usable: Mask,
     settings: SeamSettings,
-) -> SeamLine | None:
+) -> tuple[SeamLine, Relief] | None:
     """Both pieces with what lies between them, where that is the same step."""
-    height = abs(one[1].step_mm), abs(other[1].step_mm)
-    if min(height) < LEAST_STEP_MM or abs(height[0] - height[1]) > _UNLIKE * max(height):
+    (first, before), (second, behind) = _facing(one, other)
+    if min(abs(before), abs(behind)) < LEAST_STEP_MM:
         return None
-    first, second = _facing(one[0], other[0])
+    if abs(before - behind) > _UNLIKE * max(abs(before), abs(behind)):  # of other sign: the other skin is on top
+        return None
     gap = second.centre_px[0] - first.centre_px[-1]
     longest = _LONGEST_PX + 0.5 * min(len(first.centre_px), len(second.centre_px))
     across = np.cos(np.deg2rad(settings.lines.max_bend_deg))
@@ -67,29 +67,34 @@ def _one_line(
     if course is None:
         return None
     relief = examine_relief(course, _BLUR_PX, reconstruction, usable, settings)
-    unlike = max(abs(abs(relief.step_mm) - step) for step in height)
-    if relief.step_share < _SHARE or unlike > _UNLIKE * max(height):
+    unlike = max(abs(relief.step_mm - step) for step in (before, behind))
+    if relief.step_share < _SHARE or unlike > _UNLIKE * max(abs(before), abs(behind)):
         return None
     forward = course[(course - first.centre_px[-1]) @ gap > 0]
     inner = forward[(second.centre_px[0] - forward) @ gap > 0]
     between = resample(np.concatenate([first.centre_px[-1:], inner, second.centre_px[:1]]), 1.0)[1:-1]
     width = np.full(len(between), 0.5 * (np.nanmedian(first.width_px) + np.nanmedian(second.width_px)))
-    return replace(
+    line = replace(
         first,
         centre_px=np.concatenate([first.centre_px, between, second.centre_px]),
         width_px=np.concatenate([first.width_px, width, second.width_px]),
         confidence=min(first.confidence, second.confidence),
     )
+    return line, replace(max(one[1], other[1], key=lambda found: found.share), step_mm=before)
 
 
-def _facing(one: SeamLine, other: SeamLine) -> tuple[SeamLine, SeamLine]:
-    """Both lines, turned so that the second one begins nearest to where the first one ends."""
-    turned = [(a, b) for a in (one, _reversed(one)) for b in (other, _reversed(other))]
-    return min(turned, key=lambda pair: float(np.hypot(*(pair[1].centre_px[0] - pair[0].centre_px[-1]))))
+def _facing(
+    one: tuple[SeamLine, Relief], other: tuple[SeamLine, Relief]
+) -> tuple[tuple[SeamLine, float], tuple[SeamLine, float]]:
+    """Both lines and their steps, mm, turned so that the second one begins nearest to where the first one ends."""
+    turned = [(a, b) for a in _both_ways(*one) for b in _both_ways(*other)]
+    return min(turned, key=lambda pair: float(np.hypot(*(pair[1][0].centre_px[0] - pair[0][0].centre_px[-1]))))
 
 
-def _reversed(line: SeamLine) -> SeamLine:
-    return replace(line, centre_px=line.centre_px[::-1], width_px=line.width_px[::-1])
+def _both_ways(line: SeamLine, relief: Relief) -> tuple[tuple[SeamLine, float], tuple[SeamLine, float]]:
+    """As it is, and from its other end, from where the sides are exchanged."""
+    back = replace(line, centre_px=line.centre_px[::-1], width_px=line.width_px[::-1])
+    return (line, relief.step_mm), (back, -relief.step_mm)
 
 
 def _cosine(gap: Array, line: SeamLine) -> float:
