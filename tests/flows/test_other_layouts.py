@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from flows.cli import main
 from metrology.fringe import FringeCode, GrayCode
@@ -163,3 +164,20 @@ def test_sixteen_bits_of_noise_are_no_contradiction(tmp_path: Path) -> None:
     save(tmp_path, views, [f"{{camera}}/{count}_{step}.png" for count in (7, 6, 5) for step in range(4)])  # type: ignore[arg-type]
     arguments = ["--pattern", "{camera}/{count}_{step}.png", "--counts", "7", "6", "5", "--rig", "small"]
     assert main(["scene", "new", str(tmp_path), *arguments]) == 0
+
+
+def test_pictures_that_are_to_be_turned_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tags = Image.Exif()
+    tags[274] = 3
+    for side, frames in scan(HETERODYNE).items():
+        (tmp_path / side).mkdir()
+        for number, frame in enumerate(frames):
+            Image.fromarray(frame).save(tmp_path / side / f"{number:02d}.jpg", quality=98, exif=tags)
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "00.jpg: found an orientation in its Exif data by which it is to be turned" in said
+    assert "flushline scene new" not in said
+    command = ["--pattern", "{camera}/{frame}.jpg", "--counts", "7", "6", "5", "--rig", "small"]
+    assert main(["scene", "new", str(tmp_path), *command]) == 2
+    assert "00.jpg: found an orientation in its Exif data" in capsys.readouterr().err
+    assert not (tmp_path / "scene.json").exists()
