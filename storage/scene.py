@@ -85,6 +85,10 @@ class Scene:
 
     def read(self, camera: Camera, executor: Executor | None = None) -> FrameStack:
         """Decode one camera's frames, shaped as `frames` has them, with the checksums of their files."""
+        if camera not in self.headers:
+            raise SceneError(
+                f"{self.folder / MANIFEST}: found no frames of the {camera} camera, expected both cameras'"
+            )
         paths, header = getattr(self, camera), self.headers[camera]
         stack = read_stack(paths, header, SceneError, executor)
         shape = (len(self.exposures), self.code.frames, header.height, header.width)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,3 +101,17 @@ def test_a_check_says_what_two_cameras_would_not_show(tmp_path: Path, capsys: py
     assert "a wrong distance between the cameras (all lengths); flushline measure tells" in said
     assert main(["rig", "check", str(tmp_path / "whole.json"), str(tmp_path / "scan")]) == 0
     assert "not shown" not in capsys.readouterr().out
+
+
+def test_a_check_asks_for_both_cameras(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_rig(small_rig(), tmp_path / "rig.json")
+    code = FringeCode("x", 4, (13, 12, 11))
+    left, right = plane_scan(small_rig(), code, np.random.default_rng(5), 1.0)
+    key = SceneKey("A", "P", "S", moment_of("2026-11-01T00:00:00Z"))
+    write_scene(tmp_path / "scan", key, "small", code, (1.0,), left, right)
+    manifest = tmp_path / "scan" / "scene.json"
+    document = json.loads(manifest.read_text())
+    del document["frames"]["right"]
+    manifest.write_text(json.dumps(document))
+    assert main(["rig", "check", str(tmp_path / "rig.json"), str(tmp_path / "scan")]) == 2
+    assert "found no frames of the right camera, expected both cameras'" in capsys.readouterr().err
