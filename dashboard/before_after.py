@@ -12,15 +12,10 @@ from numpy.typing import NDArray
 from dashboard.data import Archive
 from dashboard.panel_changes import rework_of
 from dashboard.panels import PanelView
-from dashboard.pictures import around, load_picture
-from dashboard.scenes import load_features, load_scene_row
+from dashboard.scenes import load_features, load_scene_row, surroundings
 from metrology.kinds import BY_NAME, Kind
 from storage.archive.work import NEAR_MM
 from storage.review import Feature
-
-_REACH = 90 / 1624
-"""Of a picture around its feature, of the whole picture's width."""
-_LEAST_PX = 20.0
 
 
 @dataclass(frozen=True)
@@ -80,11 +75,7 @@ def _newest(archive: Archive, scene: Any) -> Any | None:
 def _side(archive: Archive, scene: Any, work: Any) -> Side:
     kind = BY_NAME[str(work.feature_kind)]
     row = _found(kind, load_features(archive, scene, [kind])[kind.name], str(work.name), work.at_mm)
-    if row is None or pd.isna(row.u_px) or pd.isna(row.v_px):
-        return Side(scene, row, None)
-    picture = load_picture(archive.file(scene.preview_path))
-    reach = max(_LEAST_PX, _REACH * picture.shape[1])
-    return Side(scene, row, around(picture, float(row.u_px), float(row.v_px), reach))
+    return Side(scene, row, surroundings(archive, scene, row))
 
 
 def _found(kind: Kind, rows: pd.DataFrame, name: str, at_mm: float) -> Any | None:
