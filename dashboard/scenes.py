@@ -28,8 +28,17 @@ _LEAST_PX = 20.0
 
 def load_scene_row(archive: Archive, scene_id: str) -> Any | None:
     """The row of `scenes`; None where there is no such scene."""
-    rows = archive.rows(f"SELECT {_names(SCENES)} FROM scenes WHERE scene_id = ?", [scene_id])
-    return next(rows.itertuples(), None)
+    return next(iter(load_scene_rows(archive, [scene_id])), None)
+
+
+def load_scene_rows(archive: Archive, scene_ids: Sequence[str]) -> list[Any]:
+    """The rows of `scenes` in this order; scenes that there are not are left out."""
+    if not scene_ids:
+        return []
+    among = ", ".join("?" * len(scene_ids))
+    rows = archive.rows(f"SELECT {_names(SCENES)} FROM scenes WHERE scene_id IN ({among})", scene_ids)
+    found = {str(row.scene_id): row for row in rows.itertuples()}
+    return [found[scene_id] for scene_id in scene_ids if scene_id in found]
 
 
 def load_features(archive: Archive, scene: Any, kinds: Sequence[Kind] = KINDS) -> SceneFeatures:

@@ -48,7 +48,7 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
     scenes = [scene for scene in scenes if scene.scene_id not in review.sign_offs()]
     if review.problem or not context.person.may_review or not scenes:
         return
-    standings = {str(scene.scene_id): context.archive.standings(scene.scene_id) for scene in scenes}
+    standings = context.archive.standings_of([str(scene.scene_id) for scene in scenes])
     found = [standing for of_scene in standings.values() for standing in of_scene]
     left = any(standing.state in UNRESOLVED for standing in found)
     shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]

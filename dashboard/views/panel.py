@@ -29,7 +29,7 @@ from dashboard.panels import (
 from dashboard.picking import clickable_chart
 from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
-from dashboard.scenes import load_features, load_scene_row, worst_feature
+from dashboard.scenes import load_features, load_scene_row, load_scene_rows, worst_feature
 from dashboard.seam_course import seam_names
 from dashboard.signing import offer_sign_off_of
 from dashboard.views.feature import close_up
@@ -107,7 +107,7 @@ def _newest(context: PageContext, aircraft: str, panel: str) -> list[Any]:
         "SELECT scene_id FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? ORDER BY station",
         [aircraft, panel],
     )
-    return [row for name in rows["scene_id"] if (row := load_scene_row(context.archive, str(name))) is not None]
+    return load_scene_rows(context.archive, [str(name) for name in rows["scene_id"]])
 
 
 def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str) -> None:
