@@ -133,7 +133,10 @@ def say_signed(context: PageContext, signed: Entry) -> None:
     said = _(
         "Signed off by {who}, {at}: this scan is locked.", who=plain(signed.who), at=context.locale.time(signed.at)
     )
-    st.info(" ".join(part for part in (said, plain(remarks(signed, _))) if part), icon=":material/lock:")
+    st.info(
+        " ".join(part for part in (said, plain(remarks(signed, _, context.locale.reason))) if part),
+        icon=":material/lock:",
+    )
 
 
 def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> None:

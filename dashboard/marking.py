@@ -117,7 +117,7 @@ def _take_back(context: PageContext, mark: Entry) -> None:
 
 def _said(mark: Entry) -> str:
     name = f"{mark.feature.id}: " if mark.feature else ""
-    return f"{name}{_(mark.what)} ({said})" if (said := remarks(mark, _)) else f"{name}{_(mark.what)}"
+    return f"{name}{_(mark.what)} ({said})" if (said := remarks(mark, _, _)) else f"{name}{_(mark.what)}"
 
 
 def _marks_about(context: PageContext, shown: ShownFinding) -> list[Entry]:

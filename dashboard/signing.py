@@ -18,19 +18,17 @@ from dashboard.access import Person
 from dashboard.deciding import attempt, checksum_of, hint, who_decides
 from dashboard.findings import standings_words
 from dashboard.frame import PageContext, plain
-from dashboard.words import N_, _
+from dashboard.words import _
 from storage.archive.decisions import sign_off_all
 from storage.archive.work import UNRESOLVED
 from storage.review import Entry, Review, ShownScene
-from storage.review_details import Confirmation, Signature
-
-_SCAN_RELEASED = N_("every finding of the scan is decided, and no work is open")
+from storage.review_details import SCAN_RELEASED, Confirmation, Signature
 
 
 def offer_sign_off(context: PageContext, scene: Any) -> None:
     """The sign-off of a scan, with the decisions that it would lock."""
     place = plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}")
-    offer_sign_off_of(context, [scene], place, _SCAN_RELEASED)
+    offer_sign_off_of(context, [scene], place, SCAN_RELEASED)
 
 
 def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, meaning: str) -> None:
@@ -57,7 +55,7 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
         decided = {e.number: e for (scene_id, __), e in review.current().items() if scene_id in standings}
         taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
         st.markdown(_("Scanned {taken}, {decisions}.", taken=taken, decisions=_counted(list(decided.values()))))
-        st.markdown(_("Says: **{meaning}**", meaning=plain(_(meaning))))
+        st.markdown(_("Says: **{meaning}**", meaning=plain(context.locale.reason(meaning))))
         st.caption(_("Its dispositions cannot be changed afterwards."))
         _signature_form(context, shown, place, meaning, key)
     if left:

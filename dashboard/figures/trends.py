@@ -19,6 +19,8 @@ from dashboard.words import N_, _
 from metrology.statistics import ControlChart, ParetoBar
 from metrology.tolerance import Limit
 
+_MOST_LEVEL = 8  # names below bars; more stand aslant
+
 
 def control_figure(
     rows: pd.DataFrame,
@@ -210,7 +212,7 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
             "dtick": 0.2,
         }
     )
-    fig.update_xaxes(type="category", tickangle=-60)
+    fig.update_xaxes(type="category", tickangle=-60 if len(bars) > _MOST_LEVEL else 0)
     fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})
     return fig
 
@@ -235,7 +237,7 @@ def yield_figure(yields: Sequence[Yield], locale: Locale, height: int = 300) -> 
         hovertemplate="%{x}: %{y:.1%} (%{customdata[0]} / %{customdata[1]})<extra></extra>",
         name=_("passed at once"),
     )
-    fig.update_xaxes(type="category", tickangle=-60 if len(yields) > 8 else 0)
+    fig.update_xaxes(type="category", tickangle=-60 if len(yields) > _MOST_LEVEL else 0)
     fig.update_yaxes(title=_("first-pass yield"), range=[0, 1.02], tickformat=".0%")
     return fig
 

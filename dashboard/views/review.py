@@ -374,7 +374,7 @@ def _history(context: PageContext, shown: ShownFinding) -> None:
         if entry.scene_id == shown.scene_id and (entry.action == "sign-off" or entry.feature == shown.feature)
     ]
     for entry in entries[-4:]:
-        said = remarks(entry, _)
+        said = remarks(entry, _, context.locale.reason)
         comment = f" · {plain(said)}" if said else ""
         earlier = "" if entry.run_id == shown.run_id else " · " + _("on another run of this scan")
         said = _("**{what}** by {who}", what=_(entry.what), who=plain(entry.who))
