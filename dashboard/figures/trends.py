@@ -19,6 +19,7 @@ from dashboard.words import N_, _
 from metrology.statistics import ControlChart, ParetoBar
 from metrology.tolerance import Limit
 
+_MOST_NAMES = 150
 _MOST_LEVEL = 8  # names below bars; more stand aslant
 
 
@@ -286,8 +287,14 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
     )
     for station, part in rows.groupby("station"):
         fig.add_annotation(
-            x=part["x"].mean(), y=part["y"].max(), text=escape(station), showarrow=False, yshift=16, font={"size": 12}
+            x=part["x"].mean(), y=part["y"].max(), text=escape(station), showarrow=False, yshift=30, font={"size": 12}
         )
-    fig.update_xaxes(visible=False)
-    fig.update_yaxes(visible=False, scaleanchor="x")
+    named = rows.drop_duplicates(["station", "named"]).head(_MOST_NAMES)  # a seam's where it begins
+    fig.add_scatter(
+        x=named["x"], y=named["y"], mode="text", text=[f"{escape(name)}<br> " for name in named["named"]],
+        textposition="top center", textfont={"size": 10, "color": INK}, hoverinfo="skip", showlegend=False,
+    )  # fmt: skip
+    in_mm = bool(rows.attrs.get("registered"))
+    fig.update_xaxes(visible=in_mm, title="x, mm", showgrid=False, constrain="domain")
+    fig.update_yaxes(visible=in_mm, title="y, mm", showgrid=False, scaleanchor="x")
     return fig

@@ -176,9 +176,8 @@ def test_work_that_no_later_scan_shows_has_no_after(nights: Path, tmp_path: Path
 
 def test_a_position_is_the_same_where_it_is_near() -> None:
     rows = pd.DataFrame({"seam_id": ["M1", "M1", "M2"], "s_mm": [10.0, 12.0, 10.9]})
-    assert named(SEAM_STATION, rows, "M1", 11.2).s_mm == 12.0
-    assert named(SEAM_STATION, rows, "M2", 10.0).s_mm == 10.9
-    assert named(SEAM_STATION, rows, "M1", 14.0) is None
+    found: list[Any] = [named(SEAM_STATION, rows, *place) for place in (("M1", 11.2), ("M2", 10.0), ("M1", 14.0))]
+    assert [row and row.s_mm for row in found] == [12.0, 10.9, None]
 
 
 def test_the_same_place_on_other_aircraft_and_other_nights(filled: Path, open_page: Open) -> None:
@@ -205,7 +204,7 @@ def test_a_place_is_known_by_the_panel_s_frame_or_else_by_its_name(
     assert scans_of_place(archive, found.scene, ("MSN-0421", "MSN-0425"))["aircraft_serial"].tolist() == [
         name for name in AIRCRAFT if name != "MSN-0421"
     ]  # its own stays
-    other = load_scene_row(archive, str(scenes["scene_id"].iloc[0]))
+    other: Any = load_scene_row(archive, str(scenes["scene_id"].iloc[0]))
     there = at_same_place(archive, found, other)
     assert (there.feature, there.by_name) == (found.feature, True)
     for own, its in (("not recognised", None), (None, "not recognised")):
