@@ -228,7 +228,8 @@ def who_decides(context: PageContext) -> str:
 def _record(context: PageContext, shown: tuple[ShownFinding, ...], key: str, comment_key: str, done: Done) -> None:
     disposition, who = st.session_state.get(f"disposition-{key}"), who_decides(context)
     if not disposition or not who:
-        hint(_("Choose a disposition and give your name."))
+        missing = _("Choose a disposition.") if who else _("Give your name.")
+        hint(missing if disposition or who else _("Choose a disposition and give your name."))
         return
     asked = _numbers_asked(context, disposition)
     numbers = Numbers(**{name: _typed(f"{name}-{key}") for name in asked})

@@ -183,6 +183,8 @@ def _nothing(context: PageContext, wanted: Wanted) -> None:
 def _empty(wanted: Wanted) -> list[Name]:
     if wanted.state == OPEN and wanted.decisions and wanted.kinds:
         st.success(_("Nothing waits here: no open finding matches these filters."), icon=":material/check:")
+    elif wanted.decisions and wanted.kinds:
+        st.info(_("Nothing matches these filters. Clear one of them, or choose another state, to see more."))
     else:
         st.info(_("Nothing matches these filters. Choose at least one verdict and one kind of feature."))
     return []
