@@ -25,7 +25,7 @@ from dashboard.words import ENGLISH, LANGUAGES, po_file
 from metrology.acceptance import PanelVerdict
 from metrology.assembly.rows import CHANGES as PANEL_CHANGES
 from metrology.kinds import KINDS, LIMITS
-from metrology.overlay.words import TEXTS as OVERLAY_TEXTS
+from metrology.overlay.words import OVERLAY_TEXTS
 from metrology.statistics import NELSON_RULES, WESTERN_ELECTRIC_RULES
 from metrology.steps import TIMED
 from metrology.tolerance import RULE

@@ -17,7 +17,7 @@ NOTES = (
 VALUES, ORDER, NEARER = "values in mm", "before and after the bar", "nearer to a limit than its uncertainty"
 NOT_MEASURED, BEYOND = "not measured", "beyond the picture"
 NO_PROJECTOR, WORK_ALONE = "LEFT CAMERA - NOT FOR PROJECTION", "OPEN WORK ONLY"
-TEXTS = (
+OVERLAY_TEXTS = (
     *NOTES, *(look.short for look in SEVERITIES.values()), VALUES, ORDER, NEARER, NOT_MEASURED, BEYOND, NO_PROJECTOR,
     WORK_ALONE,
 )  # fmt: skip
