@@ -287,6 +287,8 @@ def standings_of(
     connection: duckdb.DuckDBPyConnection, review: Review, scene_ids: Sequence[str]
 ) -> dict[str, tuple[Standing, ...]]:
     """How each finding of some scenes stands, by the scene and in the order of their names."""
+    if not scene_ids:
+        return {}
     register(connection, review)
     among = f"scene_id IN ({', '.join('?' * len(scene_ids))})"
     sql = findings_sql(near=among, scenes=among, newest="true")
