@@ -35,7 +35,7 @@ _STYLE = """<style>
 @media (max-width: 1100px) {
   [data-testid="stMetricValue"] {font-size: 1.1rem;}
   [data-testid="stMetricLabel"] p {font-size: 0.7rem; white-space: normal;}
-  .st-key-finding.st-key-finding {max-height: max(175px, calc(100vh - 605px));}
+  .st-key-finding.st-key-finding {max-height: max(175px, calc(100vh - 565px));}
   [data-testid="stTopNavLink"][data-testid="stTopNavLink"] {padding: 4px 5px;}
   [data-testid="stTopNavLink"] span {font-size: 13px;}
   [data-testid="stButtonGroup"] > div {flex-wrap: wrap; mask-image: none; -webkit-mask-image: none;}

@@ -6,21 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from dashboard.data import Archive
 from dashboard.panel_changes import rework_of
 from dashboard.panels import PanelView
-from dashboard.pictures import around, load_picture
-from dashboard.scenes import load_features, load_scene_row
-from metrology.kinds import BY_NAME, Kind
-from storage.archive.work import NEAR_MM
+from dashboard.same_place import named, same_names
+from dashboard.scenes import load_features, load_scene_row, surroundings
+from metrology.kinds import BY_NAME
 from storage.review import Feature
-
-_REACH = 90 / 1624
-"""Of a picture around its feature, of the whole picture's width."""
-_LEAST_PX = 20.0
 
 
 @dataclass(frozen=True)
@@ -48,11 +42,8 @@ class BeforeAfter:
     @property
     def same_names(self) -> bool:
         """Whether a name means the same feature on both scans: the panel was recognised on each."""
-        return not any(
-            side.scene.registration == "not recognised"
-            or (str(getattr(side.row, "feature_id", "")).startswith("X") and (side.scene.n_unlisted or 0) > 0)
-            for side in (self.before, self.after)
-        )
+        sides = (self.before, self.after)
+        return all(same_names(side.scene, str(getattr(side.row, "feature_id", ""))) for side in sides)
 
 
 def before_and_after(archive: Archive, view: PanelView, chosen: Feature) -> BeforeAfter | None:
@@ -79,19 +70,5 @@ def _newest(archive: Archive, scene: Any) -> Any | None:
 
 def _side(archive: Archive, scene: Any, work: Any) -> Side:
     kind = BY_NAME[str(work.feature_kind)]
-    row = _found(kind, load_features(archive, scene, [kind])[kind.name], str(work.name), work.at_mm)
-    if row is None or pd.isna(row.u_px) or pd.isna(row.v_px):
-        return Side(scene, row, None)
-    picture = load_picture(archive.file(scene.preview_path))
-    reach = max(_LEAST_PX, _REACH * picture.shape[1])
-    return Side(scene, row, around(picture, float(row.u_px), float(row.v_px), reach))
-
-
-def _found(kind: Kind, rows: pd.DataFrame, name: str, at_mm: float) -> Any | None:
-    """The row of that name; of positions the nearest one, where it is near."""
-    column, *positions = kind.id_columns
-    rows = rows[rows[column] == name]
-    if positions:
-        distance = (rows[positions[0]] - at_mm).abs().sort_values()
-        rows = rows.loc[distance[distance <= NEAR_MM].index]
-    return next(rows.itertuples(), None)
+    row = named(kind, load_features(archive, scene, [kind])[kind.name], str(work.name), work.at_mm)
+    return Side(scene, row, surroundings(archive, scene, row))

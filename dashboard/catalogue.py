@@ -25,6 +25,7 @@ from dashboard.words import ENGLISH, LANGUAGES, po_file
 from metrology.acceptance import PanelVerdict
 from metrology.assembly.rows import CHANGES as PANEL_CHANGES
 from metrology.kinds import KINDS, LIMITS
+from metrology.overlay.words import OVERLAY_TEXTS
 from metrology.statistics import NELSON_RULES, WESTERN_ELECTRIC_RULES
 from metrology.steps import TIMED
 from metrology.tolerance import RULE
@@ -80,6 +81,7 @@ def declared() -> Iterator[str]:
     yield from (*get_args(PanelVerdict), *PANEL_CHANGES, *panel_rework.STATES)
     yield from (
         *CHANGES,
+        *OVERLAY_TEXTS,
         WAITING,
         OPEN_WORK,
         DECIDED,

@@ -26,7 +26,7 @@ from storage.archive.decisions import shown_finding
 from storage.archive.known_defects import Accepted, accepted_before
 from storage.archive.older import cover
 from storage.archive.store import Store
-from storage.archive.work import Standing, noticed_sql, reviewed_features, signed_scenes, standings
+from storage.archive.work import Standing, noticed_sql, reviewed_features, signed_scenes, standings_of
 from storage.cloud import StoredCloud
 from storage.documents import read_json
 from storage.fits import StoredFits, read_fits
@@ -98,7 +98,13 @@ class Archive:
 
     def standings(self, scene_id: str) -> tuple[Standing, ...]:
         """How the findings of a scene stand."""
-        return _standings(str(self.root), self.generation, self._review_version, scene_id)
+        return self.standings_of([scene_id])[scene_id]
+
+    def standings_of(self, scene_ids: Sequence[str]) -> Mapping[str, tuple[Standing, ...]]:
+        """How the findings of some scenes stand, by the scene; one question for all of them."""
+        if not scene_ids:
+            return {}
+        return _standings(str(self.root), self.generation, self._review_version, tuple(scene_ids))
 
     def accepted(self, scene_id: str) -> Mapping[str, Accepted]:
         """Defects of a scene that were accepted on an earlier one, by their ids."""
@@ -213,10 +219,12 @@ def _shown(
 
 
 @st.cache_data(max_entries=_CACHED_QUERIES, show_spinner=False)
-def _standings(root: str, generation: str, version: tuple[int, ...], scene_id: str) -> tuple[Standing, ...]:
+def _standings(
+    root: str, generation: str, version: tuple[int, ...], scene_ids: tuple[str, ...]
+) -> dict[str, tuple[Standing, ...]]:
     cursor = _cursor(root, generation)
     try:
-        return standings(cursor, _review(root, version), scene_id)
+        return standings_of(cursor, _review(root, version), scene_ids)
     finally:
         cursor.close()
 

@@ -133,7 +133,10 @@ def say_signed(context: PageContext, signed: Entry) -> None:
     said = _(
         "Signed off by {who}, {at}: this scan is locked.", who=plain(signed.who), at=context.locale.time(signed.at)
     )
-    st.info(" ".join(part for part in (said, plain(remarks(signed, _))) if part), icon=":material/lock:")
+    st.info(
+        " ".join(part for part in (said, plain(remarks(signed, _, context.locale.reason))) if part),
+        icon=":material/lock:",
+    )
 
 
 def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> None:
@@ -225,7 +228,8 @@ def who_decides(context: PageContext) -> str:
 def _record(context: PageContext, shown: tuple[ShownFinding, ...], key: str, comment_key: str, done: Done) -> None:
     disposition, who = st.session_state.get(f"disposition-{key}"), who_decides(context)
     if not disposition or not who:
-        hint(_("Choose a disposition and give your name."))
+        missing = _("Choose a disposition.") if who else _("Give your name.")
+        hint(missing if disposition or who else _("Choose a disposition and give your name."))
         return
     asked = _numbers_asked(context, disposition)
     numbers = Numbers(**{name: _typed(f"{name}-{key}") for name in asked})

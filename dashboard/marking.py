@@ -17,7 +17,7 @@ from dashboard.deciding import attempt, checksum_of, hint, who_and_why, who_deci
 from dashboard.figures.base import escape
 from dashboard.findings import feature_words
 from dashboard.frame import PageContext, plain
-from dashboard.palette import SEVERITY_COLOURS
+from dashboard.palette import YELLOW  # no verdict has it, and it shows on a grey picture
 from dashboard.words import _
 from storage.archive.decisions import MARKED, mark_false, mark_missed, unmark
 from storage.review import MAX_COMMENT, Entry, ShownFinding, ShownScene
@@ -34,8 +34,8 @@ def add_marks(fig: go.Figure, marks: list[Entry]) -> None:
     if placed:
         fig.add_scatter(
             x=[mark.u_px for __, mark in placed], y=[mark.v_px for __, mark in placed], mode="markers",
-            marker={"symbol": ["x-thin" if mark.kind == "false" else "cross-thin" for __, mark in placed], "size": 18,
-                    "line": {"width": 3, "color": SEVERITY_COLOURS["red"]}},
+            marker={"symbol": ["x-thin" if mark.kind == "false" else "cross-thin" for __, mark in placed], "size": 22,
+                    "line": {"width": 3, "color": YELLOW}},
             text=[escape(_said(entry)) for entry, __ in placed], hovertemplate="%{text}<extra></extra>",
             name=_("Marks of people"),
         )  # fmt: skip
@@ -117,7 +117,7 @@ def _take_back(context: PageContext, mark: Entry) -> None:
 
 def _said(mark: Entry) -> str:
     name = f"{mark.feature.id}: " if mark.feature else ""
-    return f"{name}{_(mark.what)} ({said})" if (said := remarks(mark, _)) else f"{name}{_(mark.what)}"
+    return f"{name}{_(mark.what)} ({said})" if (said := remarks(mark, _, _)) else f"{name}{_(mark.what)}"
 
 
 def _marks_about(context: PageContext, shown: ShownFinding) -> list[Entry]:

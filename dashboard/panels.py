@@ -38,7 +38,7 @@ from storage.review import Feature
 
 _PICTURE_PX = 1600
 _ALONG = 20  # places of a stretch
-_SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
+SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str |
     t = placed.iloc[0][["x_mm", "y_mm", "z_mm"]].to_numpy(float)
     at = R.T @ (np.array([found.x_panel_mm, found.y_panel_mm, found.z_panel_mm], float) - t)
     away = np.linalg.norm(there[["x_mm", "y_mm", "z_mm"]].to_numpy(float) - at, axis=1)
-    if not np.isfinite(away).any() or np.nanmin(away) > _SAME_MM:
+    if not np.isfinite(away).any() or np.nanmin(away) > SAME_MM:
         return None
     return InScan(scene, features, Feature(feature.kind, str(there["feature_id"].iloc[int(np.nanargmin(away))])))
 
@@ -215,12 +215,3 @@ def of_finding(view: PanelView, finding: Any) -> Feature:
     away = np.hypot(course["x_panel_mm"] - finding.x_panel_mm, course["y_panel_mm"] - finding.y_panel_mm)
     nearest = str(course["feature_id"].loc[away.idxmin()]) if away.notna().any() else feature_id
     return Feature(kind.name, nearest)
-
-
-def earlier_scans(archive: Archive, scene: Any) -> pd.DataFrame:
-    """All scans of a scan's station of that aircraft, the first one first: scene_id, captured_at."""
-    return archive.rows(
-        "SELECT scene_id, captured_at FROM scenes WHERE aircraft_serial = ? AND panel = ? AND station = ? "
-        "ORDER BY captured_at",
-        [scene.aircraft_serial, scene.panel, scene.station],
-    )

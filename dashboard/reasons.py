@@ -76,7 +76,7 @@ PATTERNS = (
 _MORE = re.compile(r" and (\d+) more$")
 _TEXTS, _NAMES = (
     ("reason", "said", "what", "advice", "cause"),
-    ("defect", "many", "per", "subject", "camera", "extent", "decision"),
+    ("defect", "many", "per", "subject", "camera", "extent", "decision", "verdict"),
 )
 _WORDED = {
     "quantity": lambda text: _quantity(text),

@@ -11,8 +11,8 @@ from dashboard.data import Archive
 from dashboard.findings import feature_of, feature_words, standings_words
 from dashboard.locale import Locale
 from dashboard.palette import decision_words
-from dashboard.pictures import around, data_uri, load_picture
-from dashboard.scenes import find_feature, load_features, load_scene_row
+from dashboard.pictures import data_uri
+from dashboard.scenes import find_feature, load_features, load_scene_row, surroundings
 from dashboard.words import N_, _, speak
 from metrology.errors import FlushlineError
 from metrology.verdicts import SEVERITIES
@@ -22,7 +22,6 @@ from storage.review_details import Numbers
 from storage.spreadsheet import ENCODING, harmless
 from storage.templates import rendered
 
-_CROP_PX = 60
 _MOST_PICTURES = 60
 _HEADS = (
     N_("Aircraft"), N_("Panel"), N_("Station"), N_("Feature"), N_("Height / step, mm"), N_("± U95, mm"), N_("Verdict"),
@@ -112,10 +111,7 @@ def _picture(row: dict[str, Any], archive: Archive) -> str:
             return ""
         features = load_features(archive, scene)
         measured = find_feature(features, Feature(row["feature_kind"], str(row["feature_id"])))
-        if measured is None:
-            return ""
-        picture = load_picture(archive.file(scene.preview_path))
-        part = around(picture, float(measured.u_px), float(measured.v_px), _CROP_PX * picture.shape[1] / 1624 + 10)
-        return data_uri(part)
+        part = surroundings(archive, scene, measured)
+        return "" if part is None else data_uri(part)
     except (FlushlineError, ValueError, TypeError):
         return ""

@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
+from dashboard.pictures import around, load_picture
 from metrology.kinds import BY_NAME, KINDS, Kind
 from metrology.requirements import Requirement
 from metrology.requirements import requirements as what_is_required
@@ -18,11 +21,24 @@ from storage.archive.rows import result_of
 from storage.archive.schema import OF_KIND, SCENES, Table
 from storage.review import Feature
 
+_REACH = 90 / 1624
+"""From a feature to the sides of the picture around it, of the whole picture's width."""
+_LEAST_PX = 20.0
+
 
 def load_scene_row(archive: Archive, scene_id: str) -> Any | None:
     """The row of `scenes`; None where there is no such scene."""
-    rows = archive.rows(f"SELECT {_names(SCENES)} FROM scenes WHERE scene_id = ?", [scene_id])
-    return next(rows.itertuples(), None)
+    return next(iter(load_scene_rows(archive, [scene_id])), None)
+
+
+def load_scene_rows(archive: Archive, scene_ids: Sequence[str]) -> list[Any]:
+    """The rows of `scenes` in this order; scenes that there are not are left out."""
+    if not scene_ids:
+        return []
+    among = ", ".join("?" * len(scene_ids))
+    rows = archive.rows(f"SELECT {_names(SCENES)} FROM scenes WHERE scene_id IN ({among})", scene_ids)
+    found = {str(row.scene_id): row for row in rows.itertuples()}
+    return [found[scene_id] for scene_id in scene_ids if scene_id in found]
 
 
 def load_features(archive: Archive, scene: Any, kinds: Sequence[Kind] = KINDS) -> SceneFeatures:
@@ -59,6 +75,14 @@ def find_feature(features: SceneFeatures, feature: Feature) -> Any | None:
     else:
         found = rows[rows["feature_id"] == feature.id]
     return next(found.itertuples(), None)
+
+
+def surroundings(archive: Archive, scene: Any, row: Any) -> NDArray[np.uint8] | None:
+    """The camera's picture (h, w) around what a feature's row measured; None where its place there is not known."""
+    if row is None or pd.isna(row.u_px) or pd.isna(row.v_px):
+        return None
+    picture = load_picture(archive.file(scene.preview_path))
+    return around(picture, float(row.u_px), float(row.v_px), max(_LEAST_PX, _REACH * picture.shape[1]))
 
 
 def requirements(archive: Archive, bundle: object, chosen: Feature, row: Any) -> list[Requirement] | None:

@@ -1,6 +1,9 @@
 """What stored warnings, verdicts of panels and rules of acceptance say (see `dashboard.reasons`)."""
 
 SENTENCES = (
+    "every finding of the scan is decided, and no work is open",
+    "panel {panel} released with {n} scans; verdict {verdict}: {reason}",
+    "panel {panel} released with {n} scans; verdict {verdict}",
     "first scan of station {station}: the rivets ({rivets}) and seams ({seams}) found in it were enrolled as the "
     "panel's pattern; check that none is missing",
     "first scan of station {station}: not enrolled as the panel's pattern, since {cause}; scan it again",
@@ -109,6 +112,7 @@ CLAUSES = (
     "beyond limits that no rule allows to exceed: {names}",
     "within U95 of a limit: {names}",
     "not seen: {names}",
+    "not seen",
     "not measured: {names}",
     "in {n} parts",
     "{station} left out",
@@ -149,5 +153,5 @@ CLAUSES = (
 )
 """Clauses of verdicts and rules."""
 
-WORDS = ("any quantity", "course", "row", "zone", "left", "right", "left and right")
+WORDS = ("any quantity", "course", "row", "zone", "left", "right", "left and right", "not put together")
 """Words in their places that nothing else declares."""

@@ -18,19 +18,17 @@ from dashboard.access import Person
 from dashboard.deciding import attempt, checksum_of, hint, who_decides
 from dashboard.findings import standings_words
 from dashboard.frame import PageContext, plain
-from dashboard.words import N_, _
+from dashboard.words import _
 from storage.archive.decisions import sign_off_all
 from storage.archive.work import UNRESOLVED
 from storage.review import Entry, Review, ShownScene
-from storage.review_details import Confirmation, Signature
-
-_SCAN_RELEASED = N_("every finding of the scan is decided, and no work is open")
+from storage.review_details import SCAN_RELEASED, Confirmation, Signature
 
 
 def offer_sign_off(context: PageContext, scene: Any) -> None:
     """The sign-off of a scan, with the decisions that it would lock."""
     place = plain(f"{scene.aircraft_serial} {scene.panel} {scene.station}")
-    offer_sign_off_of(context, [scene], place, _SCAN_RELEASED)
+    offer_sign_off_of(context, [scene], place, SCAN_RELEASED)
 
 
 def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, meaning: str) -> None:
@@ -48,7 +46,7 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
     scenes = [scene for scene in scenes if scene.scene_id not in review.sign_offs()]
     if review.problem or not context.person.may_review or not scenes:
         return
-    standings = {str(scene.scene_id): context.archive.standings(scene.scene_id) for scene in scenes}
+    standings = context.archive.standings_of([str(scene.scene_id) for scene in scenes])
     found = [standing for of_scene in standings.values() for standing in of_scene]
     left = any(standing.state in UNRESOLVED for standing in found)
     shown = [_shown_scene(review, scene, len(standings[str(scene.scene_id)])) for scene in scenes]
@@ -57,7 +55,7 @@ def offer_sign_off_of(context: PageContext, scenes: Sequence[Any], place: str, m
         decided = {e.number: e for (scene_id, __), e in review.current().items() if scene_id in standings}
         taken = " · ".join(f"{plain(s.station)} {context.locale.time(s.captured_at)}" for s in scenes)
         st.markdown(_("Scanned {taken}, {decisions}.", taken=taken, decisions=_counted(list(decided.values()))))
-        st.markdown(_("Says: **{meaning}**", meaning=plain(_(meaning))))
+        st.markdown(_("Says: **{meaning}**", meaning=plain(context.locale.reason(meaning))))
         st.caption(_("Its dispositions cannot be changed afterwards."))
         _signature_form(context, shown, place, meaning, key)
     if left:

@@ -30,6 +30,7 @@ _SIGNED = (
 
 
 _REASON_PX, _WIDE_REASON_PX, _VERDICT_PX, _FEATURE_PX = 200, 540, 145, 118
+_LETTER_PX, _MOST_FEATURE_PX = 6.6, 150
 _ANY_HEIGHT = 10_000
 
 
@@ -93,9 +94,9 @@ def styled_table(
             shown[heading] = [None if empty else write(value) for value, empty in _cells(shown[heading])]
     styled = _in_words(shown, {h: f for h, f in formats.items() if f is not None and not _is_text(shown[h])})
     config = {
-        heading: st.column_config.Column(width=_width(name, reason_px), help=_(_HELP[name]) if name in _HELP else None)
+        heading: st.column_config.Column(width=width, help=_(_HELP[name]) if name in _HELP else None)
         for name, heading in present.items()
-        if name in _HELP or _width(name, reason_px) != "small"
+        if (width := _width(name, reason_px, shown[heading])) != "small" or name in _HELP
     }
     return styled, config
 
@@ -130,12 +131,13 @@ def _is_text(values: pd.Series) -> bool:
     return bool(pd.api.types.is_string_dtype(values.dtype) or values.dtype == object)
 
 
-def _width(name: str, reason_px: int) -> int | Literal["small"]:
+def _width(name: str, reason_px: int, cells: pd.Series) -> int | Literal["small"]:
     """Of a column, px: reasons have what is left, and a verdict has room for its words where they have room."""
     if name == "reason":
         return reason_px
     if name == "feature_id" and reason_px != _WIDE_REASON_PX:
-        return _FEATURE_PX
+        longest = max((len(str(cell)) for cell in cells), default=0)
+        return max(_FEATURE_PX, min(_MOST_FEATURE_PX, round(_LETTER_PX * longest) + 20))
     return _VERDICT_PX if name == "decision" and reason_px == _WIDE_REASON_PX else "small"
 
 

@@ -214,24 +214,25 @@ def spread(
 ) -> Spread | None:
     """Distribution of all single values; None where there are fewer than two."""
     everything, known = _values(subject, quantity, selection, standard)
-    values = f"SELECT v FROM ({everything}) WHERE v IS NOT NULL"
-    row = archive.rows(
-        f"SELECT count(*) AS n, avg(v) AS mean, stddev_samp(v) AS sd, min(v) AS low, max(v) AS high FROM ({values})",
-        known,
-    ).iloc[0]
-    if row["n"] < 2:
-        return None
-    bins_wanted = min(_BINS, 2 * np.ceil(np.cbrt(row["n"])))  # Rice's rule
-    width = max(float((row["high"] - row["low"]) / bins_wanted), 1e-6)
     bins = archive.rows(
-        f"SELECT floor(v / {width!r})::BIGINT AS bin, count(*) AS n FROM ({values}) GROUP BY 1 ORDER BY 1", known
+        f"WITH q AS MATERIALIZED (SELECT v FROM ({everything}) WHERE v IS NOT NULL), "
+        "w AS (SELECT count(v) AS n, avg(v) AS mean, stddev_samp(v) AS sd, "
+        # As many bins as Rice's rule gives, up to a number.
+        f"greatest((max(v) - min(v)) / least({_BINS}, 2 * ceil(cbrt(count(v)))), 1e-6) AS width FROM q) "
+        "SELECT any_value(w) AS whole, floor(v / w.width)::BIGINT AS bin, count(*) AS counted FROM q, w "
+        "GROUP BY bin ORDER BY bin",
+        known,
     )
+    whole = dict(bins["whole"].iloc[0]) if len(bins) else {"n": 0}
+    if whole["n"] < 2:
+        return None
+    width = float(whole["width"])
     return Spread(
-        int(row["n"]),
-        float(row["mean"]),
-        float(row["sd"]),
+        int(whole["n"]),
+        float(whole["mean"]),
+        float(whole["sd"]),
         (bins["bin"].to_numpy(float) + 0.5) * width,
-        bins["n"].to_numpy(),
+        bins["counted"].to_numpy(),
         width,
     )
 

@@ -69,6 +69,9 @@ class Signature(StrictModel):
     """How sure it is who signed: they logged in and typed their name once more, or nobody logs in."""
 
 
+SCAN_RELEASED = "every finding of the scan is decided, and no work is open"
+PANEL_RELEASED = "panel {panel} released with {n} scans; verdict {verdict}"
+"""What signatures say, kept in English."""
 ADDED = ("numbers", "mark", "takes_back", "signature")
 """Parts of a document that earlier formats do not have."""
 
@@ -77,7 +80,7 @@ AT_PIXEL = "at column {u}, row {v} of the picture"
 """How the place of a mark is said; `u` and `v` are whole pixels."""
 
 
-def remarks(entry: Any, word: Callable[[str], str]) -> str:
+def remarks(entry: Any, word: Callable[[str], str], reason: Callable[[str], str]) -> str:
     """What an entry says beside what was decided: numbers, place, role and meaning, comment.
 
     Parameters
@@ -85,12 +88,14 @@ def remarks(entry: Any, word: Callable[[str], str]) -> str:
     entry : storage.review.Entry
     word : callable
         A text of the code in the language that is written in.
+    reason : callable
+        A stored sentence in it: what a signature says was kept in English.
     """
     said = [f"{word(name)} {number}" for name, number in entry.numbers.given.items()]
     if entry.mark and entry.mark.u_px is not None:
         said.append(word(AT_PIXEL).format(u=round(entry.mark.u_px), v=round(entry.mark.v_px)))
     if entry.signature:
-        said.append(f"{word(entry.signature.role)}: {word(entry.signature.meaning)}")
+        said.append(f"{word(entry.signature.role)}: {reason(entry.signature.meaning)}")
     return "; ".join([*said, *([entry.comment] if entry.comment else [])])
 
 

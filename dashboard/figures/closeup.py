@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dashboard.closeup import RivetCloseUp, SeamSection
-from dashboard.figures.base import figure, limit_lines
+from dashboard.figures.base import add_shapes, figure, limit_lines
 from dashboard.figures.limits import with_air
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
@@ -92,7 +92,7 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
         name=_("skin as fitted"),
         hoverinfo="skip",
     )
-    limit_lines(fig, limit)
+    add_shapes(fig, limit_lines(limit))
     _arrow(fig, 0.0, 0.0, closeup.height, f"{locale.number(closeup.height, sign=True)} mm")
     used = deviation[inner | outer]
     marks = [value for value in (limit.bounds if limit else ()) if value is not None and abs(value) < 0.5]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from dashboard.figures.base import figure
+from dashboard.figures.base import figure, stacked
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
 from dashboard.words import _
@@ -61,8 +60,7 @@ def _line(fig: go.Figure, x: np.ndarray, y: np.ndarray, colour: str, dash: str, 
 def defect_sections(form: DefectForm, depth: float, u95: float, locale: Locale, height: int = 420) -> go.Figure:
     """Both sections with the skin as it would be, a straight-edge laid over a dent, and the depth."""
     titles = _("along the defect"), _("across the defect")
-    fig = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.12, subplot_titles=titles)
-    fig.update_layout(figure(locale, height).layout)
+    fig = stacked(locale, height, (0.5, 0.5), 0.12, subplot_titles=titles)
     sections = form.shown()
     for row, section in enumerate(sections, 1):
         lines = [

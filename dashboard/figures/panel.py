@@ -182,7 +182,7 @@ def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame, locale: Locale) -> No
 
 
 def _add_names(fig: go.Figure, view: PanelView, over_picture: bool) -> None:
-    """Names of single features; of courses where they begin."""
+    """Names of single features, a line above their marks; of courses beside their beginnings."""
     font = {"size": 10, "color": "white", "shadow": _SHADOW} if over_picture else {"size": 10, "color": INK}
     for kind in KINDS:
         rows = view.features[kind.name]
@@ -190,8 +190,11 @@ def _add_names(fig: go.Figure, view: PanelView, over_picture: bool) -> None:
         if kind.is_course:
             rows = rows.groupby(kind.id_columns[0], as_index=False).first()
         rows = rows.head(_MOST_NAMES)
+        names = rows[kind.id_columns[0]]
         if len(rows):
             fig.add_scatter(
-                x=rows["u_px"], y=rows["v_px"], mode="text", text=[escape(name) for name in rows[kind.id_columns[0]]],
-                textposition="top right", textfont=font, hoverinfo="skip", showlegend=False,
+                x=rows["u_px"], y=rows["v_px"], mode="text",
+                text=[f"  {escape(name)}" if kind.is_course else f"{escape(name)}<br> " for name in names],
+                textposition="middle right" if kind.is_course else "top center", textfont=font, hoverinfo="skip",
+                showlegend=False,
             )  # fmt: skip

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from dashboard.figures.base import escape, figure
+from dashboard.figures.base import escape, figure, stacked
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, YELLOW
 from dashboard.words import _
@@ -37,8 +36,7 @@ def seconds_figure(nights: pd.DataFrame, locale: Locale, height: int = 400) -> g
 
 def rig_figure(days: pd.DataFrame, locale: Locale, height: int = 380) -> go.Figure:
     """Fit of cameras and projector above, depth noise below, one colour and shape per rig calibration."""
-    fig = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.07)
-    fig.update_layout(figure(locale, height).layout)
+    fig = stacked(locale, height, (1 / 3, 1 / 3, 1 / 3), 0.07)
     for i, (rig, part) in enumerate(days.groupby("rig_id", sort=False)):
         colour, symbol = _STEP_COLOURS[i % len(_STEP_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)]
         for row, column, digits in ((1, "epipolar", 3), (2, "projector", 4), (3, "sigma", 4)):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from dashboard.figures.base import escape, figure
+from dashboard.figures.base import escape, stacked
 from dashboard.findings import feature_parameter, feature_words
 from dashboard.locale import Locale
 from dashboard.palette import INK, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS, decision_words, quantity_words
@@ -24,8 +23,8 @@ _AIR = 0.15  # of what is drawn, above and below
 
 def seam_course_figure(course: SeamCourse, chosen: Feature | None, locale: Locale, height: int = 430) -> go.Figure:
     """Step above gap; a click on a position comes back with its URL parameter as customdata."""
-    fig = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.05)
-    fig.update_layout(figure(locale, height, dragmode="zoom", clickmode="event+select").layout)
+    fig = stacked(locale, height, (0.5, 0.5), 0.05)
+    fig.update_layout(dragmode="zoom", clickmode="event+select")
     for number, drawn in enumerate(course.courses, 1):
         _add_stretches(fig, course, number)
         _add_course(fig, course, drawn, number, locale)

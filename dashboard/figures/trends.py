@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 from scipy import stats
 
-from dashboard.figures.base import escape, figure, limit_lines
+from dashboard.figures.base import Line, add_shapes, escape, figure, limit_lines, line_across, stacked
 from dashboard.first_pass import Yield
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
@@ -19,6 +18,9 @@ from dashboard.trends import Event, Quantity, Spread
 from dashboard.words import N_, _
 from metrology.statistics import ControlChart, ParetoBar
 from metrology.tolerance import Limit
+
+_MOST_NAMES = 150
+_MOST_LEVEL = 8  # names below bars; more stand aslant
 
 
 def control_figure(
@@ -32,11 +34,25 @@ def control_figure(
     height: int = 420,
 ) -> go.Figure:
     """Individuals chart above, moving ranges below, in the order of time; events as vertical lines."""
-    fig = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.68, 0.32], vertical_spacing=0.06)
-    fig.update_layout(figure(locale, height).layout)
+    fig = stacked(locale, height, (0.68, 0.32), 0.06)
     times = locale.axis_times(rows["captured_at"])
-    _add_values(fig, rows, times, chart, violations, quantity, locale)
-    fig.add_scatter(
+    fig.add_traces([_values(rows, times, chart, violations, quantity, locale), _moving_ranges(times, chart)])
+    lines, texts = _chart_lines(chart, locale)
+    marked, said = _event_lines([(times.iloc[event.index], escape(event.text)) for event in events])
+    add_shapes(fig, [*lines, *_limits(chart, limit), *marked], [*texts, *said])
+    fig.update_layout(
+        xaxis_tickformat=locale.axis_dates,
+        xaxis2_tickformat=locale.axis_dates,
+        yaxis_title_text=f"{_(quantity.title)}, {quantity.unit}",
+        yaxis2={"title": {"text": _("moving range")}, "rangemode": "tozero"},
+        margin={"r": 84, "l": 8, "t": 8, "b": 8},
+        clickmode="event+select",
+    )
+    return fig
+
+
+def _moving_ranges(times: pd.Series, chart: ControlChart) -> go.Scatter:
+    return go.Scatter(
         x=times,
         y=chart.moving_range,
         mode="lines+markers",
@@ -44,44 +60,40 @@ def control_figure(
         marker={"size": 4, "symbol": "square"},
         hovertemplate=_("moving range") + " %{y:.3f}<extra></extra>",
         showlegend=False,
-        row=2,
-        col=1,
+        xaxis="x2",
+        yaxis="y2",
     )
-    for value, label, row in (
-        (chart.centre, N_("mean"), 1),
-        (chart.upper, N_("UCL"), 1),
-        (chart.lower, N_("LCL"), 1),
-        (chart.range_centre, "mean", 2),
-        (chart.range_upper, "UCL", 2),
+
+
+def _chart_lines(chart: ControlChart, locale: Locale) -> tuple[list[Line], list[Line]]:
+    """Means and control limits of both charts, with their texts at the right."""
+    lines, texts = list[Line](), list[Line]()
+    for value, label, axis in (
+        (chart.centre, N_("mean"), "y"),
+        (chart.upper, N_("UCL"), "y"),
+        (chart.lower, N_("LCL"), "y"),
+        (chart.range_centre, "mean", "y2"),
+        (chart.range_upper, "UCL", "y2"),
     ):
         if np.isfinite(value):
-            fig.add_hline(
-                value,
-                line={"color": GREEN if label == "mean" else ORANGE, "width": 1.5},
-                annotation_text=f"{_(label)} {locale.number(value, sign=row == 1)}",
-                annotation_position="right",
-                annotation_font_size=10,
-                row=row,
-                col=1,
-            )
-    _add_limits(fig, chart, limit)
-    _add_events(fig, [(times.iloc[event.index], escape(event.text)) for event in events])
-    fig.update_xaxes(tickformat=locale.axis_dates)
-    fig.update_yaxes(title=f"{_(quantity.title)}, {quantity.unit}", row=1, col=1)
-    fig.update_yaxes(title=_("moving range"), rangemode="tozero", row=2, col=1)
-    fig.update_layout(margin={"r": 84, "l": 8, "t": 8, "b": 8}, clickmode="event+select")
-    return fig
+            colour = GREEN if label == "mean" else ORANGE
+            lines.append(line_across(axis, value, {"color": colour, "width": 1.5}))
+            said = f"{_(label)} {locale.number(value, sign=axis == 'y')}"
+            texts.append(
+                {"x": 1, "xref": "paper", "xanchor": "left", "y": value, "yref": axis, "text": said,
+                 "showarrow": False, "font": {"size": 10}}
+            )  # fmt: skip
+    return lines, texts
 
 
-def _add_values(
-    fig: go.Figure,
+def _values(
     rows: pd.DataFrame,
     times: pd.Series,
     chart: ControlChart,
     violations: Mapping[str, np.ndarray],
     quantity: Quantity,
     locale: Locale,
-) -> None:
+) -> go.Scatter:
     """The values in the order of time; those that break a rule larger, in red, with the rule's name."""
     broken: dict[int, list[str]] = {}
     for name, points in violations.items():
@@ -94,7 +106,7 @@ def _add_values(
         + ("<br>" + _("breaks rule {rules}", rules=", ".join(broken[i])) if i in broken else "")
         for i, r in enumerate(rows.itertuples())
     ]
-    fig.add_scatter(
+    return go.Scatter(
         x=times,
         y=chart.values,
         mode="lines+markers",
@@ -108,13 +120,13 @@ def _add_values(
         customdata=rows["scene_id"].astype(str),
         hovertemplate="%{text}<extra></extra>",
         showlegend=False,
-        row=1,
-        col=1,
+        xaxis="x",
+        yaxis="y",
     )
 
 
-def _add_events(fig: go.Figure, marks: Sequence[tuple[Any, str]]) -> None:
-    """Vertical lines with their texts; one update for all: each of Plotly's `add_vline` looks through the figure."""
+def _event_lines(marks: Sequence[tuple[Any, str]]) -> tuple[list[Line], list[Line]]:
+    """Vertical lines over both charts, and their texts."""
     lines = [
         {
             "type": "line", "xref": "x", "yref": "paper", "x0": at, "x1": at, "y0": 0, "y1": 1,
@@ -129,17 +141,17 @@ def _add_events(fig: go.Figure, marks: Sequence[tuple[Any, str]]) -> None:
         }
         for at, text in marks
     ]  # fmt: skip
-    fig.update_layout(shapes=[*fig.layout.shapes, *lines], annotations=[*fig.layout.annotations, *texts])
+    return lines, texts
 
 
-def _add_limits(fig: go.Figure, chart: ControlChart, limit: Limit | None) -> None:
+def _limits(chart: ControlChart, limit: Limit | None) -> list[Line]:
     """Tolerance limits, where they do not squeeze the chart flat."""
     present = chart.values[np.isfinite(chart.values)]
     if limit is None or not present.size:
-        return
+        return []
     span = max(float(np.ptp(present)), 6 * chart.sigma if np.isfinite(chart.sigma) else 0.0, 1e-6)
     middle = float(present.mean())
-    limit_lines(fig, limit, within=(middle - 3 * span, middle + 3 * span), row=1, col=1)
+    return limit_lines(limit, within=(middle - 3 * span, middle + 3 * span))
 
 
 def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: Locale, height: int = 260) -> go.Figure:
@@ -163,7 +175,7 @@ def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: L
             name=_("normal distribution"),
             hoverinfo="skip",
         )
-    limit_lines(fig, limit, axis="x")
+    add_shapes(fig, limit_lines(limit, "x"))
     fig.update_xaxes(title=f"{_(quantity.title)}, {quantity.unit} (" + _("dashed: limits") + ")")
     fig.update_yaxes(title=_("how many"))
     return fig
@@ -201,7 +213,7 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
             "dtick": 0.2,
         }
     )
-    fig.update_xaxes(type="category", tickangle=-60)
+    fig.update_xaxes(type="category", tickangle=-60 if len(bars) > _MOST_LEVEL else 0)
     fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})
     return fig
 
@@ -226,7 +238,7 @@ def yield_figure(yields: Sequence[Yield], locale: Locale, height: int = 300) -> 
         hovertemplate="%{x}: %{y:.1%} (%{customdata[0]} / %{customdata[1]})<extra></extra>",
         name=_("passed at once"),
     )
-    fig.update_xaxes(type="category", tickangle=-60 if len(yields) > 8 else 0)
+    fig.update_xaxes(type="category", tickangle=-60 if len(yields) > _MOST_LEVEL else 0)
     fig.update_yaxes(title=_("first-pass yield"), range=[0, 1.02], tickformat=".0%")
     return fig
 
@@ -275,8 +287,14 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
     )
     for station, part in rows.groupby("station"):
         fig.add_annotation(
-            x=part["x"].mean(), y=part["y"].max(), text=escape(station), showarrow=False, yshift=16, font={"size": 12}
+            x=part["x"].mean(), y=part["y"].max(), text=escape(station), showarrow=False, yshift=30, font={"size": 12}
         )
-    fig.update_xaxes(visible=False)
-    fig.update_yaxes(visible=False, scaleanchor="x")
+    named = rows.drop_duplicates(["station", "named"]).head(_MOST_NAMES)  # a seam's where it begins
+    fig.add_scatter(
+        x=named["x"], y=named["y"], mode="text", text=[f"{escape(name)}<br> " for name in named["named"]],
+        textposition="top center", textfont={"size": 10, "color": INK}, hoverinfo="skip", showlegend=False,
+    )  # fmt: skip
+    in_mm = bool(rows.attrs.get("registered"))
+    fig.update_xaxes(visible=in_mm, title="x, mm", showgrid=False, constrain="domain")
+    fig.update_yaxes(visible=in_mm, title="y, mm", showgrid=False, scaleanchor="x")
     return fig

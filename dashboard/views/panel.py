@@ -11,14 +11,12 @@ from streamlit.delta_generator import DeltaGenerator
 from dashboard.address import one_of
 from dashboard.deciding import ask_who, say_outcome
 from dashboard.figures.panel import panel_figure
-from dashboard.findings import feature_from_parameter, feature_parameter, feature_words
-from dashboard.frame import PageContext, link, plain
+from dashboard.findings import feature_from_parameter, feature_words
+from dashboard.frame import PageContext, plain
 from dashboard.locale import Locale
 from dashboard.panels import (
-    InScan,
     PanelView,
     airflows,
-    earlier_scans,
     in_scan,
     load_panel,
     locations,
@@ -29,10 +27,10 @@ from dashboard.panels import (
 from dashboard.picking import clickable_chart
 from dashboard.reasons import SEPARATOR
 from dashboard.reports import offer_report
-from dashboard.scenes import load_features, load_scene_row, worst_feature
+from dashboard.scenes import load_scene_rows, worst_feature
 from dashboard.seam_course import seam_names
 from dashboard.signing import offer_sign_off_of
-from dashboard.views.feature import close_up
+from dashboard.views.other_scans import show_at_place
 from dashboard.views.panel_tables import (
     look_at,
     show_changes,
@@ -49,7 +47,7 @@ from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
 from storage.report import panel_report
 from storage.review import Entry, Feature
-from storage.review_details import remarks
+from storage.review_details import PANEL_RELEASED, remarks
 from storage.wording import capital
 
 TITLE = N_("Panel")
@@ -79,7 +77,7 @@ def render(context: PageContext) -> None:
     chosen = _chosen(view)
     with beside:
         _headline(context, view, scenes)
-    left, right = st.columns([11, 9])
+    left, right = st.columns([21, 19])
     with left:
         _map(context, view, chosen)
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
@@ -107,7 +105,7 @@ def _newest(context: PageContext, aircraft: str, panel: str) -> list[Any]:
         "SELECT scene_id FROM latest_scenes WHERE aircraft_serial = ? AND panel = ? ORDER BY station",
         [aircraft, panel],
     )
-    return [row for name in rows["scene_id"] if (row := load_scene_row(context.archive, str(name))) is not None]
+    return load_scene_rows(context.archive, [str(name) for name in rows["scene_id"]])
 
 
 def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str) -> None:
@@ -145,7 +143,7 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
         names = {_in_role(entry) for entry in entries}
         if scenes and all(s.scene_id in signed for s in scenes):
             who = plain(", ".join(sorted(names)))
-            says = "; ".join(dict.fromkeys(plain(remarks(entry, _)) for entry in entries))
+            says = "; ".join(dict.fromkeys(plain(remarks(entry, _, context.locale.reason)) for entry in entries))
             st.badge(_("signed off by {names}", names=who), color="green", icon=":material/lock:", help=says or None)
         elif names:
             count = sum(s.scene_id in signed for s in scenes)
@@ -194,22 +192,22 @@ def _number(view: PanelView, kind: Any) -> int:
 
 
 def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
-    number = 1
-    if len(view.parts) > 1:
-        parts = view.parts
-        of_chosen = _part_of(view, chosen)
-        part = st.segmented_control(_("Part"), parts, format_func=_part_words, label_visibility="collapsed",
-                                    **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
-        number = parts.index(str(part or parts[0])) + 1
-        view = view.of_part(number)
-    picture = stitched_pictures(context.archive, view).get(number)
-    shown = None
-    if picture is not None:
-        grounds = [_PICTURE, _DEVIATION, _PLAIN]
-        shown = st.segmented_control(
-            _("Ground"), grounds, format_func=_, label_visibility="collapsed", **one_of("map", grounds)
-        )
-        picture = None if shown == _PLAIN else picture
+    number, shown = 1, None
+    with st.container(horizontal=True, gap="small"):
+        if len(view.parts) > 1:
+            parts = view.parts
+            of_chosen = _part_of(view, chosen)
+            part = st.segmented_control(_("Part"), parts, format_func=_part_words, label_visibility="collapsed",
+                                        **one_of("part", parts, parts[of_chosen - 1]))  # fmt: skip
+            number = parts.index(str(part or parts[0])) + 1
+            view = view.of_part(number)
+        picture = stitched_pictures(context.archive, view).get(number)
+        if picture is not None:
+            grounds = [_PICTURE, _DEVIATION, _PLAIN]
+            shown = st.segmented_control(
+                _("Ground"), grounds, format_func=_, label_visibility="collapsed", **one_of("map", grounds)
+            )
+            picture = None if shown == _PLAIN else picture
     view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION, airflows(context.archive, view))
     clickable_chart(fig, "panel-map", look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
@@ -244,8 +242,9 @@ def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
 
 
 def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
-    meaning = f"panel {aircraft} {panel} released with {len(scenes)} scans; verdict {verdict}"
-    offer_sign_off_of(context, scenes, _("panel {name}", name=plain(f"{aircraft} {panel}")), meaning)
+    name = f"{aircraft} {panel}"
+    meaning = PANEL_RELEASED.format(panel=name, n=len(scenes), verdict=verdict)
+    offer_sign_off_of(context, scenes, _("panel {name}", name=plain(name)), meaning)
 
 
 def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen: Feature | None) -> None:
@@ -272,7 +271,7 @@ def _beside(context: PageContext, view: PanelView, scenes: Sequence[Any], chosen
 
 
 def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
-    """The close-up of the scan that measured it best, and its station's other nights."""
+    """The close-up of the scan that measured it best, and of others of its place."""
     found = in_scan(context.archive, view, chosen)
     kind = BY_NAME[chosen.kind]
     location = locations(context.archive, view).get(chosen.id.split("@")[0] if kind.is_course else chosen.id)
@@ -283,28 +282,4 @@ def _feature(context: PageContext, view: PanelView, chosen: Feature) -> None:
     if found is None:
         st.info(_("No scan in the panel has this feature at this place."))
         return
-    _on_a_night(context, found)
-
-
-def _on_a_night(context: PageContext, found: InScan) -> None:
-    """The feature on one of the nights of its station; at first on the one that is in the panel."""
-    scans = earlier_scans(context.archive, found.scene)
-    names = [str(name) for name in scans["scene_id"]]
-    times = dict(zip(names, (context.locale.time(at) for at in scans["captured_at"]), strict=True))
-    scene, features = found.scene, found.features
-    if len(names) > 1:
-        night = st.select_slider(
-            _("Night"), names, str(scene.scene_id), format_func=times.__getitem__,
-            key=f"night-{scene.scene_id}-{found.feature}",
-        )  # fmt: skip
-        if night != scene.scene_id:
-            earlier = load_scene_row(context.archive, night)
-            if earlier is not None:
-                scene, features = earlier, load_features(context.archive, earlier)
-    at, words = context.locale.time(scene.captured_at), feature_words(found.feature.id, context.locale)
-    st.caption(
-        _("{name} on the scan of station {station}, {time}", name=plain(words), station=plain(scene.station), time=at)
-    )
-    close_up(context, scene, features, found.feature)
-    link("review", _("Decide in the review"), ":material/fact_check:", aircraft=scene.aircraft_serial,
-         panel=scene.panel, scene=scene.scene_id, feature=feature_parameter(found.feature))  # fmt: skip
+    show_at_place(context, found)

@@ -137,12 +137,13 @@ def show_coverage(context: PageContext, view: PanelView) -> None:
 def show_scans(context: PageContext, scenes: Sequence[Any]) -> None:
     """The scans that the panel is put together from."""
     signed = context.archive.review().sign_offs()
+    found = context.archive.standings_of([str(scene.scene_id) for scene in scenes])
     rows = pd.DataFrame(
         {
             "scene_id": str(scene.scene_id),
             "station": scene.station,
             "captured_at": scene.captured_at,
-            "findings": standings_words(context.archive.standings(str(scene.scene_id))),
+            "findings": standings_words(found[str(scene.scene_id)]),
             "signed": signed[scene.scene_id].who if scene.scene_id in signed else "–",
             "reason": SEPARATOR.join(map(str, scene.warnings if scene.warnings is not None else ())),
         }

@@ -32,10 +32,9 @@ from dashboard.margins import with_margins
 from dashboard.marking import offer_mark_false, offer_taking_back
 from dashboard.palette import OPEN_DECISIONS, decision_words
 from dashboard.picking import clicked_row
-from dashboard.pictures import around, load_picture
 from dashboard.review_report import csv_report, html_report
 from dashboard.room import room
-from dashboard.scenes import find_feature, load_features, load_scene_row
+from dashboard.scenes import find_feature, load_features, load_scene_row, surroundings
 from dashboard.signing import offer_sign_off
 from dashboard.tables import fitting, styled_table
 from dashboard.views.feature import HOW_DECIDED, close_up
@@ -46,7 +45,6 @@ from storage.review import Feature, ShownFinding
 from storage.review_details import remarks
 
 TITLE = N_("Tolerance review")
-_CROP_PX = 90
 _TURN, _STAND = "findings_turn", "review_stand"
 _ORDERS: dict[str, tuple[tuple[str, ...], bool]] = {
     N_("gravest"): ((), True),
@@ -185,6 +183,8 @@ def _nothing(context: PageContext, wanted: Wanted) -> None:
 def _empty(wanted: Wanted) -> list[Name]:
     if wanted.state == OPEN and wanted.decisions and wanted.kinds:
         st.success(_("Nothing waits here: no open finding matches these filters."), icon=":material/check:")
+    elif wanted.decisions and wanted.kinds:
+        st.info(_("Nothing matches these filters. Clear one of them, or choose another state, to see more."))
     else:
         st.info(_("Nothing matches these filters. Choose at least one verdict and one kind of feature."))
     return []
@@ -349,13 +349,11 @@ def _next(names: Sequence[Name], at: Name) -> Name | None:
 
 def _crop(context: PageContext, scene: Any, measured: Any) -> None:
     try:
-        picture = load_picture(context.archive.file(scene.preview_path))
+        part = surroundings(context.archive, scene, measured)
     except FlushlineError:
         return
-    if measured is None or measured.u_px != measured.u_px:
-        return
-    reach = _CROP_PX * picture.shape[1] / 1624
-    st.image(around(picture, float(measured.u_px), float(measured.v_px), max(20.0, reach)), width="stretch")
+    if part is not None:
+        st.image(part, width="stretch")
 
 
 def _steps(names: Sequence[Name], at: Name) -> None:
@@ -378,7 +376,7 @@ def _history(context: PageContext, shown: ShownFinding) -> None:
         if entry.scene_id == shown.scene_id and (entry.action == "sign-off" or entry.feature == shown.feature)
     ]
     for entry in entries[-4:]:
-        said = remarks(entry, _)
+        said = remarks(entry, _, context.locale.reason)
         comment = f" · {plain(said)}" if said else ""
         earlier = "" if entry.run_id == shown.run_id else " · " + _("on another run of this scan")
         said = _("**{what}** by {who}", what=_(entry.what), who=plain(entry.who))

@@ -27,11 +27,11 @@ from dashboard.scenes import (
     worst_feature,
 )
 from dashboard.views.feature import absent, close_up
+from dashboard.views.overlay import show_overlay
 from dashboard.words import N_, _
-from metrology.errors import FlushlineError, StoreError
+from metrology.errors import FlushlineError
 from metrology.kinds import HOLE, KINDS, RIVET, Kind
 from storage.archive.views import NEWEST_FIRST
-from storage.archive.work import OPEN_WORK
 from storage.cloud import StoredCloud
 from storage.report import scene_report
 from storage.review import Feature
@@ -130,7 +130,7 @@ def _views(context: PageContext, row: Any, features: SceneFeatures, chosen: Feat
     show = {
         "Deviation map": _deviation,
         "3-D": _cloud_view,
-        "Overlay": _overlay,
+        "Overlay": show_overlay,
         "Files": _files,
     }
     if view == "Marks":
@@ -212,41 +212,6 @@ def _field_of(_cloud: StoredCloud, path: str, most: int) -> FieldDeviation | Non
 
 def _field(context: PageContext, row: Any, most: int) -> FieldDeviation | None:
     return _field_of(context.archive.cloud(row.cloud_path), str(row.cloud_path), most)
-
-
-def _overlay(context: PageContext, row: Any) -> None:
-    path = context.archive.file(row.overlay_path)
-    try:
-        st.image(str(path), width="stretch")
-    except OSError:  # what Pillow raises for a damaged picture
-        raise StoreError(f"{path}: found no readable picture, expected the scene's overlay") from None
-    name = f"{row.scene_id}_overlay.png"
-    with st.container(horizontal=True):
-        st.download_button(_("Download for the projector (PNG)"), path.read_bytes(), name, "image/png")
-        svg = path.with_suffix(".svg")
-        if svg.is_file():
-            st.download_button("SVG", svg.read_bytes(), f"{row.scene_id}_overlay.svg", "image/svg+xml")
-        drawings = [(_("With names"), "named", False)]
-        if any(standing.state == OPEN_WORK for standing in context.archive.standings(str(row.scene_id))):
-            drawings.append((_("Open work only"), "work", True))
-        for label, what, work_alone in drawings:
-            draw = partial(_redrawn, context, str(row.scene_id), work_alone)
-            st.download_button(label, draw, f"{row.scene_id}_{what}.png", "image/png", on_click="ignore")
-    st.caption(
-        _(
-            "The picture's own words: OK meets the limits, OUT is slightly outside, SERIOUS seriously, NOT JUDGED was "
-            "not judged. Values in mm: height of rivets; step | gap of seams. * nearer to a limit than its "
-            "uncertainty, ? not measured."
-        )
-    )
-
-
-def _redrawn(context: PageContext, scene_id: str, work_alone: bool) -> bytes:
-    """The overlay with the panel's names as a PNG, drawn when it is asked for."""
-    from storage import png
-    from storage.report.redrawn import redrawn_overlay
-
-    return png.encode(redrawn_overlay(context.archive.store, scene_id, work_alone).image())
 
 
 def _table(context: PageContext, row: Any, features: SceneFeatures, chosen: Feature | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -67,7 +68,6 @@ _MEASURES = {N_("mean value"): "mean", N_("share outside"): "outside"}
 
 def render(context: PageContext) -> None:
     """Show the page."""
-    subject, quantity, selection, rules = _choose(context)
     view = st.segmented_control(
         _("View"),
         _VIEWS,
@@ -75,41 +75,53 @@ def render(context: PageContext) -> None:
         label_visibility="collapsed",
         **one_of("view", _VIEWS),
     )
+    boxes = st.columns([1.2, 1.2, 1, 1.2, 1.2, 1.2, 1.2])
+    # Fields stand only where they change what is shown: these two are of all panels and all that was measured.
     if view == _VIEWS[1]:
-        _pareto(context, replace(selection, without=context.settings.not_aircraft))
-    elif view == _VIEWS[3]:
-        show_first_pass(context, selection.since)
-    elif subject is None:
-        st.info(_("There is nothing of this kind on that panel and station."))
-    elif view == _VIEWS[2]:
+        _pareto(context, replace(_period(context, boxes[0]), without=context.settings.not_aircraft))
+        return
+    if view == _VIEWS[3]:
+        show_first_pass(context, _period(context, boxes[0]).since)
+        return
+    of_map = view == _VIEWS[2]
+    subject, quantity = _choose(context, boxes, of_map)
+    selection = _period(context, boxes[5])
+    if of_map:
         _map(context, subject, quantity, selection)
+        return
+    rules = boxes[6].selectbox(_("Run rules"), list(_RULES), **one_of("rules", list(_RULES)))
+    if subject is None:
+        st.info(_("There is nothing of this kind on that panel and station."))
     else:
         _control(context, subject, quantity, selection, rules)
 
 
-def _choose(context: PageContext) -> tuple[Subject | None, Quantity, Selection, str]:
+def _period(context: PageContext, box: Any) -> Selection:
+    period = box.selectbox(_("Scanned"), list(PERIODS), format_func=_, **one_of("period", list(PERIODS)))
+    return Selection(since=start_of(period, newest_scan(context.archive)))
+
+
+def _choose(context: PageContext, boxes: Sequence[Any], of_map: bool) -> tuple[Subject | None, Quantity]:
+    """What is followed, and its quantity; a map is of a whole panel, whatever is followed on it."""
     archive = context.archive
-    boxes = st.columns([1.2, 1.2, 1, 1.2, 1.2, 1.2, 1.2])
     kind = boxes[0].selectbox(_("Trend of"), list(SUBJECTS), format_func=_, **one_of("what", list(SUBJECTS)))
     panel = station = name = ""
     if kind != FASTENER_TYPE:
         panels = names(archive, "panel")
         panel = boxes[1].selectbox(_("Panel"), panels, **one_of("panel", panels)) or ""
-    if kind in BY_SUBJECT:
+    if kind in BY_SUBJECT and not of_map:
         within = Selection(panels=(panel,))
         stations = names(archive, "station", within)
         station = boxes[2].selectbox(_("Station"), stations, **one_of("station", stations)) or ""
-    if kind != "panel":
+    if kind != "panel" and not of_map:
         title = _("Head Ø, mm") if kind == FASTENER_TYPE else capital(_(kind))
         known = options(archive, kind, panel, station)
         name = boxes[3].selectbox(title, known, **one_of("name", known)) or "" if known else ""
     quantity = boxes[4].selectbox(
         _("Quantity"), SUBJECTS[kind], format_func=quantity_words, **one_of("quantity", SUBJECTS[kind])
     )
-    period = boxes[5].selectbox(_("Scanned"), list(PERIODS), format_func=_, **one_of("period", list(PERIODS)))
-    rules = boxes[6].selectbox(_("Run rules"), list(_RULES), **one_of("rules", list(_RULES)))
-    subject = Subject(kind, panel, station, name) if kind == "panel" or name else None
-    return subject, QUANTITIES[quantity], Selection(since=start_of(period, newest_scan(archive))), rules
+    subject = Subject(kind, panel, station, name) if kind == "panel" or name or of_map else None
+    return subject, QUANTITIES[quantity]
 
 
 def _control(
@@ -259,8 +271,8 @@ def _follow(panel: str, subject: str, place: list[str]) -> None:
     put(what=subject, panel=panel, station=station, name=name, view=None)
 
 
-def _map(context: PageContext, subject: Subject, quantity: Quantity, selection: Selection) -> None:
-    if not subject.panel:
+def _map(context: PageContext, subject: Subject | None, quantity: Quantity, selection: Selection) -> None:
+    if subject is None or not subject.panel:
         st.info(_("Choose a rivet, a seam or a panel to see its map."))
         return
     measure = st.segmented_control(_("Colour"), list(_MEASURES), format_func=_, **one_of("measure", list(_MEASURES)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from pathlib import Path
 
 from flows.commands.language import add_language, wording_in
@@ -39,8 +38,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
 def run(options: argparse.Namespace) -> int:
     """Copy the overlays out of the store."""
     from metrology.errors import UsageError
-    from storage.archive.bundle import sound_file
-    from storage.archive.store import Store
 
     if options.aircraft and options.panel and not options.scene_id:
         if options.names or options.work:
@@ -50,30 +47,24 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("overlay: expected a SCENE_ID, or --aircraft SERIAL and --panel PANEL")
     if options.out.suffix.lower() not in (".png", ".svg"):
         raise UsageError(f"overlay: found the ending {options.out.suffix!r} of {options.out}, expected .png or .svg")
-    if options.names or options.work:
-        return _anew(options)
-    overlay = Store(options.store).paths(options.scene_id).overlay
-    source = overlay.with_suffix(".svg") if options.out.suffix.lower() == ".svg" else overlay
-    sound_file(source)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, options.out)
-    print(options.out)
-    return 0
+    return _one(options)
 
 
-def _anew(options: argparse.Namespace) -> int:
+def _one(options: argparse.Namespace) -> int:
     from storage.archive.store import Store
-    from storage.png import encode
-    from storage.report.redrawn import redrawn_overlay
+    from storage.report.redrawn import encoded, overlay_file, redrawn_overlay
     from storage.wording import written_in
 
+    store, suffix = Store(options.store), options.out.suffix.lower()
     with written_in(wording_in(options.language)):
-        overlay = redrawn_overlay(Store(options.store), options.scene_id, options.work)
+        anew = options.names or options.work
+        drawn = (
+            encoded(redrawn_overlay(store, options.scene_id, options.work), suffix)
+            if anew
+            else overlay_file(store, options.scene_id, suffix)
+        )
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    if options.out.suffix.lower() == ".svg":
-        options.out.write_text(overlay.svg(), encoding="utf-8")
-    else:
-        options.out.write_bytes(encode(overlay.image()))
+    options.out.write_bytes(drawn)
     print(options.out)
     return 0
 

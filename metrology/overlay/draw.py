@@ -17,9 +17,11 @@ from metrology.overlay.legend import draw_legend, entries
 from metrology.overlay.marks import COLOURS, GRAVEST_FIRST, Label, Stroke
 from metrology.overlay.paint import paint, paint_svg, text_size
 from metrology.overlay.skin_map import MeasuredSkin, map_skin, screen
+from metrology.overlay.words import BEYOND, NEARER, NO_PROJECTOR, NOT_MEASURED, ORDER, VALUES, Words
 from metrology.results import Features, SceneKey
 from metrology.verdicts import DECISIONS
 
+_ENGLISH = Words()
 _LEGEND_NAMES = 3  # ids of what is not shown, before "+ n"
 
 
@@ -82,6 +84,7 @@ def draw_overlay(
     title: Sequence[str],
     settings: OverlaySettings | None = None,
     names: Mapping[str, str] | None = None,
+    words: Words = _ENGLISH,
 ) -> Overlay:
     """Draw the verdicts of one scene for the projector, or over the left image where the rig has none.
 
@@ -96,15 +99,19 @@ def draw_overlay(
     names : mapping of str to str, optional
         Write the features' names before their values: these, or else their own (of a course that of its first id
         column).
+    words : Words
+        Of the language that is written in.
     """
     settings = settings or OverlaySettings()
     projector = screen(reconstruction.rig)
     if reconstruction.rig.screen is None:
-        title = [*title, "LEFT CAMERA - NOT FOR PROJECTION"]
+        title = [*title, words.text(NO_PROJECTOR)]
     skin = map_skin(reconstruction)
     layout = Layout(projector.width, projector.height, skin)
     text_px = settings.text_height_mm * skin.px_per_mm
-    canvas = Canvas(reconstruction, layout, skin.px_per_mm, settings.line_width_px, settings.label_every_mm, names)
+    canvas = Canvas(
+        reconstruction, layout, skin.px_per_mm, settings.line_width_px, settings.label_every_mm, names, words
+    )
     # The place of a missing fastener is drawn once: as the hole that is there.
     replaced = {getattr(row, "fastener_id", None) for rows in features.values() for row in rows}
     for kind in KINDS:
@@ -113,7 +120,7 @@ def draw_overlay(
 
     present = {row.severity for rows in features.values() for row in rows}
     key = [s for s in reversed(GRAVEST_FIRST) if s is not None or None in present]
-    legend = entries(title, key, _notes(features, canvas))
+    legend = entries(title, key, _notes(features, canvas), words)
     labels, shapes = draw_legend(legend, layout, text_px, skin.angle, settings.line_width_px)
     # Grave ones first: they get the best places. What is in order may go without its value where there is no room.
     for wish in sorted(canvas.wishes, key=lambda w: GRAVEST_FIRST.index(w.severity)):
@@ -134,21 +141,22 @@ def draw_overlay(
 
 def _notes(features: Features, canvas: Canvas) -> list[str]:
     """What the values are, and what the picture does not show."""
+    word = canvas.words.text
     shown = [(kind, rows) for kind in KINDS if (rows := features.get(kind.name))]
-    notes = ["values in mm"] if shown else []
+    notes = [word(VALUES)] if shown else []
     for kind, _ in shown:
-        said = [quantity.said for quantity in kind.quantities if quantity.projected]
-        order = " (before and after the bar)" if len(said) == 2 else ""
-        notes.append(f"{kind.subject.upper()}: {' | '.join(said)}{order}")
+        said = [word(quantity.said) for quantity in kind.quantities if quantity.projected]
+        order = f" ({word(ORDER)})" if len(said) == 2 else ""
+        notes.append(f"{word(kind.subject).upper()}: {' | '.join(said)}{order}")
     for note in dict.fromkeys(DECISIONS[row.decision].note for _, rows in shown for row in rows):
         if note:
-            notes.append(f"{note} nearer to a limit than its uncertainty")
+            notes.append(f"{note} {word(NEARER)}")
     if any("?" in wish.text for wish in canvas.wishes):
-        notes.append("? not measured")
+        notes.append(f"? {word(NOT_MEASURED)}")
     if outside := canvas.outside:
         more = len(outside) - _LEGEND_NAMES
         names = ", ".join(outside[:_LEGEND_NAMES]) + (f" + {more}" if more > 0 else "")
-        notes.append(f"beyond the picture: {names}")
+        notes.append(f"{word(BEYOND)}: {names}")
     return notes
 
 

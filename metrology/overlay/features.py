@@ -14,6 +14,7 @@ from metrology.kinds import Kind, load
 from metrology.overlay.layout import Layout
 from metrology.overlay.marks import BAR_END_MM, Stroke, arrow_marks, circle_points, rivet_marks, seam_marks
 from metrology.overlay.skin_map import MeasuredSkin, screen
+from metrology.overlay.words import Words
 from metrology.results import MISSING, Feature, Severity
 from metrology.skin_normal import skin_normal
 from metrology.verdicts import DECISIONS
@@ -46,6 +47,7 @@ class Canvas:
     label_every_mm: float
     names: Mapping[str, str] | None = None
     """What is written before the values, by the names of single features and of courses; without it, nothing is."""
+    words: Words = field(default_factory=Words)
     strokes: list[Stroke] = field(default_factory=list)
     wishes: list[Wish] = field(default_factory=list)
     outside: list[str] = field(default_factory=list)
@@ -76,7 +78,13 @@ def mark_rings(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
         for mark in marks:
             layout.occupy(mark.points, mark.width)
         canvas.wishes.append(
-            Wish(name, canvas.named(name, _text(kind, row)), outline.mean(0), layout.extent(extent), row.severity)
+            Wish(
+                name,
+                canvas.named(name, _text(kind, row, canvas.words)),
+                outline.mean(0),
+                layout.extent(extent),
+                row.severity,
+            )
         )
 
 
@@ -100,7 +108,7 @@ def mark_course(kind: Kind, rows: Sequence[Feature], canvas: Canvas) -> None:
             for place in places[run][projector.inside(places[run])]:
                 layout.occupy(place[None], reach)
         along = np.array([getattr(row, position) for row in course])
-        for k, text in _values(kind, course, along, canvas.label_every_mm):
+        for k, text in _values(kind, course, along, canvas):
             severity = course[k].severity
             if projector.inside(places[k]):
                 reach = BAR_END_MM[severity] * canvas.px_per_mm
@@ -141,14 +149,14 @@ def _ellipse(kind: Kind, row: Any, reconstruction: MeasuredSkin, centre: Array, 
     return np.asarray(rays * (normal @ centre / (rays @ normal))[:, None])
 
 
-def _text(kind: Kind, row: Feature) -> str:
+def _text(kind: Kind, row: Feature, words: Words) -> str:
     """The values that the projector writes beside a feature, to hundredths."""
     shown = [quantity for quantity in kind.quantities_of(row) if quantity.projected]
     values: list[Any] = [getattr(row, quantity.column) for quantity in shown]
-    note: str = load(kind.note)(row) if kind.note else ""
+    note = words.note(load(kind.note)(row)) if kind.note else ""
     if all(value is None for value in values):
-        return note or (MISSING.upper() if row.is_missing else "?")
-    said = [_said(value, quantity.signed) for value, quantity in zip(values, shown, strict=True)]
+        return note or (words.text(MISSING.upper()) if row.is_missing else "?")
+    said = [words.number(_said(value, quantity.signed)) for value, quantity in zip(values, shown, strict=True)]
     return " | ".join(said) + DECISIONS[row.decision].note + (f" {note}" if note else "")
 
 
@@ -159,15 +167,17 @@ def _said(value: float | None, signed: bool) -> str:
     return f"{round(value, 2) + 0.0:+.2f}" if signed else f"{value:.2f}"
 
 
-def _values(kind: Kind, course: Sequence[Any], along: Array, every_mm: float) -> Iterator[tuple[int, str]]:
+def _values(kind: Kind, course: Sequence[Any], along: Array, canvas: Canvas) -> Iterator[tuple[int, str]]:
     """Where values are written along a course: once for a stretch, at its worst position and with its length."""
     sizes = _sizes(kind, course)
     for run in _runs([row.stretch or row.severity for row in course]):
         if course[run.start].stretch is None:
-            yield from ((k, _text(kind, course[k])) for k in _labelled(sizes, along, run, every_mm))
+            yield from (
+                (k, _text(kind, course[k], canvas.words)) for k in _labelled(sizes, along, run, canvas.label_every_mm)
+            )
             continue
         worst = max(range(run.start, run.stop), key=lambda k: (_beyond(course[k]), sizes[k]))
-        text, n = _text(kind, course[worst]), run.stop - run.start
+        text, n = _text(kind, course[worst], canvas.words), run.stop - run.start
         length = (along[run.stop - 1] - along[run.start]) * n / max(n - 1, 1)
         yield worst, f"{text} ({length:.0f} mm)" if length else text
 

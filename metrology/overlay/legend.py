@@ -11,6 +11,7 @@ from metrology.arrays import Array
 from metrology.overlay.layout import Layout
 from metrology.overlay.marks import COLOURS, WORDS, Label, Stroke, rivet_marks
 from metrology.overlay.paint import text_size
+from metrology.overlay.words import Words
 from metrology.results import Severity
 
 _MARGIN_PX = 6.0
@@ -26,11 +27,13 @@ class Entry:
     marked: bool = False
 
 
-def entries(title: Sequence[str], key: Sequence[Severity | None], notes: Sequence[str]) -> list[list[Entry]]:
+def entries(
+    title: Sequence[str], key: Sequence[Severity | None], notes: Sequence[str], words: Words
+) -> list[list[Entry]]:
     """The legend's lines in up to three groups, what matters most first: title, key of the marks, notes."""
     groups = [
         [Entry(line) for line in title],
-        [Entry(WORDS[severity], severity, marked=True) for severity in key],
+        [Entry(words.text(WORDS[severity]), severity, marked=True) for severity in key],
         [Entry(note) for note in notes],
     ]
     return [group for group in groups if group]

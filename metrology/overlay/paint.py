@@ -14,6 +14,8 @@ from metrology.overlay.marks import Label, Stroke
 
 _FONT = cv2.FONT_HERSHEY_DUPLEX
 _SAMPLE_SCALE = 4.0
+_ALL_LETTERS = int(cv2.__version__.partition(".")[0]) >= 5  # before, its fonts have none but those of ASCII
+_PLAIN = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "AE", "Ö": "OE", "Ü": "UE", "ß": "ss"})
 _SHIFT = 4  # fixed-point bits of the drawing coordinates
 
 
@@ -26,10 +28,15 @@ def _cap_height() -> float:
     return float(rows[-1] - rows[0]) / _SAMPLE_SCALE
 
 
+def _drawable(text: str) -> str:
+    """A text in letters that this OpenCV has."""
+    return text if _ALL_LETTERS else text.translate(_PLAIN)
+
+
 def text_size(text: str, height: float) -> tuple[float, float]:
     """Width and height in pixels that a line of text takes, halo included."""
     scale = height / _cap_height()
-    (width, cap), base = cv2.getTextSize(text, _FONT, scale, _thickness(height))
+    (width, cap), base = cv2.getTextSize(_drawable(text), _FONT, scale, _thickness(height))
     return float(width + 0.6 * height), float(cap + base + 0.25 * height)
 
 
@@ -66,10 +73,11 @@ def _paint_label(image: NDArray[np.uint8], label: Label) -> None:
     """Text on a black plate (light from the fringe field around it would drown thin letters)."""
     width, height = (int(np.ceil(x)) for x in text_size(label.text, label.height))
     scale, thickness = label.height / _cap_height(), _thickness(label.height)
-    (text_width, cap), base = cv2.getTextSize(label.text, _FONT, scale, thickness)
+    text = _drawable(label.text)
+    (text_width, cap), base = cv2.getTextSize(text, _FONT, scale, thickness)
     plate = np.zeros((height, width, 3), np.uint8)
     origin = ((width - text_width) // 2, (height - cap - base) // 2 + cap)
-    cv2.putText(plate, label.text, origin, _FONT, scale, label.colour, thickness, cv2.LINE_AA)
+    cv2.putText(plate, text, origin, _FONT, scale, label.colour, thickness, cv2.LINE_AA)
     cos, sin = np.cos(label.angle), np.sin(label.angle)
     turn = np.array([[cos, -sin], [sin, cos]])
     shift = label.centre - turn @ ((np.array([width, height]) - 1) / 2)

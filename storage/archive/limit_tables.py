@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,8 +88,9 @@ def register_limits(connection: duckdb.DuckDBPyConnection, root: Path) -> None:
 def limits(connection: duckdb.DuckDBPyConnection, root: Path) -> pa.Table:
     """A row per limit of each zone of each specification that the newest runs were judged by.
 
-    Scans of equal settings were judged alike, so one manifest is read for each of these. Of assembled panels it is that
-    of the newest one for each name of a specification. Where a manifest cannot be read, a row says why.
+    Scans of equal settings were judged alike, so one manifest is read for each of these. Of assembled panels, those of
+    the first and the last one are read for each name of a specification, and where these differ, as many between them
+    as tell since when. Where a manifest cannot be read, a row says why.
     """
     import pyarrow as pa
 
@@ -112,11 +114,11 @@ def _type(name: str) -> pa.DataType:
 
 def _all_judged(connection: duckdb.DuckDBPyConnection, root: Path) -> list[_Judged]:
     """What the index shows, by panel and by what its specification says."""
-    each = "arg_max(bundle_path, captured_at), min(captured_at), max(captured_at)"
     found = connection.execute(
-        f"SELECT panel, panel_spec, config_hash, count(*), {each} FROM scenes GROUP BY ALL "
-        f"UNION ALL SELECT panel, panel_spec, NULL, 0, {each} FROM panels GROUP BY ALL ORDER BY ALL"
+        "SELECT panel, panel_spec, config_hash, count(*), arg_max(bundle_path, captured_at), min(captured_at), "
+        "max(captured_at) FROM scenes GROUP BY ALL ORDER BY ALL"
     ).fetchall()
+    found = sorted([*found, *_assemblies(connection, root)], key=lambda row: (row[0], row[1] or "", row[2] or ""))
     judged: dict[tuple[str, str | None, str], _Judged] = {}
     for panel, named, config, n, bundle, *times in found:
         document, problem = _document(root, bundle)
@@ -129,6 +131,33 @@ def _all_judged(connection: duckdb.DuckDBPyConnection, root: Path) -> list[_Judg
         one.n_scenes += n
         one.times += times
     return list(judged.values())
+
+
+def _assemblies(connection: duckdb.DuckDBPyConnection, root: Path) -> Iterator[tuple[Any, ...]]:
+    """Assembled panels that were judged alike, as rows of the same columns: by one specification after the other."""
+    order = "ORDER BY processed_at, bundle_path"
+    found = connection.execute(
+        f"SELECT panel, panel_spec, list(bundle_path {order}), list(captured_at {order}) FROM panels GROUP BY ALL"
+    ).fetchall()
+    for panel, named, bundles, times in found:
+        read = cache(partial(_nth_document, root, bundles))
+        for first, last in _alike(read, 0, len(bundles) - 1):
+            taken = times[first : last + 1]
+            yield panel, named, None, 0, bundles[last], min(taken), max(taken)
+
+
+def _nth_document(root: Path, bundles: Sequence[str], k: int) -> tuple[Mapping[str, Any], str | None]:
+    return _document(root, bundles[k])
+
+
+def _alike(read: Callable[[int], object], first: int, last: int) -> Iterator[tuple[int, int]]:
+    """From which to which one all are the same, by halving: where both ends are, so is what lies between them."""
+    if read(first) == read(last):
+        yield first, last
+        return
+    middle = (first + last) // 2
+    yield from _alike(read, first, middle)
+    yield from _alike(read, middle + 1, last)
 
 
 def _document(root: Path, bundle: str) -> tuple[Mapping[str, Any], str | None]:

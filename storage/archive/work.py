@@ -280,13 +280,26 @@ SELECT DISTINCT scene_id, feature_kind, feature_id FROM (
 
 def standings(connection: duckdb.DuckDBPyConnection, review: Review, scene_id: str) -> tuple[Standing, ...]:
     """How each finding of a scene stands, in the order of their names."""
+    return standings_of(connection, review, [scene_id])[scene_id]
+
+
+def standings_of(
+    connection: duckdb.DuckDBPyConnection, review: Review, scene_ids: Sequence[str]
+) -> dict[str, tuple[Standing, ...]]:
+    """How each finding of some scenes stands, by the scene and in the order of their names."""
+    if not scene_ids:
+        return {}
     register(connection, review)
-    sql = findings_sql(near="scene_id = ?", scenes="scene_id = ?", newest="true")
+    among = f"scene_id IN ({', '.join('?' * len(scene_ids))})"
+    sql = findings_sql(near=among, scenes=among, newest="true")
     rows = connection.execute(
-        f"SELECT feature_kind, feature_id, state FROM ({sql}) ORDER BY feature_kind, feature_id",
-        [scene_id] * 3,
+        f"SELECT scene_id, feature_kind, feature_id, state FROM ({sql}) ORDER BY feature_kind, feature_id",
+        [*scene_ids] * 3,
     ).fetchall()
-    return tuple(Standing(Feature(kind, name), state) for kind, name, state in rows)
+    found: dict[str, list[Standing]] = {scene_id: [] for scene_id in scene_ids}
+    for scene_id, kind, name, state in rows:
+        found[scene_id].append(Standing(Feature(kind, name), state))
+    return {scene_id: tuple(standing) for scene_id, standing in found.items()}
 
 
 def said(standings: Iterable[Standing]) -> str:

@@ -267,7 +267,7 @@ def decision_link(found: Sources, feature: Feature, verdict: str) -> Link:
         return Link("decision", found.review_problem, missing=True)
     about = Review(found.decisions).held(str(found.scene["scene_id"]), feature)
     if about:
-        said = remarks(about[-1], _)
+        said = remarks(about[-1], _, reason)
         comment = f": {said}" if said else ""
         return Link("decision", f"{about[-1].said}{comment} (entry {about[-1].number}, {about[-1].checksum[:12]}…)")
     if verdict in IN_ORDER:

@@ -225,7 +225,7 @@ def _stations(record: AssembledRecord) -> Markup:
 
 def _signature(signed: Entry) -> str:
     """Who signed, when, in which role, and what the signature says."""
-    meaning = remarks(signed, _)
+    meaning = remarks(signed, _, reason)
     return f"{signed.who}, {moment(signed.at)}" + (f", {meaning}" if meaning else "")
 
 

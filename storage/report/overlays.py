@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from storage.archive import Store
-from storage.archive.bundle import sound_file
 from storage.report.markup import badge, moment, page
 from storage.report.record import PanelRecord
+from storage.report.redrawn import overlay_file
 from storage.report.verdicts import gravest
 from storage.wording import _, named
 
@@ -26,9 +26,8 @@ def write_overlays(store: Store, record: PanelRecord, folder: Path) -> Path:
     cards = []
     for scene in record.scenes:
         station = scene.scene["station"]
-        drawing = store.paths(scene.scene["scene_id"]).overlay.with_suffix(".svg")
-        (folder / f"{station}.png").write_bytes(scene.overlay_png)
-        (folder / f"{station}.svg").write_bytes(sound_file(drawing).read_bytes())
+        for suffix in (".png", ".svg"):
+            (folder / f"{station}{suffix}").write_bytes(overlay_file(store, str(scene.scene["scene_id"]), suffix))
         cards.append(
             {
                 "station": station,

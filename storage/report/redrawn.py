@@ -1,4 +1,4 @@
-"""The overlay of a stored scan drawn anew: with names, or of nothing but the work that is open."""
+"""The overlay of a stored scan drawn anew: in another language, with names, or of nothing but the open work."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.errors import StoreError
+from metrology.errors import FlushlineError, StoreError
 from metrology.kinds import KINDS, Kind
-from metrology.overlay import Overlay, draw_overlay, scan_title
+from metrology.overlay import Overlay, Words, draw_overlay, scan_title
+from metrology.overlay.words import WORK_ALONE
 from metrology.results import SceneKey
 from metrology.rig import Rig
+from storage import png
 from storage.archive import Store
-from storage.archive.bundle import RIG
+from storage.archive.bundle import RIG, sound_file
 from storage.archive.panel_scans import features_of
 from storage.archive.schema import PANEL_OF_KIND
 from storage.archive.work import open_work
 from storage.review import Feature, ReviewLog
 from storage.rig import load_rig
+from storage.wording import Wording, _, wording
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,38 @@ class _Skin:
     points: NDArray[np.float32]
 
 
-def redrawn_overlay(store: Store, scene_id: str, work_alone: bool = False) -> Overlay:
-    """The overlay with the names that features have in their assembled panel, or else on their scan.
+def overlay_file(store: Store, scene_id: str, suffix: str = ".png") -> bytes:
+    """A scan's overlay in the language that is written in: as it was stored, which is in English, or drawn anew.
+
+    Parameters
+    ----------
+    suffix : str
+        ".png" or ".svg".
+    """
+    stored = sound_file(store.paths(scene_id).overlay.with_suffix(suffix)).read_bytes()
+    if wording().language == Wording().language:
+        return stored
+    try:
+        overlay = redrawn_overlay(store, scene_id, named=False)
+    except FlushlineError:  # what it is drawn from is not there any more
+        return stored
+    return encoded(overlay, suffix)
+
+
+def encoded(overlay: Overlay, suffix: str) -> bytes:
+    """An overlay as PNG or SVG."""
+    return overlay.svg().encode() if suffix == ".svg" else png.encode(overlay.image())
+
+
+def redrawn_overlay(store: Store, scene_id: str, work_alone: bool = False, named: bool = True) -> Overlay:
+    """The overlay in the language that is written in (`storage.wording`).
 
     Parameters
     ----------
     work_alone : bool
         Only that whose rework, repair or re-scan was decided and is not done.
+    named : bool
+        With the names that features have in their assembled panel, or else on their scan.
     """
     paths, features = store.paths(scene_id), features_of(store, [scene_id])[scene_id]
     with contextlib.closing(store.connect()) as connection:
@@ -48,13 +76,13 @@ def redrawn_overlay(store: Store, scene_id: str, work_alone: bool = False) -> Ov
             names |= {_single(kind, row["own"]): row["name"] for row in rows(_of_panel(kind))}
         (key,) = rows("SELECT aircraft_serial, panel, station, captured_at FROM scenes WHERE scene_id = ?")
         if work_alone:
-            open_ones = {feature for _, feature in open_work(connection, ReviewLog(store.root).of_scenes([scene_id]))}
+            open_ones = {feature for __, feature in open_work(connection, ReviewLog(store.root).of_scenes([scene_id]))}
             features = {kind.name: [r for r in features[kind.name] if _is_of(open_ones, kind, r)] for kind in KINDS}
             if not any(features.values()):
                 raise StoreError(f"{scene_id}: found no open rework, repair or re-scan, expected some to draw")
-    title = scan_title(SceneKey(**key)) + (("OPEN WORK ONLY",) if work_alone else ())
+    title = scan_title(SceneKey(**key)) + ((_(WORK_ALONE),) if work_alone else ())
     skin = _Skin(load_rig(paths.bundle / RIG), store.load_cloud(scene_id).points)
-    return draw_overlay(features, skin, title, names=names)
+    return draw_overlay(features, skin, title, names=names if named else None, words=Words(_, wording().decimal))
 
 
 def _of_panel(kind: Kind) -> str:

@@ -192,7 +192,7 @@ def entries_table(entries: Sequence[Entry], where: bool = False) -> Markup:
             entry.who,
             f"{_(entry.feature_kind or 'scan')} {named(entry.feature_id or '')} {entry.scene_id if where else ''}",
             _(entry.what),
-            remarks(entry, _),
+            remarks(entry, _, reason),
         ]
         for entry in entries
     ]

@@ -11,12 +11,18 @@ from typing import Any
 
 import pytest
 
+from metrology.results import SceneKey
+from storage.archive.decisions import mark_false, mark_missed, shown_finding
+from storage.archive.store import Store
+from storage.review import Feature, ReviewLog, ShownScene
 from tests.support.browser import choose, entries_of, new_page, record, settle
-from tests.support.week import ROOT
+from tests.support.synthetic_scene import Recipe, synthetic_result
+from tests.support.week import AIRCRAFT, BEFORE, ROOT, recipe
 
 pytestmark = pytest.mark.browser
 
 MOST_BYTES = 300_000
+LAST = len(AIRCRAFT) - 1
 
 
 # Where Plotly drew the station in the middle of the seam, in pixels of the page.
@@ -144,15 +150,43 @@ def test_a_click_on_the_picture_opens_the_close_up(server: tuple[str, Path], chr
     shoot(page, pictures, "seam-dark")
 
 
+def prepare_pictures(root: Path) -> None:
+    """Marks of people on last night's scan, and two aircraft whose panel passed by its first scans."""
+    scene = recipe(LAST, "S2").key.scene_id
+    store, log = Store(root), ReviewLog(root)
+    [run] = store.query("SELECT run_id FROM scenes WHERE scene_id = ?", [scene]).column(0).to_pylist()
+    with store.connect() as connection:
+        shown = shown_finding(connection, log.read(), scene, Feature("rivet", "R02"))
+    assert shown
+    mark_false(root, "M. Weber", shown, "a drop of sealant")
+    mark_missed(root, "K. Ito", ShownScene(scene, run, {}, 0), "between R09 and R10", (250.0, 330.0))
+    for aircraft in ("MSN-0404", "MSN-0405"):
+        key = SceneKey(aircraft, "RH-C07", "S9", BEFORE)
+        store.publish(synthetic_result(Recipe(key, heights_mm=(0.0,) * 6, step_mm=0.05)))
+
+
 def test_pages_fit_a_small_screen(server: tuple[str, Path], chromium: Any, pictures: Path) -> None:
-    page = new_page(chromium)
-    for path in ("archive", "runs", "scene?view=Deviation+map", "trends?what=panel"):
-        page.goto(f"{server[0]}/{path}")
+    address, root = server
+    prepare_pictures(root)
+    scans = [recipe(night, "S2").key.scene_id for night in (3, 4, LAST)]
+    light, dark = new_page(chromium), new_page(chromium, "dark", "de-DE")
+    for page, path, name in (
+        (light, "archive", "archive"),
+        (light, "runs", "runs"),
+        (light, f"scene?scene={scans[0]}&view=Deviation+map", ""),
+        (light, "trends?what=panel", ""),
+        (light, f"archive?compare={','.join(scans)}", "compare"),
+        (light, f"scene?scene={scans[-1]}&view=Marks&feature=rivet:R02", "marks"),
+        (dark, "trends?view=Pareto+of+panels&by=cause", "pareto-dark"),
+        (dark, "trends?view=First-pass+yield", "yield-dark"),
+    ):
+        page.goto(f"{address}/{path}")
         page.get_by_text("Flushline ·").filter(visible=True).first.wait_for()
         settle(page)
         assert page.evaluate("document.querySelector('[data-testid=stMain]').scrollWidth") <= 1366
-        if path in ("archive", "runs"):
-            shoot(page, pictures, path)
+        if name:
+            page.wait_for_timeout(300)  # charts are drawn a moment after the page is at rest
+            shoot(page, pictures, name)
 
 
 def test_a_click_on_a_seam_s_chart_opens_the_close_up(server: tuple[str, Path], chromium: Any, pictures: Path) -> None:

@@ -10,12 +10,13 @@ import pytest
 
 from dashboard.findings import feature_words
 from dashboard.locale import Locale
+from metrology.results import SceneKey
 from storage.archive.store import Store
 from storage.archive.work import standings
 from storage.review import Entry, Feature, ReviewLog, ShownFinding
 from tests.support.browser import choose, click_row, entries_of, new_page, record, settle, wait
-from tests.support.synthetic_scene import synthetic_result
-from tests.support.week import recipe
+from tests.support.synthetic_scene import Recipe, synthetic_result
+from tests.support.week import BEFORE, recipe
 
 pytestmark = pytest.mark.browser
 
@@ -185,8 +186,9 @@ def test_open_work_stays_until_a_later_scan_passes(server: tuple[str, Path], chr
 
 def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: Any) -> None:
     address, root = server
-    before = entries_of(root, "MSN-0425")
-    page = open_review(chromium, address, "MSN-0425", kind="rivet")
+    own = SceneKey("MSN-0403", "LH-F12", "S9", BEFORE)
+    Store(root).publish(synthetic_result(Recipe(own, heights_mm=(0.3, 0.25, 0.2, *[0.0] * 9), step_mm=0.05)))
+    page = open_review(chromium, address, own.aircraft_serial)
     page.get_by_role("textbox", name="Your name").fill("M. Weber")
     page.get_by_role("textbox", name="Your name").press("Tab")
     settle(page)
@@ -210,8 +212,8 @@ def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: 
     page.evaluate("document.activeElement.blur()")
     for key in ("j", "k", "w", "Enter", "s", "Enter"):
         page.keyboard.press(key)
-    wait(lambda: len(entries_of(root, "MSN-0425")) == len(before) + 2)
-    rework, scrap = entries_of(root, "MSN-0425")[len(before) :]
+    wait(lambda: len(entries_of(root, own.aircraft_serial)) == 2)
+    rework, scrap = entries_of(root, own.aircraft_serial)
     assert (rework.disposition, words(rework)) == ("rework", first.split(" (")[0])
     assert (scrap.disposition, words(scrap)) == ("scrap", second.split(" (")[0])
     # Enter on a button opens that, and records nothing.
@@ -222,4 +224,4 @@ def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: 
     page.keyboard.press("Enter")
     page.get_by_role("button", name="HTML report").wait_for()
     settle(page)
-    assert len(entries_of(root, "MSN-0425")) == len(before) + 2
+    assert len(entries_of(root, own.aircraft_serial)) == 2

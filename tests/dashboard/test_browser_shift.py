@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +22,9 @@ from storage.panel_spec import load_panel_spec
 from storage.review import ReviewLog
 from tests.support.browser import entries_of, new_page, settle
 from tests.support.synthetic_scene import Recipe, synthetic_result
+from tests.support.week import BEFORE
 
 pytestmark = pytest.mark.browser
-# Before the week of the shared store, at a station of its own: other tests' lists stay as they are.
-BEFORE = datetime(2026, 11, 9, 21, 0, tzinfo=UTC)
 POSITIONS, FINDINGS, MOST_KEYS = 92, 50, 3
 KEYED = 10  # of the fifty are decided here, each disposition twice: all of them take a minute, and no other key
 

@@ -76,7 +76,7 @@ def test_a_panel_shows_a_feature_of_its_map_and_its_findings(server: tuple[str, 
     settle(page)
     click_row(page, 0)
     page.wait_for_url("**feature=rivet*", wait_until="commit")
-    page.get_by_text("on the scan of station").wait_for()
+    page.get_by_text("on the scan of MSN-0425, station").wait_for()
     page.goto(f"{server[0]}/panel?aircraft=MSN-0421&panel=LH-F12")
     page.get_by_text("were not put together yet").wait_for()
 

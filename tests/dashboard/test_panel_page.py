@@ -15,15 +15,17 @@ import pandas as pd
 import pytest
 from streamlit.testing.v1 import AppTest
 
-from dashboard import panels
-from dashboard.before_after import _found, before_and_after
+from dashboard import panels, same_place
+from dashboard.before_after import before_and_after
 from dashboard.data import Archive
 from dashboard.figures.panel import panel_figure
 from dashboard.figures.seam import seam_course_figure
 from dashboard.locale import locale_of
-from dashboard.panels import PanelPicture, load_panel, stitched_pictures
+from dashboard.panels import PanelPicture, in_scan, load_panel, stitched_pictures
+from dashboard.same_place import at_same_place, named, scans_of_place
+from dashboard.scenes import load_features, load_scene_row
 from dashboard.seam_course import seam_course, seam_names
-from metrology.kinds import SEAM_STATION
+from metrology.kinds import RIVET, SEAM_STATION
 from metrology.results import PanelKey
 from storage.archive import Store
 from storage.archive.decisions import dispose, shown_finding
@@ -174,9 +176,51 @@ def test_work_that_no_later_scan_shows_has_no_after(nights: Path, tmp_path: Path
 
 def test_a_position_is_the_same_where_it_is_near() -> None:
     rows = pd.DataFrame({"seam_id": ["M1", "M1", "M2"], "s_mm": [10.0, 12.0, 10.9]})
-    assert _found(SEAM_STATION, rows, "M1", 11.2).s_mm == 12.0
-    assert _found(SEAM_STATION, rows, "M2", 10.0).s_mm == 10.9
-    assert _found(SEAM_STATION, rows, "M1", 14.0) is None
+    found: list[Any] = [named(SEAM_STATION, rows, *place) for place in (("M1", 11.2), ("M2", 10.0), ("M1", 14.0))]
+    assert [row and row.s_mm for row in found] == [12.0, 10.9, None]
+
+
+def test_the_same_place_on_other_aircraft_and_other_nights(filled: Path, open_page: Open) -> None:
+    page = open_page("panel", filled, aircraft=AIRCRAFT[-1], panel="LH-F12")
+    [slider] = page.select_slider
+    assert (slider.label, list(slider.options), slider.value) == ("Aircraft", AIRCRAFT, AIRCRAFT[-1])
+    assert "R04 on the scan of MSN-0425, station S2" in texts(page).replace("\\", "")
+    page = slider.set_value(AIRCRAFT[2]).run()
+    assert not page.exception
+    assert f"R04 on the scan of {AIRCRAFT[2]}, station S2" in texts(page).replace("\\", "")
+    assert "Found by its name" in texts(page)  # these scans know no frame of the panel
+
+
+def test_a_place_is_known_by_the_panel_s_frame_or_else_by_its_name(
+    filled: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive(filled)
+    view = load_panel(archive, AIRCRAFT[-1], "LH-F12")
+    assert view is not None
+    found = in_scan(archive, view, Feature("rivet", "R19"))
+    assert found is not None
+    scenes = scans_of_place(archive, found.scene, ())
+    assert scenes["aircraft_serial"].tolist() == AIRCRAFT
+    assert scans_of_place(archive, found.scene, ("MSN-0421", "MSN-0425"))["aircraft_serial"].tolist() == [
+        name for name in AIRCRAFT if name != "MSN-0421"
+    ]  # its own stays
+    other: Any = load_scene_row(archive, str(scenes["scene_id"].iloc[0]))
+    there = at_same_place(archive, found, other)
+    assert (there.feature, there.by_name) == (found.feature, True)
+    for own, its in (("not recognised", None), (None, "not recognised")):
+        apart = replace(found, scene=found.scene._replace(registration=own))
+        assert not at_same_place(archive, apart, other._replace(registration=its)).comparable
+
+    def moved(rows: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+        return rows.assign(feature_id=names, x_panel_mm=rows["x_mm"] + 500, y_panel_mm=rows["y_mm"], z_panel_mm=0.0)
+
+    own = found.features["rivet"]
+    placed = replace(found, features={"rivet": moved(own, own["feature_id"].tolist())})
+    rows = load_features(archive, other, [RIVET])["rivet"]
+    monkeypatch.setattr(same_place, "load_features", lambda *_: {"rivet": moved(rows, [*rows["feature_id"]][::-1])})
+    names = dict(zip(rows["feature_id"], [*rows["feature_id"]][::-1], strict=True))
+    there = at_same_place(archive, placed, other)
+    assert (there.feature, there.by_name) == (Feature("rivet", names[found.feature.id]), False)
 
 
 def test_a_seam_is_drawn_along_its_whole_length(writable: Path, open_page: Open) -> None:

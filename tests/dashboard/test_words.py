@@ -165,6 +165,11 @@ def test_reasons_are_worded_clause_by_clause(stored: str, english: str, german: 
             "not measured: S01@144.0-166.0, R07 and 4 more",
             "nicht gemessen: S01 144–166 mm, R07 und 4 weitere",
         ),
+        (
+            "panel MSN-1 LH-F12 released with 2 scans; verdict accepted with conditions: within U95 of a limit: R04",
+            "Paneel MSN-1 LH-F12 freigegeben, Scans: 2; Urteil: bedingt angenommen (näher als U95 an einer Grenze: "
+            "R04)",
+        ),
         ("edges of M1@8.5 and R04", "edges of M1 bei 8,5 mm and R04"),
         ("3 % of the pixels are saturated", "3 % of the pixels are saturated"),
         (
@@ -297,4 +302,13 @@ def test_a_report_in_german_from_the_command_line(
     panel = ["overlay", "--aircraft", "MSN-0425", "--panel", "LH-F12", "--store", str(filled), "--out"]
     assert main([*panel, str(path.parent / "overlays"), "--language", "de"]) == 0
     assert "Projektionsbilder von MSN-0425 LH-F12" in (path.parent / "overlays" / "index.html").read_text()
+    drawn = (path.parent / "overlays" / "S2.svg").read_text()
+    assert {"STARK AUSSERHALB", "+0,24"} <= shown_texts(drawn)  # the picture's own words and numbers, too
+    assert not {"SERIOUS", "+0.24"} & shown_texts(drawn)
+    stored = Store(filled).paths(asked[1]).overlay
+    one = ["overlay", asked[1], "--store", str(filled), "--out", str(path.with_suffix(".png"))]
+    assert main(one) == 0
+    assert path.with_suffix(".png").read_bytes() == stored.read_bytes()  # in English it is the one that was stored
+    assert main([*one, "--language", "de"]) == 0
+    assert path.with_suffix(".png").read_bytes() != stored.read_bytes()
     assert "found language 'tlh', expected one of en, de" in capsys.readouterr().err

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from metrology.cloud import DecodedView, Reconstruction
-from metrology.defects.row import Defect
+from metrology.defects.row import Defect, DefectKind
 from metrology.errors import UsageError
-from metrology.overlay import OverlaySettings, draw_overlay
+from metrology.holes.verdict import hole_note
+from metrology.overlay import OverlaySettings, Words, draw_overlay
 from metrology.overlay.marks import COLOURS, Label, arrow_marks
 from metrology.overlay.paint import text_size
-from metrology.results import Rivet, SeamStation, Severity
+from metrology.results import Hole, HoleKind, Rivet, SeamStation, Severity
 from metrology.rig import Device, Rig
 from tests.support.rows import rivet_at, station_at
 
@@ -54,6 +57,16 @@ def station(s: float, severity: Severity | None, rig: Rig) -> SeamStation:
     point = (20.0, s, 702.0)
     u, v = rig.left.project(point)
     return station_at("S01", s, point, (u, v), step_mm=0.1, width_mm=2.0, severity=severity)
+
+
+def test_all_that_stands_beside_values_has_words() -> None:
+    blank = Words(text=lambda _: "-", decimal=",")
+    hole = Hole("H1", x_mm=0.0, y_mm=0.0, z_mm=700.0, u_px=1.0, v_px=2.0, kind="open hole", fastener_id="R04")
+    notes = [hole_note(replace(hole, kind=kind)) for kind in get_args(HoleKind)]
+    for note in (*notes, *(kind.upper() for kind in get_args(DefectKind))):
+        assert re.fullmatch(r"-( R04)?", blank.note(note)), note
+    assert blank.note("AT LEAST DENT") == "- -"
+    assert blank.note("SIZE 5.0") == "- 5,0"
 
 
 @pytest.mark.parametrize("minor_px", [10.0, 19.0], ids=["long", "round"])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import pytest
 
 from flows.cli import main
 from metrology.inspection import InspectionResult
 from storage.archive import Store
+from storage.archive.limit_tables import limits
 from tests.support.results import small_key, small_result
 
 ORIGIN = {"source": "drawing 7", "revision": "C"}
@@ -84,3 +87,24 @@ def test_the_command_line_has_it(store: Store, capsys: pytest.CaptureFixture[str
     sql = "SELECT zone, upper FROM limits WHERE quantity = 'height' ORDER BY upper"
     assert main(["query", sql, "--store", str(store.root), "--format", "csv"]) == 0
     assert capsys.readouterr().out.split() == ["zone,upper", "nose,0.05", "default,0.2"]
+
+
+def test_panels_judged_by_a_specification_that_changed_under_its_name_are_told_apart(tmp_path: Path) -> None:
+    """Of 40 assemblies, the last 15 were judged by another limit that has the same panel and revision."""
+    for k in range(40):
+        zones = {"default": {"height_mm": {"upper": 0.2 if k < 25 else 0.1, **ORIGIN}}}
+        (tmp_path / f"b{k}").mkdir()
+        spec = {**SPECIFICATION, "zones": zones, "rivets": [], "seams": []}
+        (tmp_path / f"b{k}" / "manifest.json").write_text(json.dumps({"panel_spec": spec}))
+    with duckdb.connect() as connection:
+        connection.execute("SET TimeZone = 'UTC'")
+        connection.execute(
+            "CREATE TABLE panels AS SELECT 'P' AS panel, 'P B' AS panel_spec, 'b' || k AS bundle_path, "
+            "TIMESTAMPTZ '2026-11-01 00:00Z' + to_days(k::INT) AS captured_at, captured_at AS processed_at "
+            "FROM range(40) t(k)"
+        )
+        connection.execute("CREATE TABLE scenes AS SELECT *, 'c' AS config_hash FROM panels LIMIT 0")
+        rows = limits(connection, tmp_path).to_pylist()
+    times = ("first_captured_at", "last_captured_at")
+    found = [(row["upper"], *(f"{row[name]:%m-%d}" for name in times)) for row in rows]
+    assert found == [(0.2, "11-01", "11-25"), (0.1, "11-26", "12-10")]
