@@ -8,7 +8,7 @@ import numpy as np
 
 from metrology.jit import kernel
 from metrology.linear import factor, substitute
-from metrology.rivets.ring_model import DENSE, GEOMETRY, KNOTS, LANES, RESIDUAL
+from metrology.rivets.ring_model import DENSE, GEOMETRY, KNOTS, LANES, RESIDUAL, SIGMA
 
 _EMPTY = 1e-9  # of the diagonal of an unknown that nothing depends on
 
@@ -116,3 +116,19 @@ def solve_scaled(work, scale, size, x):  # type: ignore[no-untyped-def]
     substitute(work, size, x)
     for j in range(size):
         x[j] *= scale[j]
+
+
+@kernel
+def add_brightness(params, step):  # type: ignore[no-untyped-def]
+    """Take a step in all unknowns but the ring's place, shape and width."""
+    for i in range(len(params)):
+        if i < SIGMA or i >= DENSE:
+            params[i] += step[i]
+
+
+@kernel
+def column_of_inverse(system, column):  # type: ignore[no-untyped-def]
+    """A column of the normal matrix's inverse, left in the step."""
+    system.step[:] = 0.0
+    system.step[column] = 1.0
+    solve_scaled(system.work, system.scale, len(system.step), system.step)

@@ -8,7 +8,15 @@ from collections import namedtuple
 import numpy as np
 
 from metrology.jit import kernel
-from metrology.rivets.ring_equations import accumulate, add_shape_prior, assemble, factor_scaled, solve_scaled
+from metrology.rivets.ring_equations import (
+    accumulate,
+    add_brightness,
+    add_shape_prior,
+    assemble,
+    column_of_inverse,
+    factor_scaled,
+    solve_scaled,
+)
 from metrology.rivets.ring_model import (
     BACKGROUND,
     DENSE,
@@ -115,9 +123,7 @@ def fit_ring_kernel(image, ellipse, sigma, shape, shape_sd, limits, iterations, 
         if not factor_scaled(system.normal, UNKNOWNS, _DAMPING, system.work, system.scale):
             return False
         solve_scaled(system.work, system.scale, UNKNOWNS, system.step)
-        for i in range(UNKNOWNS):
-            if i < SIGMA or i >= DENSE:
-                params[i] += system.step[i]
+        add_brightness(params, system.step)
         if iteration <= settled:
             # Hopeless starts show early: a ring is dark all round, or bright.
             if iteration > 0 and not _steady(params, _STEADY[iteration]):
@@ -301,17 +307,14 @@ def _judge(band, system, params, residual, shape, shape_sd, out, covariance):  #
         add_shape_prior(shape, variance / shape_sd**2, params, system.normal, system.step)
     if not factor_scaled(system.normal, UNKNOWNS, _UNDAMPED, system.work, system.scale):
         return False
-    for j in range(5):
-        _column_of_inverse(system, GEOMETRY + j)
-        for i in range(5):
-            covariance[j, i] = system.step[GEOMETRY + i] * (variance * _WEIGHTED_COVARIANCE)
-    _column_of_inverse(system, BACKGROUND)
-    step_sd = math.sqrt(system.step[BACKGROUND]) * noise
-    share = together / _true_share(system, params, variance)
+    scale = variance * _WEIGHTED_COVARIANCE * together / _true_share(system, params, variance)
     for j in range(5):
         out[j] = params[GEOMETRY + j]
+        column_of_inverse(system, GEOMETRY + j)
         for i in range(5):
-            covariance[j, i] *= share
+            covariance[j, i] = system.step[GEOMETRY + i] * scale
+    column_of_inverse(system, BACKGROUND)
+    step_sd = math.sqrt(system.step[BACKGROUND]) * noise
     mean = scores.sum() / norm
     out[5] = params[SIGMA]
     out[6] = mean
@@ -372,14 +375,6 @@ def _dependence(gradients, normal, variance):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _column_of_inverse(system, column):  # type: ignore[no-untyped-def]
-    """A column of the normal matrix's inverse, left in the step."""
-    system.step[:] = 0.0
-    system.step[column] = 1.0
-    solve_scaled(system.work, system.scale, UNKNOWNS, system.step)
-
-
-@kernel
 def _true_share(system, params, variance):  # type: ignore[no-untyped-def]
     """Share of the squared amplitude that is not noise.
 
@@ -388,7 +383,7 @@ def _true_share(system, params, variance):  # type: ignore[no-untyped-def]
     squares = 0.0
     excess = 0.0
     for k in range(DENSE, UNKNOWNS):
-        _column_of_inverse(system, k)
+        column_of_inverse(system, k)
         squares += params[k] ** 2
         excess += system.step[k] * variance
     return max(1.0 - excess / (squares + 1e-30), _LEAST_SHARE)
