@@ -49,7 +49,7 @@ _CUSPS: dict[Form, tuple[tuple[float, float], ...]] = {
     "point": ((-0.55, 0.25),),
     "fold": ((-0.55, 0.25), (0.2, 0.3)),
 }
-# Mean and standard deviation there of the squares, and of the slopes: a cusp's place is free, and need not be told twice.
+# Mean and standard deviation there of the slopes, which the cusp's free place makes needless, and of the squares.
 _BESIDE_CUSP = {1: (0.0, 0.1), 2: (0.04, 0.2)}
 _ROUNDS = 4
 _GRID_STEPS = 4  # to either side, on which the place of a cusp is looked for first

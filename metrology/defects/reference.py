@@ -295,7 +295,7 @@ def _bending(count: int) -> Array:
 
 
 def _factor(normal: Array) -> Array:
-    """(k, k) Cholesky's factor of normal equations, above the diagonal, straight from LAPACK: many small ones are solved.
+    """(k, k) Cholesky's factor of normal equations, above the diagonal; by LAPACK's own call, as many are small.
 
     Raises
     ------
