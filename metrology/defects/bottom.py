@@ -12,7 +12,7 @@ from metrology.defects.patch import CORRELATED, SUPPORT_PX, Patch
 
 _REACH = 0.75  # of the radii at half depth: points that far from the deepest one tell its shape
 _FAR_REACH = 1.25  # where noise hides by how much the forms are not real ones: the flanks tell a point from a bowl
-_HIDES = 150.0  # depth over the standard deviation of all near points' mean: three over a fiftieth
+_HIDES = 300.0  # depth over the standard deviation of all near points' mean: three over a hundredth
 _LEAST_STEPS, _LEAST_PX = 3.0, 6.0
 _FEWEST = 12
 _FORMS: tuple[Form, ...] = ("smooth", "point", "fold")
