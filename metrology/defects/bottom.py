@@ -11,6 +11,8 @@ from metrology.defects.bottom_fit import Form, Points, Vertex, fitted
 from metrology.defects.patch import CORRELATED, SUPPORT_PX, Patch
 
 _REACH = 0.75  # of the radii at half depth: points that far from the deepest one tell its shape
+_FAR_REACH = 1.25  # where noise hides by how much the forms are not real ones: the flanks tell a point from a bowl
+_HIDES = 300.0  # depth over the standard deviation of all near points' mean: three over a hundredth
 _LEAST_STEPS, _LEAST_PX = 3.0, 6.0
 _FEWEST = 12
 _FORMS: tuple[Form, ...] = ("smooth", "point", "fold")
@@ -89,15 +91,22 @@ def _points(
     c, s = np.cos(turn), np.sin(turn)
     dx, dy = patch.x - centre[0], patch.y - centre[1]
     p, q = (c * dx + s * dy) / half_length, (c * dy - s * dx) / half_width
-    reach = max(_REACH, least / half_length), max(_REACH, least / half_width)
-    near = inside & patch.skin & ((p / reach[0]) ** 2 + (q / reach[1]) ** 2 < 1)
+    sd = patch.sigma * patch.reference.noise * CORRELATED
+
+    def within(reach: float) -> Mask:
+        far = max(reach, least / half_length), max(reach, least / half_width)
+        return np.asarray(patch.skin & ((p / far[0]) ** 2 + (q / far[1]) ** 2 < 1))
+
+    near = inside & within(_REACH)
     if near.sum() < _FEWEST:
         return None
+    if np.sqrt(np.sum((patch.depth[near] / sd[near]) ** 2)) < _HIDES:
+        near = patch.plate & ~patch.others & within(_FAR_REACH)
     return Points(
         p=p[near],
         q=q[near],
         depth=patch.depth[near],
-        sd=patch.sigma[near] * patch.reference.noise * CORRELATED,
+        sd=sd[near],
         centre=centre,
         radii=radii,
         # Points and grid cells are means over an area.

@@ -43,13 +43,14 @@ _POWERS = np.array([term[:2] for term in _TERMS]).T
 _LOWER = np.maximum(_POWERS[:, None, :] - _POWERS[:, :, None], 0)
 _BINOMIALS = np.array([[comb(i, k) * comb(j, m) for i, j, *_ in _TERMS] for k, m, *_ in _TERMS], float)
 """Of a term moved from a place: (row, column) powers of the place, and factors; 0 of terms that it has not."""
-# With a cusp: (1 − ρ/3.4)², which is at half depth at ρ = 1, has −0.59 ρ and +0.09 ρ².
+# With a cusp: a cone has −0.5 ρ; (1 − ρ/3.4)², which is at half depth at ρ = 1 too, −0.59 ρ and +0.09 ρ².
 _CUSPS: dict[Form, tuple[tuple[float, float], ...]] = {
     "smooth": (),
-    "point": ((-0.5, 0.25),),
-    "fold": ((-0.5, 0.25), (0.2, 0.3)),
+    "point": ((-0.55, 0.25),),
+    "fold": ((-0.55, 0.25), (0.2, 0.3)),
 }
-_BESIDE_CUSP = 0.0, 0.4  # mean and standard deviation of the squares there
+# Mean and standard deviation there of the slopes, which the cusp's free place makes needless, and of the squares.
+_BESIDE_CUSP = {1: (0.0, 0.1), 2: (0.04, 0.2)}
 _ROUNDS = 4
 _GRID_STEPS = 4  # to either side, on which the place of a cusp is looked for first
 _REFINED = 6  # times is the grid made finer
@@ -193,8 +194,8 @@ def _prior(form: Form, scale: float) -> tuple[Array, Array]:
     terms = [list(term[2:]) for term in _TERMS]
     if form != "smooth":
         for k, (i, j, *_) in enumerate(_TERMS):
-            if i + j == 2:
-                terms[k] = list(_BESIDE_CUSP)
+            if i + j in _BESIDE_CUSP:
+                terms[k] = list(_BESIDE_CUSP[i + j])
             elif i + j == 4:
                 terms[k][0] = 0.0
     mean, sd = np.array([*terms, *_CUSPS[form]]).T

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -118,8 +119,12 @@ class Patch:
 
     def smoothed_sd(self, spread_px: float) -> float:
         """Standard deviation of that by noise, mm."""
-        cell = float(np.nanmedian(self.sigma)) * self.reference.noise * CORRELATED
-        return cell * _TWICE_SD * self.step_px / spread_px
+        return self._cell_sd * _TWICE_SD * self.step_px / spread_px
+
+    @cached_property
+    def _cell_sd(self) -> float:
+        """Standard deviation of a cell's depth by noise, mm."""
+        return float(np.nanmedian(self.sigma)) * self.reference.noise * CORRELATED
 
     def crossing_sd(self, spread_px: float) -> float:
         """Standard deviation of `smoothed` at a crossing of an outline, as if crossings were independent, mm.

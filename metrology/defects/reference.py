@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial.legendre import leg2poly, legvander
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from metrology.arrays import Array
 from metrology.defects.ruled import BIN_MM, Ruled, bent_along, medians_along, turned
@@ -294,6 +294,20 @@ def _bending(count: int) -> Array:
     return np.asarray(bends.T @ bends)
 
 
+def _factor(normal: Array) -> Array:
+    """(k, k) Cholesky's factor of normal equations, above the diagonal; by LAPACK's own call, as many are small.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        They are not positive definite.
+    """
+    factor, failed = dpotrf(normal, clean=0)
+    if failed:
+        raise np.linalg.LinAlgError(f"normal equations are not positive definite at row {failed}")
+    return np.asarray(factor)
+
+
 def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Reference:
     """Reweighted least squares with Tukey's weights, of the surface and the profiles at once.
 
@@ -323,8 +337,8 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
             add_polylines(lines.low, lines.share, lines.lever, design, weights, target, normal, right)
             normal = np.triu(normal) + np.triu(normal, 1).T
             lines.hold(normal, right, solution, noise, e)
-        factor = cho_factor(normal, check_finite=False)
-        solution = cho_solve(factor, right, check_finite=False)
+        factor = _factor(normal)
+        solution = dpotrs(factor, right)[0]
         before, predicted = predicted, design @ solution[:terms] + lines.at(solution)
         residual = np.abs(target - predicted)
         noise = MAD * median(residual) + 1e-9
@@ -332,14 +346,14 @@ def _fitted(shape: Reference, x: Array, y: Array, h: Array, sd: Array) -> Refere
         if number > 1 and np.abs(predicted - before).max() < _CONVERGED * noise:
             break
         if number > 0 and len(waves) and not shape.wave_sd:
-            columns = np.eye(len(normal), terms)
-            variance = noise**2 * np.diag(cho_solve(factor, columns, check_finite=False))
+            variance = noise**2 * np.diag(dpotrs(factor, np.eye(len(normal), terms))[0])
             second = solution[_PLAIN:terms] ** 2 + variance[_PLAIN:]
             wave_sd = float(np.clip(e * np.sqrt(second.mean()), *_WAVE_RANGE_MM))
     ruled = tuple(
         replace(profile, heights=solution[part] * e) for profile, part in zip(shape.ruled, lines.parts, strict=True)
     )
-    covariance = noise**2 * cho_solve(factor, np.eye(len(normal)), check_finite=False)
+    upper = np.triu(dpotri(factor)[0])
+    covariance = noise**2 * (upper + np.triu(upper, 1).T)
     return replace(
         shape, coefficients=solution[:terms], ruled=ruled, covariance=covariance, noise=noise, wave_sd=wave_sd
     )

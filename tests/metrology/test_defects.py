@@ -124,6 +124,20 @@ def test_a_pointed_bottom_is_as_deep_as_it_is(rng: np.random.Generator, fold: bo
     assert found.width_mm == pytest.approx(13.0, rel=0.035)
 
 
+def test_u95_covers_shallow_points_that_look_like_bowls_and_round_ones() -> None:
+    depth = 0.06
+    covered, u95 = np.zeros(2, int), np.zeros((2, 6))
+    for seed in range(6):
+        rng = np.random.default_rng([22, seed])
+        shapes = pointed(3.0, -4.0, depth, 9.0, 7.0, False), bowl(3.0, -4.0, depth, 9.0, 7.0)
+        for k, shape in enumerate(shapes):
+            (found,) = measure_defects(sighted(bent(scan(FLAT, (), rng), FLAT, shape), FLAT))
+            u95[k, seed] = found.depth_u95_mm or 0.0
+            covered[k] += abs((found.depth_mm or 0.0) - depth) <= u95[k, seed]
+    assert covered.min() >= 5  # of the point three before its flanks were looked at
+    assert u95.mean(axis=1).max() < 0.18 * depth
+
+
 @pytest.mark.parametrize("depth", [0.15, 0.3])
 def test_a_scratch_has_a_depth_where_it_is_wide_enough_and_is_a_line_else(
     rng: np.random.Generator, depth: float
