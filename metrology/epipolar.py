@@ -67,7 +67,7 @@ def check_axis(rig: Rig, axis: Axis) -> None:
     """
     if rig.projector is None:
         return
-    middle = _middle_of_view(rig)
+    middle = middle_of_view(rig)
     step = 1e-3 * middle[2]
     steps = np.array([[0, 0, 0], [step, 0, 0], [0, step, 0]])
     right = rig.with_right().project(middle + steps)
@@ -84,7 +84,7 @@ def check_axis(rig: Rig, axis: Axis) -> None:
         )
 
 
-def _middle_of_view(rig: Rig) -> NDArray[np.float64]:
+def middle_of_view(rig: Rig) -> NDArray[np.float64]:
     """(3,) point where the cameras' middle rays come closest; ten baselines ahead where they do not converge."""
     baseline = rig.with_right().centre
     rays = [

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.arrays import Array
+from metrology.epipolar import middle_of_view
 from metrology.flicker import LEAST_COUNT
 from metrology.fringe import Axis
 from metrology.rig import Rig
@@ -89,15 +90,11 @@ def disagreement(missed: Array, counts: tuple[int, ...], use: NDArray[np.bool_],
 def moved_by(rig: Rig, axis: Axis) -> tuple[float, float] | None:
     """By how many projector pixels the coordinate that each camera sees grows, per mm by which the skin comes nearer.
 
-    Of a skin that faces both cameras where the optical axis of the left one passes the right one's closest; None
-    without a right camera or a projector.
+    Of a skin that faces both cameras in the middle of their view; None without a right camera or a projector.
     """
     if rig.right is None or rig.projector is None:
         return None
-    cameras, gap = (rig.left, rig.right), rig.right.centre - rig.left.centre
-    axes = np.stack([camera.R[2] for camera in cameras])
-    reach = np.linalg.lstsq(np.stack([axes[0], -axes[1]], axis=1), gap, rcond=None)[0][0]
-    place = rig.left.centre + reach * axes[0]
+    cameras, place = (rig.left, rig.right), middle_of_view(rig)
     rays = np.stack([(place - camera.centre) / np.linalg.norm(place - camera.centre) for camera in cameras])
     normal = -rays.sum(0) / np.linalg.norm(rays.sum(0))
     seen = rig.projector.project(np.concatenate([place + _STEP_MM * rays / (rays @ normal)[:, None], place[None]]))
@@ -111,8 +108,8 @@ def beyond_movement(left: Disagreement, right: Disagreement, moved: tuple[float,
     Both cameras see one movement, in proportion to what `moved_by` gives. Whatever else one camera alone sees is taken
     for movement in part, and is told in full here; what both see alike is told as it is.
     """
-    weight = np.square(moved) / np.sum(np.square(moved))
     (a, b), (ours, theirs) = moved, (left.mean, right.mean)
+    weight = np.square(moved) / max(a**2 + b**2, 1e-12)
     if min(weight) < _SEEN_BY_BOTH:
         return left.beyond_noise(ours), right.beyond_noise(theirs)
     shared = (a * ours + b * theirs) / (a**2 + b**2)
