@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,3 +111,18 @@ def test_what_a_camera_sees_of_a_movement_is_what_its_ray_meets() -> None:
         nearer = place + ray * (0.1 / (ray @ normal))
         before, after = rig.with_projector().project(np.stack([place, nearer]))[:, 0]
         assert share == pytest.approx((after - before) / 0.1, rel=0.02)
+
+
+def test_parallel_cameras_see_a_movement_too() -> None:
+    rig = virtual_rig(np.random.default_rng(2))
+    right = replace(rig.with_right(), R=np.eye(3), t=np.array([-200.0, 0.0, 0.0]))
+    moved = moved_by(replace(rig, right=right), "x")
+    assert moved is not None
+    assert np.isfinite(moved).all()
+    assert min(np.abs(moved)) > 0
+
+
+def test_a_movement_that_no_camera_sees_takes_nothing_off() -> None:
+    alone = seen(0.02, 30.0, 0.7, np.zeros(CODE.frames))
+    assert alone is not None
+    assert beyond_movement(alone, alone, (0.0, 0.0)) == (alone.beyond_noise(alone.mean),) * 2
