@@ -16,6 +16,7 @@ from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
 from dashboard.pictures import shrunk
 from dashboard.scenes import load_features, load_scene_row
+from metrology.arrays import Array
 from metrology.assembly.picture import Stitched
 from metrology.errors import StoreError
 from metrology.kinds import BY_NAME, KINDS
@@ -38,7 +39,7 @@ from storage.review import Feature
 
 _PICTURE_PX = 1600
 _ALONG = 20  # places of a stretch
-SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
+_SAME_MM = 5.0  # a scan's feature this near to the panel's is the same one; neighbours are farther apart
 
 
 @dataclass(frozen=True)
@@ -199,10 +200,16 @@ def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str |
     R = np.array(list(placed.iloc[0]["rotation"]), float).reshape(3, 3)
     t = placed.iloc[0][["x_mm", "y_mm", "z_mm"]].to_numpy(float)
     at = R.T @ (np.array([found.x_panel_mm, found.y_panel_mm, found.z_panel_mm], float) - t)
-    away = np.linalg.norm(there[["x_mm", "y_mm", "z_mm"]].to_numpy(float) - at, axis=1)
-    if not np.isfinite(away).any() or np.nanmin(away) > SAME_MM:
+    name = name_at(there, ["x_mm", "y_mm", "z_mm"], at)
+    return None if name is None else InScan(scene, features, Feature(feature.kind, name))
+
+
+def name_at(rows: pd.DataFrame, place: list[str], at: Array) -> str | None:
+    """The name of the feature at a place (3,), mm, by the columns that hold theirs; None where none is near enough."""
+    away = np.linalg.norm(rows[place].to_numpy(float) - at, axis=1)
+    if not np.isfinite(away).any() or np.nanmin(away) > _SAME_MM:
         return None
-    return InScan(scene, features, Feature(feature.kind, str(there["feature_id"].iloc[int(np.nanargmin(away))])))
+    return str(rows["feature_id"].iloc[int(np.nanargmin(away))])
 
 
 def of_finding(view: PanelView, finding: Any) -> Feature:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
-from dashboard.panels import SAME_MM, InScan
+from dashboard.panels import InScan, name_at
 from dashboard.scenes import load_features
 from metrology.kinds import BY_NAME, Kind
 from storage.archive.work import NEAR_MM
@@ -63,11 +63,8 @@ def at_same_place(archive: Archive, found: InScan, scene: Any) -> There:
     own, rows = found.features[kind.name], features[kind.name]
     row = own[own["feature_id"] == found.feature.id].iloc[0]
     at = row[_PLACE].to_numpy(float)
-    there = rows[_PLACE].to_numpy(float)
-    if np.isfinite(at).all() and np.isfinite(there).any():
-        away = np.linalg.norm(there - at, axis=1)
-        near = np.isfinite(away).any() and np.nanmin(away) <= SAME_MM
-        name = str(rows["feature_id"].iloc[int(np.nanargmin(away))]) if near else None
+    if np.isfinite(at).all() and np.isfinite(rows[_PLACE].to_numpy(float)).any():
+        name = name_at(rows, _PLACE, at)
         return There(features, Feature(kind.name, name) if name else None, by_name=False)
     column, *positions = kind.id_columns
     if not (same_names(found.scene, str(row[column])) and same_names(scene, str(row[column]))):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from metrology.jit import kernel
-from metrology.linear import solve
+from metrology.linear import copy_values, solve
 
 
 @kernel
@@ -308,14 +308,12 @@ def fit_candidate(cu, cv, radius, u, v, nu, nv, rows, shape, freedom, ellipse): 
         coverage, distance = _points_on(ellipse, limit, pu, pv, mu, mv, use)
         if step == 4 or coverage < 0.5:
             break
-        for i in range(5):
-            trial[i] = ellipse[i]
+        copy_values(trial, ellipse)
         if freedom > 0.0 and fit_conic(pu, pv, use, trial):
             ex, ey = _elongation(trial)
             as_large = trial[3] >= 0.45 * radius and trial[2] <= 1.7 * radius * math.sqrt(large)
             if as_large and math.hypot(ex - expected_x, ey - expected_y) < freedom:
-                for i in range(5):
-                    ellipse[i] = trial[i]
+                copy_values(ellipse, trial)
                 continue
         a, b, mode = _circle(x, y, use)
         if mode < 0.6 * radius or mode > 1.6 * radius:

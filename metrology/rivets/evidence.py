@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from metrology.jit import kernel
+from metrology.linear import copy_values
 from metrology.robust import MAD
 
 _FLANK = 4  # px from the ridge at which skin and head are taken
@@ -281,8 +282,7 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
     place, reach, share = _room(angles)
     response = np.empty(angles)
     width = image.shape[1]
-    for i in range(5):
-        found[i] = ellipse[i]
+    copy_values(found, ellipse)
     best = -1.0
     unit = min(0.5, _STEP_SHARE * ellipse[2])
     for step in (2, 1):
@@ -295,8 +295,7 @@ def settle(image, ellipse, sigma, found):  # type: ignore[no-untyped-def]
             value = abs(_template_mean(image, place, reach, share, 0, 0, response))
             if value > best:
                 best = value
-                for i in range(5):
-                    found[i] = trial[i]
+                copy_values(found, trial)
         _template(found, sigma, width, place, reach, share)
         du = 0
         dv = 0
