@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -28,6 +29,8 @@ MOST_BYTES = 50 << 20
 MOST_SECONDS = 20.0
 AT_ONCE = 2
 """Queries that run side by side; a query takes a processor and up to 4 GB."""
+_STARTING_SECONDS = 60.0
+"""What a process may take at most until its query runs: loading DuckDB and opening the archive on a busy machine."""
 _MOST_SQL = 20_000
 _MOST_SAID = 8000
 _turns = threading.BoundedSemaphore(AT_ONCE)
@@ -57,7 +60,7 @@ def run_query(
     rows : int
         Rows to fetch at most.
     seconds : float
-        What the query may take, its turn not counted; as long again it waits for its turn.
+        What the query may take, its turn and its process's start not counted; as long again it waits for its turn.
     on_wait : callable
         Called where other people's queries have to end first.
     """
@@ -101,7 +104,7 @@ def _ask(root: Path, sql: str, rows: int, seconds: float) -> pa.Table:
     scratch = tempfile.mkdtemp(prefix="flushline-query-")
     request = {
         "store": str(Path(root).resolve()), "sql": sql, "rows": rows, "bytes": MOST_BYTES,
-        "scratch": scratch, "server": os.getpid(),
+        "seconds": seconds, "scratch": scratch, "server": os.getpid(),
     }  # fmt: skip
     try:
         with tempfile.TemporaryFile() as complaints:
@@ -110,19 +113,25 @@ def _ask(root: Path, sql: str, rows: int, seconds: float) -> pa.Table:
                 input=json.dumps(request).encode(errors="replace"),
                 stdout=subprocess.PIPE,
                 stderr=complaints,
-                timeout=seconds,
+                timeout=seconds + _STARTING_SECONDS,
                 env=_environment(scratch),
                 check=False,
             )
             complaints.seek(0)
             said = " ".join(complaints.read(_MOST_SAID).decode(errors="replace").split())
     except subprocess.TimeoutExpired:
-        raise UsageError(f"query: found it still running after {seconds:g} s, expected an answer by then") from None
+        raise _too_slow(seconds) from None
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+    if done.returncode == -signal.SIGALRM:
+        raise _too_slow(seconds)
     if done.returncode:
         raise UsageError(f"query: {said[-600:] or 'found it stopped: too much memory or disk, expected less'}")
     return pa.ipc.open_stream(done.stdout).read_all()
+
+
+def _too_slow(seconds: float) -> UsageError:
+    return UsageError(f"query: found it still running after {seconds:g} s, expected an answer by then")
 
 
 def _environment(scratch: str) -> dict[str, str]:

@@ -1,10 +1,10 @@
 """Runs one query for the SQL page in a process of its own, which can be stopped whatever the query does.
 
-Reads {"store", "sql", "rows", "bytes", "scratch", "server"} as JSON from standard input, writes an Arrow stream to
-standard output. The connection is the store's: read-only, no files, no extensions, settings locked. The process itself
-may write in its scratch folder only, may not take more than its share of memory and disk, gives way to the pages, and
-ends with the server that started it. Where the kernel cannot keep it from writing elsewhere, DuckDB gives up the file
-system altogether, and what does not fit in memory is refused instead of sorted on disk.
+Reads {"store", "sql", "rows", "bytes", "seconds", "scratch", "server"} as JSON from standard input, writes an Arrow
+stream to standard output. The connection is the store's: read-only, no files, no extensions, settings locked. The
+process itself may write in its scratch folder only, may not take more than its share of memory, disk and time, gives
+way to the pages, and ends with the server that started it. Where the kernel cannot keep it from writing elsewhere,
+DuckDB gives up the file system altogether, and what does not fit in memory is refused instead of sorted on disk.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from __future__ import annotations
 import json
 import os
 import resource
+import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 from dashboard.confinement import die_with, write_only_in
 
@@ -37,7 +39,7 @@ def main() -> int:
     scratch = Path(request["scratch"])
     spill = scratch if write_only_in(scratch) else None
     try:
-        _run(Path(request["store"]), request["sql"], int(request["rows"]), int(request["bytes"]), spill)
+        _run(request, spill)
     except MemoryError:
         print(_TOO_LARGE, file=sys.stderr)
         return _FAILED
@@ -52,7 +54,7 @@ def main() -> int:
     return 0
 
 
-def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | None) -> None:
+def _run(request: dict[str, Any], spill: Path | None) -> None:
     import duckdb
     import pyarrow as pa
 
@@ -61,11 +63,15 @@ def _run(root: Path, sql: str, most_rows: int, most_bytes: int, spill: Path | No
     from storage.archive.store import Store
     from storage.archive.tables_beside import register_tables
 
+    root, most_rows, most_bytes = Path(request["store"]), int(request["rows"]), int(request["bytes"])
     connection = Store(root).connect(spill)
-    register_tables(connection, root, sql)
+    register_tables(connection, root, request["sql"])
+    signal.setitimer(
+        signal.ITIMER_REAL, float(request["seconds"])
+    )  # the signal ends the process, whatever DuckDB is at
     os.nice(10)  # from here on: a short query is mostly starting, which a busy machine must not draw out
     try:
-        rows = connection.sql(sql)
+        rows = connection.sql(request["sql"])
     except duckdb.InvalidInputException as problem:
         raise UsageError(query_problem(problem)) from None
     if rows is None:
