@@ -45,7 +45,9 @@ _HIDDEN: dict[HiddenBy, str] = {
     "least these",
 }
 _VAGUE_RADIUS = 0.5  # of the bottom's radius that its U95 may be: a point or a fold is smaller than points show
-_FOLLOWED = 0.1  # of its depth by which less skin round it moves that: the reference follows its foot
+_FOLLOWED = (
+    0.1  # of its depth by which less skin round it moves that, or the skin is bent: the reference follows its foot
+)
 _ENDS_AT_SEAM = "its outline ends at a seam: its length and width are at least these"
 
 
@@ -109,11 +111,18 @@ def _found(region: Region, skin: SkinMap, sighted: Sighted) -> _Found | None:
     seen = float(smoothed[place])
     if bottom.depth < seen:  # a form that does not follow its points
         bottom = replace(bottom, depth=seen, sd=float(np.hypot(bottom.sd, seen - bottom.depth)))
-    skin_variance = by_reference + region.doubt**2
+    # What makes its depth at least that is said, and not part of its uncertainty.
+    followed = 0.0 if _follows(region, bottom) else region.followed
+    skin_variance = by_reference + region.doubt**2 + followed**2
     sd = np.sqrt(bottom.sd**2 + skin.waves[region.plate] ** 2 + skin_variance)
     # Whether it is one hangs on how the skin may be bent there, and not on how high it lies.
     seen_sd = np.sqrt(skin.sd[window][place] ** 2 + by_reference / patch.reference.together + region.bend**2)
     return _Found(region, patch, bottom, outline, spread, float(sd), seen, float(seen_sd))
+
+
+def _follows(region: Region, bottom: Bottom) -> bool:
+    """Whether the reference may follow its foot by more than a small part of its depth."""
+    return float(np.hypot(region.doubt, region.followed)) > _FOLLOWED * bottom.depth
 
 
 def _deepest(patch: Patch, depth: Array) -> tuple[int, int]:
@@ -189,7 +198,7 @@ def _with_depth(row: FittedDefect, found: _Found, settings: DefectSettings) -> F
 def _hidden_by(found: _Found) -> HiddenBy | None:
     if found.outline.cut_by_view > _CUT:
         return "view"
-    if found.region.doubt > _FOLLOWED * found.bottom.depth:
+    if _follows(found.region, found.bottom):
         return "reference"
     if not found.bottom.hidden:
         return None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from metrology.arrays import Array, Mask
 from metrology.defects.cells import CellMap, cell_map
-from metrology.defects.reference import Reference, fit_reference
+from metrology.defects.reference import Reference, fit_contour, fit_reference
 from metrology.defects.settings import DefectSettings
 from metrology.defects.split import bottoms
 from metrology.registration.rows import has_position, positions
@@ -49,6 +49,8 @@ class Region:
     """By how much more than noise makes it its depth changes if more round it is not taken for skin, mm."""
     bend: float = 0.0
     """By how much the skin under it is then bent otherwise, mm: what may look like a defect, and be none."""
+    followed: float = 0.0
+    """By how much the skin under it is bent towards it, more than beside it and than a paraboloid would be, mm."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +111,13 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
         if number == _ROUNDS - 1 or (not due and len(left_out) == len(regions)):
             break
     regions = tuple(part for region in regions for part in _parts(region, smoothed, sd))
-    wide = covered | _footprints(regions, covered.shape, _WIDE_MARGIN)
-    others = {p: _reference(cells, p, wide, seams, settings, references[p]) for p in {r.plate for r in regions}}
+    wide = _footprints(regions, covered.shape, _WIDE_MARGIN)
+    others = {
+        p: _reference(cells, p, covered | wide, seams, settings, references[p]) for p in {r.plate for r in regions}
+    }
     doubted = tuple(_doubted(r, depth, cells, references[r.plate], others[r.plate]) for r in regions)
+    contours = {p: _contour(cells, p, wide) for p in others}
+    doubted = tuple(_followed(r, depth, smoothed, cells, contours[r.plate]) for r in doubted)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
 
@@ -140,10 +146,15 @@ def _reference(
     dents_known: bool = True,
 ) -> Reference | None:
     """The skin of a plate by its bare cells."""
-    use = np.flatnonzero((cells.plate == plate) & cells.free & ~covered)
-    use = use[:: max(1, len(use) // _ENOUGH)]
+    use = _bare(cells, plate, covered)
     points, sigma = cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use]
     return fit_reference(points, sigma, seams, settings.largest_mm, like, dents_known)
+
+
+def _bare(cells: CellMap, plate: int, covered: Mask) -> NDArray[np.intp]:
+    """(n,) indices of enough cells of a plate's bare skin."""
+    use = np.flatnonzero((cells.plate == plate) & cells.free & ~covered)
+    return use[:: max(1, len(use) // _ENOUGH)]
 
 
 def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other: Reference | None) -> Region:
@@ -168,6 +179,32 @@ def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other
     noise = float((other.variance(x, y) - own.variance(x, y)).mean())
     doubt = np.sqrt(max(float(np.abs(off[middle]).mean()) ** 2 - max(noise, 0.0), 0.0))
     return replace(region, doubt=float(doubt), bend=float(np.sqrt(np.mean(bent**2))))
+
+
+def _contour(cells: CellMap, plate: int, covered: Mask) -> Reference | None:
+    """The paraboloid of a plate by its bare cells."""
+    use = _bare(cells, plate, covered)
+    return fit_contour(cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use])
+
+
+def _followed(region: Region, depth: Array, smoothed: Array, cells: CellMap, contour: Reference | None) -> Region:
+    """A region with how far the reference is bent towards it.
+
+    A dent that is large for its plate, and fades out slowly, leaves of itself in the skin round it what the polynomial
+    takes for the skin's own bend, and goes on under the dent. A paraboloid cannot.
+    """
+    own = np.zeros(depth.shape, bool)
+    own[region.rows, region.columns] = region.cells
+    known = np.isfinite(depth) & (cells.plate == region.plate)
+    beside = _footprints([region], depth.shape, _WIDE_MARGIN) & known & ~own
+    own &= known
+    if contour is None or not own.any() or not beside.any():
+        return region
+    deepest = np.unravel_index(int(np.where(own, region.sign * smoothed, -np.inf).argmax()), depth.shape)
+    below = np.full(depth.shape, np.nan)
+    contour.depths(cells.points, own | beside, below)
+    bent = region.sign * (below - depth)
+    return replace(region, followed=max(float(bent[deepest] - bent[beside].mean()), 0.0))
 
 
 def _seam_courses(stations: Sequence[SeamStation]) -> list[tuple[Array, Array]]:

@@ -370,3 +370,11 @@ def test_a_foot_that_the_reference_follows_makes_a_depth_at_least_that(rng: np.r
     assert found.hidden_by == "reference"
     assert "its depth and extents are at least these" in (found.reason or "")
     assert judge(DEFECT, [found], PanelSpec("P", "1", {}))[0].decision == "not measured"
+
+
+def test_a_foot_that_bends_even_a_wider_reference_makes_a_depth_at_least_that(rng: np.random.Generator) -> None:
+    """Half as much more round it not taken for skin moves nothing: the polynomial is bent under it all the same."""
+    cloud = bent(scan(FLAT, (), rng), FLAT, pointed(3.0, -4.0, 0.1, 64.0, 60.0, False))
+    found = max(measure_defects(sighted(cloud, FLAT)), key=lambda row: row.depth_mm or 0.0)
+    assert (found.depth_mm or 1.0) < 0.08
+    assert found.hidden_by == "reference"
