@@ -17,7 +17,7 @@ from pathlib import Path
 from flows.inbox_folders import check_is_inbox, is_settled, name_problem, put_aside, scene_folders
 from flows.inbox_job import InboxJob, Outcome, Plan
 from flows.inspect_scene import Job, inspect_scene
-from flows.memory import share_heap
+from flows.memory import do_without_pandas, share_heap
 from flows.workers import ProcessDied, worker_processes
 from metrology.errors import FlushlineError, RigError, SceneError, SpecError, StoreError, UsageError
 from metrology.kinds import KINDS
@@ -131,6 +131,7 @@ class _Look:
 def inspect_folder(job: InboxJob, folder: Path) -> Outcome:
     """Inspect one scene folder of an inbox from its files to its published result: the unit of work. Never raises."""
     share_heap()
+    do_without_pandas()
     start = time.perf_counter()
     store = Store(job.store)
     scene_id = None

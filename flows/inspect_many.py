@@ -11,7 +11,7 @@ from pathlib import Path
 from flows.cli import EXIT_BAD_INPUT, EXIT_DONE, EXIT_SOME_FAILED, counted, print_error, unexpected
 from flows.compiling import kernels_beside
 from flows.inspect_scene import Answer, Inspected, Job, inspect_scene
-from flows.memory import share_heap
+from flows.memory import do_without_pandas, share_heap
 from flows.prefect_server import runs_on_server
 from flows.progress import progress_bar
 from metrology.errors import FlushlineError
@@ -46,6 +46,7 @@ class Inputs:
 def inspect_many(inputs: Inputs, use_server: bool = False, debug: bool = False) -> int:
     """Inspect scenes one after the other; returns the command's exit code."""
     share_heap()
+    do_without_pandas()
     jobs = _jobs(inputs)
     sound = [job for job in jobs if _passes(partial(_look_at, job), job, debug)]
     if not sound:

@@ -229,6 +229,20 @@ def test_commands_start_with_few_modules(command: list[str], most: int, never: t
     assert int(count) <= most
 
 
+def test_arrow_makes_arrays_without_pandas_and_converts_data_frames_all_the_same() -> None:
+    code = (
+        "import sys; from flows.memory import do_without_pandas\n"
+        "do_without_pandas()\n"
+        "import pyarrow as pa, numpy as np\n"
+        "table = pa.table({'a': [1.5, None], 'b': np.arange(2)})\n"
+        "print('pandas' in sys.modules)\n"
+        "frame = table.to_pandas()\n"
+        "print(pa.Table.from_pandas(frame).column('a').null_count, frame['a'].isna().sum())"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.split() == ["False", "1", "1"]
+
+
 def test_the_overlay_is_copied_out(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     store.publish(small_result())
