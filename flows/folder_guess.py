@@ -18,7 +18,7 @@ from metrology.frame_kinds import Run, runs_of, sample
 from metrology.fringe import Axis, FringeCode, GrayCode
 from metrology.saturation import code_saturation
 from storage.frame_pages import write_pages
-from storage.frame_patterns import NamePattern, joint_pattern, name_patterns
+from storage.frame_patterns import NamePattern, joint_patterns, name_patterns
 from storage.frames import can_be_turned, read_as_grey, read_frame, read_header
 from storage.scene_names import by_number, cameras_of, matching, natural, runs_through
 
@@ -62,12 +62,12 @@ def guess_folder(folder: Path) -> list[str]:
     except SceneError as problem:
         raise SceneError(". ".join([str(problem), *lines])) from None
     patterns = [_look_at(folder, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
+    for joint in joint_patterns(folder, named):
+        parts = [one for one in patterns if set(one.named.paths) <= set(joint.paths)]
+        together = _look_at(folder, joint) if len(joint.paths) >= _LEAST_FRAMES else None
+        if together and together.sound and (together.known or not any(one.known for one in parts)):
+            patterns = [together, *(one for one in patterns if one not in parts)]
     shown = sorted(patterns[:_MOST_PATTERNS], key=lambda one: not one.across)
-    joint = joint_pattern(folder, named)
-    if joint is not None and len(joint.paths) >= _LEAST_FRAMES:
-        together = _look_at(folder, joint)
-        if together.sound and (together.known or not any(one.known for one in patterns)):
-            patterns = shown = [together]
     if not shown:
         none = f"{folder}: found no three pictures whose names differ in numbers alone, expected frames"
         raise SceneError(". ".join([none, *lines]))

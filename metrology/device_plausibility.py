@@ -40,7 +40,7 @@ def check_device(device: Device, projector: bool = False) -> None:
         _check_matrix(device.K)
         _check_field(device)
         _check_principal_point(device, _LENS_SHIFT if projector else _MARGIN)
-        _check_distortion(device)
+        check_distortion(device)
 
 
 def _check_matrix(K: Array) -> None:
@@ -91,7 +91,8 @@ def _check_principal_point(device: Device, beyond: float) -> None:
         )
 
 
-def _check_distortion(device: Device) -> None:
+def check_distortion(device: Device) -> None:
+    """Refuse distortion that no lens has, or that is not one-to-one over the image; RigError."""
     terms = device.distortion8
     p1, p2 = terms[2:4]
     if device.distortion.size == 4 and max(abs(p1), abs(p2)) > _FISHEYE_TERM:

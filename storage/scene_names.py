@@ -41,7 +41,8 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
             expression += f"(?P={name})"
         elif name:  # right behind another field a number begins where the digits do
             any_text = ".+?" if name == "path" else "[^/]+?"
-            expression += rf"(?<!\d)(?P<{name}>\d+)" if before.startswith("{") else f"(?P<{name}>{any_text})"
+            text = r"\d+" if before.startswith("{") else any_text
+            expression += ("" if before[:1] not in ("{", "*") else r"(?<!\d)") + f"(?P<{name}>{text})"
             seen.add(name)
         else:
             expression += "[^/]*" if part == "*" else re.escape(part)
