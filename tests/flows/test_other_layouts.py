@@ -42,6 +42,16 @@ def as_arrays(folder: Path, views: Views) -> None:
         np.save(folder / f"images_{side[0].upper()}.npy", np.moveaxis(frames, 0, -1))
 
 
+def in_two_words(folder: Path, views: Views) -> None:
+    """L/fringesleft01.bmp, L/grayleft01.bmp …, and pictures of a board beside them."""
+    for side, frames in views.items():
+        own = {"left": "L", "right": "R"}[side]
+        names = [f"{own}/fringes{side}{k + 1:02d}.bmp" for k in range(4)]
+        save(folder, {side: frames}, names + [f"{own}/gray{side}{k + 1:02d}.bmp" for k in range(5)])
+        board = np.random.default_rng(1).integers(0, 255, (16, 60, 80)).astype(np.uint8)
+        save(folder, {side: board}, [f"board/{own}/{side}{k + 1:02d}.bmp" for k in range(16)])
+
+
 @dataclass(frozen=True)
 class Layout:
     """A folder of another program."""
@@ -81,6 +91,9 @@ LAYOUTS = {
         GRAY,
         [f"{{camera}}/{sign}_{bit}.png" for bit in range(8) for sign in ("pos", "neg")],
         "--sequence gray inverse",
+    ),
+    "two words for the camera": Layout(
+        BOTH, in_two_words, "--pattern '{camera}/{frame}.bmp' --counts 16 --steps 4 --gray 32 --sequence fringes gray"
     ),
     "times": Layout(
         HETERODYNE,
