@@ -65,11 +65,13 @@ def detect_board(frames: BoardFrames, board: Board) -> BoardView:
     try:
         view = _detect(frames, lit, board)
     except CalibrationError as problem:
-        if everywhere > _OVEREXPOSED:
-            raise CalibrationError(
-                f"overexposed: {everywhere:.0%} of the white frame is saturated, expected next to none ({problem})"
-            ) from None
-        raise
+        if everywhere <= _OVEREXPOSED:
+            raise
+        if not board.has_dots:
+            raise CalibrationError(f"{problem} (overexposed, too: {everywhere:.0%} of the white frame)") from None
+        raise CalibrationError(
+            f"overexposed: {everywhere:.0%} of the white frame is saturated, expected next to none ({problem})"
+        ) from None
     if not board.has_dots:
         return view  # corners are fitted to what is not clipped
     overexposed = _saturated_share(frames, view.pixels) if everywhere > _OVEREXPOSED else 0.0
@@ -156,7 +158,9 @@ def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, clipped: NDArray[np.
     if not found:  # the older detector finds boards in pictures in which this one does not
         found, corners = cv2.findChessboardCorners(grey, pattern, flags=_OLDER_FLAGS)
     if not found:
-        raise CalibrationError(f"did not find the {board}: half in view, blurred or another one")
+        smaller, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags | cv2.CALIB_CB_LARGER)
+        there = f": found one of {meta.shape[1]} × {meta.shape[0]} inner corners" if smaller else ""
+        raise CalibrationError(f"did not find the {board}{there}: half in view, blurred or another one")
     if {rows, cols} != {board.cols, board.rows}:
         raise CalibrationError(
             f"found a chessboard of {cols} × {rows} inner corners, expected {board.cols} × "

@@ -292,6 +292,11 @@ def test_a_larger_chessboard_than_described_is_refused() -> None:
         detect_board(frames(CHESSBOARD), replace(CHESSBOARD, cols=6))
 
 
+def test_a_smaller_chessboard_than_described_is_named() -> None:
+    with pytest.raises(CalibrationError, match=r"found one of (7 × 6|6 × 7) inner corners"):
+        detect_board(frames(CHESSBOARD), replace(CHESSBOARD, cols=9))
+
+
 def test_lost_dots_leave_the_board_and_a_reason(circles: BoardFrames) -> None:
     found = detect(4, "left", replace(circles, dots=circles.dark), CIRCLES, PATTERN)
     assert found.board is not None
