@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -14,18 +14,19 @@ from numpy.typing import NDArray
 from flows.new_scene import guess_lines
 from metrology.code_guess import CodeGuess, guess_code
 from metrology.errors import SceneError
-from metrology.frame_kinds import Run, runs_of, sample
+from metrology.frame_kinds import FrameSample, Run, runs_of, sample
 from metrology.fringe import Axis, FringeCode, GrayCode
 from metrology.saturation import code_saturation
 from storage.frame_pages import write_pages
-from storage.frame_patterns import NamePattern, joint_pattern, name_patterns
+from storage.frame_patterns import NamePattern, joint_patterns, name_patterns
 from storage.frames import can_be_turned, read_as_grey, read_frame, read_header
-from storage.scene_names import by_number, cameras_of, matching, natural, runs_through
+from storage.scene_names import Values, by_number, cameras_of, matching, natural, runs_through, shared_sequence
 
 _PER_STRIPE = (1, 2, 4)  # stripes per fringe that codes have
 _MOST_PATTERNS = 4
 _LEAST_FRAMES = 3
 _LEAST_BITS, _MOST_BITS = 3, 14
+_ONE_VIEW = 0.8  # correlation of what changes from frame to frame
 _COUNTS = (
     "How many fringes the projector showed across, the frames do not tell. Periods in projector pixels do as well: "
     "--periods in place of --counts"
@@ -61,13 +62,13 @@ def guess_folder(folder: Path) -> list[str]:
         named = name_patterns(folder)
     except SceneError as problem:
         raise SceneError(". ".join([str(problem), *lines])) from None
-    patterns = [_look_at(folder, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
+    patterns = [_looked(folder, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
+    for joint in joint_patterns(folder, named):
+        parts = [one for one in patterns if set(one.named.paths) <= set(joint.paths)]
+        together = _look_at(folder, joint) if len(joint.paths) >= _LEAST_FRAMES else None
+        if together and together.sound and (together.known or not any(one.known for one in parts)):
+            patterns = [together, *(one for one in patterns if one not in parts)]
     shown = sorted(patterns[:_MOST_PATTERNS], key=lambda one: not one.across)
-    joint = joint_pattern(folder, named)
-    if joint is not None and len(joint.paths) >= _LEAST_FRAMES:
-        together = _look_at(folder, joint)
-        if together.sound and (together.known or not any(one.known for one in patterns)):
-            patterns = shown = [together]
     if not shown:
         none = f"{folder}: found no three pictures whose names differ in numbers alone, expected frames"
         raise SceneError(". ".join([none, *lines]))
@@ -106,9 +107,39 @@ class _Look:
         return 0 < len(shown) == len(set(shown)) and all(run.steps for run in self.runs if run.kind == "fringes")
 
 
-def _look_at(folder: Path, named: NamePattern) -> _Look:
+def _looked(folder: Path, named: NamePattern) -> _Look:
+    """What one camera shows, or both where one number runs through the frames of both."""
+    look = _look_at(folder, named)
     found = matching(folder, named.pattern)
-    cameras = cameras_of(found, None) if "{camera}" in named.pattern else {"left": ""}
+    if (look.known and look.sound) or "{camera}" in named.pattern or not runs_through(named.pattern) or len(found) % 2:
+        return look
+    shared = [_look_at(folder, named, way) for way in ("turns", "halves") if _two_views(found, way)]
+    fitting = [both for both in shared if both.sound and (both.known or not look.sound)]
+    return max(fitting, key=lambda both: both.known, default=look)
+
+
+def _two_views(found: Mapping[Path, Values], way: str) -> bool:
+    """Whether frames that are shared out among two cameras show the same code, and from two places."""
+    told = shared_sequence(found, way)
+    try:
+        first, second = (sample(_pictures(by_number(told, name))) for name in ("first", "second"))
+        return not _alike(first, second) and runs_of(first) == runs_of(second)
+    except SceneError:
+        return False
+
+
+def _alike(first: FrameSample, second: FrameSample) -> bool:
+    """Whether two series show one pattern at the same pixels: one camera took both."""
+    swings = [(one.here - one.here.mean(0)).ravel() for one in (first, second)]
+    return first.here.shape == second.here.shape and float(np.corrcoef(*swings)[0, 1]) > _ONE_VIEW
+
+
+def _look_at(folder: Path, named: NamePattern, shared: str = "") -> _Look:
+    """`shared`: the way in which both cameras' frames share one number, where they do."""
+    found = matching(folder, named.pattern)
+    if shared:
+        found = shared_sequence(found, shared)
+    cameras = cameras_of(found, None) if shared or "{camera}" in named.pattern else {"left": ""}
     frames = {side: _in_order(found, name) for side, name in cameras.items()}
     called = ", ".join(f"{side} {name!r}" for side, name in cameras.items() if name) or "one camera"
     lines = [f"{len(found)} pictures fit --pattern '{named.pattern}': {called}"]
@@ -126,7 +157,7 @@ def _look_at(folder: Path, named: NamePattern) -> _Look:
     look = _Look(named, (), tuple(runs))
     known = []
     for axis in ("x", "y"):
-        command = _command(folder, named.pattern, runs, axis, frames["left"], names)
+        command = _command(folder, named.pattern, runs, axis, frames["left"], names, shared)
         if command is not None:
             try:
                 said = _agreement(command, frames)
@@ -197,7 +228,13 @@ def _told(run: Run, first: int) -> str:
 
 
 def _command(
-    folder: Path, pattern: str, runs: Sequence[Run], axis: Axis, paths: Sequence[Path], names: Sequence[str]
+    folder: Path,
+    pattern: str,
+    runs: Sequence[Run],
+    axis: Axis,
+    paths: Sequence[Path],
+    names: Sequence[str],
+    shared: str = "",
 ) -> _Command | None:
     """`scene new` for the fringes and stripes along one axis; None where there are none. `names` are the counts'."""
     fringes = next((k for k, run in enumerate(runs) if (run.kind, run.axis) == ("fringes", axis) and run.steps), None)
@@ -216,7 +253,7 @@ def _command(
     code = _code(axis, steps, shown, [paths[k] for k in own], names)
     counts = code.counts if code else [f"COUNT{k + 1}" for k in range(len(steps))]
     words = [f"flushline scene new {quote(str(folder))} --pattern '{pattern}'"]
-    words += ["--axis y"] * (axis == "y")
+    words += [f"--cameras {shared}"] * bool(shared) + ["--axis y"] * (axis == "y")
     if code and code.size_px:
         words += ["--periods " + " ".join(str(code.size_px // count) for count in code.counts)]
     else:

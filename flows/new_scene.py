@@ -34,6 +34,7 @@ from storage.scene_names import (
     in_sequence,
     matching,
     runs_through,
+    shared_sequence,
 )
 
 _MOST_CONTRADICTORY = 0.03
@@ -51,7 +52,10 @@ def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Liste
     if options.pattern.startswith(f"{PAGES}/"):
         write_pages(options.folder)
     found = matching(options.folder, options.pattern)
-    named: dict[Camera, str] = cameras_of(found, options.left) if "{camera}" in options.pattern else {"left": ""}
+    if options.cameras:
+        found = shared_sequence(found, options.cameras)
+    both = options.cameras or "{camera}" in options.pattern
+    named: dict[Camera, str] = cameras_of(found, options.left) if both else {"left": ""}
     listed: Listed = {}
     notes: list[str] = []
     for camera, name in named.items():

@@ -16,6 +16,7 @@ LEAST_FIELD_DEG, LARGEST_FIELD_DEG = 1.0, 120.0  # across the image's diagonal
 _LARGEST_ASPECT = 2.5  # of the focal lengths: the pixels of diamond arrays and of binned cameras are 1 : 2
 _LENS_SHIFT = 0.25  # of the side: how far outside its image a projector's principal point may lie
 _MARGIN = -0.01  # of the side: a camera's lies inside its image, and not on its very edge
+_RECTIFIED = 1.0  # of the side: so far outside lie those of converging cameras whose images were rectified
 _ROUNDING = 1e-6  # of the focal length
 _OFF_CENTRE = 0.06  # of the longer side: a principal point farther off may tell of exchanged sides
 _EXCHANGED = 0.2  # of its distance from the middle: how near it then comes to the middle of the exchanged image
@@ -39,8 +40,9 @@ def check_device(device: Device, projector: bool = False) -> None:
     with np.errstate(all="ignore"):
         _check_matrix(device.K)
         _check_field(device)
-        _check_principal_point(device, _LENS_SHIFT if projector else _MARGIN)
-        _check_distortion(device)
+        of_camera = _MARGIN if device.distortion.any() else _RECTIFIED
+        _check_principal_point(device, _LENS_SHIFT if projector else of_camera)
+        check_distortion(device)
 
 
 def _check_matrix(K: Array) -> None:
@@ -84,14 +86,15 @@ def _check_principal_point(device: Device, beyond: float) -> None:
             f"expected it near the middle: K is that of images {scales.mean():.2g} times the size"
         )
     if ((point < -beyond * size) | (point > (1 + beyond) * size)).any():
-        inside = "at most a quarter of a side outside" if beyond > 0 else "inside"
+        inside = f"at most {beyond:g} of a side outside" if beyond > 0 else "inside"
         raise RigError(
             f"K: found the principal point at {_numbers(point)}, expected it {inside} the {device.width}×"
             f"{device.height} image: cx and cy are wrong, or K is that of images of another size"
         )
 
 
-def _check_distortion(device: Device) -> None:
+def check_distortion(device: Device) -> None:
+    """Refuse distortion that no lens has, or that is not one-to-one over the image; RigError."""
     terms = device.distortion8
     p1, p2 = terms[2:4]
     if device.distortion.size == 4 and max(abs(p1), abs(p2)) > _FISHEYE_TERM:

@@ -188,12 +188,19 @@ def _lenses(scan: _Scan, _: int) -> _Scan:
 
 
 def _undistortions() -> Iterator[_Hypothesis]:
-    """Frames that a program undistorted, with the camera's own matrix or one of the two that OpenCV offers for it."""
+    """Frames that a program undistorted, with the camera's own matrix or one of the two that OpenCV offers for it, or
+    that it rectified.
+    """
     for names in (("left", "right"), ("left",), ("right",)):
         whose = "the cameras'" if len(names) == 2 else f"the {names[0]} camera's"
         when = f"{whose} lens distortion is left out (the frames were undistorted already)"
         for share in (None, 0.0, 1.0):
             yield _Hypothesis(MixUp(when, "frames as the cameras take them"), _undistorted(names, share))
+    expected = "frames as the cameras take them, or a rig of their rectification (rig import of its P1 and P2)"
+    mix_up = MixUp("its cameras stand parallel, their lens distortion is left out (the frames are rectified)", expected)
+    for flags in (cv2.CALIB_ZERO_DISPARITY, 0):
+        for share in (-1.0, 0.0, 1.0):
+            yield _Hypothesis(mix_up, _rectified(flags, share))
 
 
 def _undoing(turns: tuple[Turn, Turn], exchanged: bool, reverse: tuple[bool, bool]) -> Callable[[_Scan, int], _Scan]:
@@ -219,6 +226,26 @@ def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan
         left = plain(scan.rig.left) if "left" in names else scan.rig.left
         right = plain(scan.rig.with_right()) if "right" in names else scan.rig.with_right()
         return replace(scan, rig=replace(scan.rig, left=left, right=right))
+
+    return undo
+
+
+def _rectified(flags: int, share: float) -> Callable[[_Scan, int], _Scan]:
+    """Cameras as OpenCV's rectification has them; `share` as above, −1 where it is left to OpenCV."""
+
+    def undo(scan: _Scan, _: int) -> _Scan:
+        left, right, projector = scan.rig.left, scan.rig.with_right(), scan.rig.projector
+        lenses = (left.K, left.distortion8, right.K, right.distortion8)
+        size = (left.width, left.height)
+        found = cv2.stereoRectify(*lenses, size, right.R, right.t.reshape(3, 1), flags=flags, alpha=share)
+        turn, first, second = (np.asarray(found[k], dtype=float) for k in (0, 2, 3))
+        if first[0, 0] <= 0:  # OpenCV finds no part that is whole in both pictures
+            return scan
+        beside = np.linalg.solve(second[:, :3], second[:, 3])
+        plain = replace(left, K=first[:, :3], distortion=np.zeros(5))
+        right = replace(right, K=second[:, :3], distortion=np.zeros(5), R=np.eye(3), t=beside)
+        projector = projector and replace(projector, R=projector.R @ turn.T)
+        return replace(scan, rig=replace(scan.rig, left=plain, right=right, projector=projector))
 
     return undo
 

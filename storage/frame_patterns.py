@@ -12,7 +12,8 @@ from storage.frame_pages import pages_of
 from storage.scene_names import GREY, PICTURES, SHEET, matching, natural
 
 _SIDES = "left|right|左|右"
-_WORD = rf"(?i:{_SIDES})|(?:(?!(?i:{_SIDES}))[A-Za-z])+|(?:(?!左|右)[^A-Za-z\d])+"
+_AT_END = r"(?<=[a-z])[LR](?![A-Za-z])"  # the camera in names such as grayL_01
+_WORD = rf"(?i:{_SIDES})|{_AT_END}|(?:(?!(?i:{_SIDES})|{_AT_END})[A-Za-z])+|(?:(?!左|右)[^A-Za-z\d])+"
 _TOKEN = re.compile(rf"\d+|{_WORD}")
 _DECIMAL_TOKEN = re.compile(rf"\d+(?:\.\d+)?|{_WORD}")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -57,10 +58,21 @@ def name_patterns(folder: Path) -> list[NamePattern]:
     return sorted(found, key=lambda one: -len(one.paths))
 
 
-def joint_pattern(folder: Path, patterns: Sequence[NamePattern]) -> NamePattern | None:
-    """One pattern for several kinds of names, such as those of fringes, stripes, white and black; None where there is
-    none that has as many pictures of either camera.
+def joint_patterns(folder: Path, patterns: Sequence[NamePattern]) -> list[NamePattern]:
+    """Patterns that take several kinds of names together, such as those of fringes, stripes, white and black: one of
+    all kinds where there is one, else of those in folders that are called alike.
     """
+    if (whole := _joint_pattern(folder, patterns)) is not None:
+        return [whole]
+    beside: dict[str, list[NamePattern]] = {}
+    for one in patterns:
+        beside.setdefault(one.pattern.rpartition("/")[0], []).append(one)
+    found = (_joint_pattern(folder, kinds) for kinds in beside.values())
+    return [one for one in found if one is not None]
+
+
+def _joint_pattern(folder: Path, patterns: Sequence[NamePattern]) -> NamePattern | None:
+    """One pattern for several kinds of names; None where there is none that has as many pictures of either camera."""
     if not 2 <= len(patterns) <= _MOST_JOINED:
         return None
     fields = [re.split(r"(\{\w+\}|\*)", one.pattern) for one in patterns]
@@ -147,14 +159,14 @@ def _of_group(group: dict[Path, Tokens]) -> NamePattern:
     varying = [place for place, column in enumerate(columns) if len(set(column)) > 1]
     words = [place for place in varying if not _NUMBER.fullmatch(columns[place][0])]
     digits = [place for place in varying if _NUMBER.fullmatch(columns[place][0])]
-    names = dict.fromkeys(words, "{camera}")
+    names = {place: "{camera}" if columns[place] == columns[words[0]] else "*" for place in words}
     if not words and (camera := _numbered_camera(columns, digits)) is not None:
         names[camera] = "{camera}"
         digits = [place for place in digits if columns[place] != columns[camera]]
         names |= {place: "{camera}" for place in varying if columns[place] == columns[camera]}
     sides = [place for place, name in names.items() if name == "{camera}"]
     told = [place for place in digits if sides and _one_to_one(columns[place], columns[sides[0]])]
-    names |= dict.fromkeys(told, "*")  # a second word for the camera, as in L/cam0_1.png and R/cam1_1.png
+    names |= dict.fromkeys(told, "*")  # a second word for the camera, as in L/cam0_1.png, L/left1.png
     digits = [place for place in digits if place not in told]
     first = next(iter(group.values()))
     if span := _one_number(columns, digits, sides):

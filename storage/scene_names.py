@@ -41,7 +41,8 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
             expression += f"(?P={name})"
         elif name:  # right behind another field a number begins where the digits do
             any_text = ".+?" if name == "path" else "[^/]+?"
-            expression += rf"(?<!\d)(?P<{name}>\d+)" if before.startswith("{") else f"(?P<{name}>{any_text})"
+            text = r"\d+" if before.startswith("{") else any_text
+            expression += ("" if before[:1] not in ("{", "*") else r"(?<!\d)") + f"(?P<{name}>{text})"
             seen.add(name)
         else:
             expression += "[^/]*" if part == "*" else re.escape(part)
@@ -126,6 +127,24 @@ def by_number(found: Mapping[Path, Values], camera: str) -> list[Path]:
     """A camera's frames in the order of their numbers."""
     mine = [path for path, values in found.items() if values.get("camera", camera) == camera]
     return sorted(mine, key=lambda path: natural(found[path].get("frame", found[path].get("path", path.as_posix()))))
+
+
+def shared_sequence(found: Mapping[Path, Values], way: str) -> dict[Path, Values]:
+    """Frames of both cameras that one number runs through, with the camera of each: first or second.
+
+    Parameters
+    ----------
+    way : str
+        "turns": the cameras come by turns; "halves": all of one, then all of the other.
+    """
+    ordered = by_number(found, "")
+    if len(ordered) % 2 or len(exposure_names(found)) > 1 or any("camera" in values for values in found.values()):
+        raise SceneError(
+            f"--cameras {way}: found {len(ordered)} frames, expected as many of either camera, of one exposure, by a "
+            "pattern without {camera}"
+        )
+    first = set(ordered[::2] if way == "turns" else ordered[: len(ordered) // 2])
+    return {path: values | {"camera": "first" if path in first else "second"} for path, values in found.items()}
 
 
 def runs_through(pattern: str) -> bool:

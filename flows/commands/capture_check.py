@@ -22,6 +22,7 @@ def add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser], comm
     check.add_argument("--gray-pattern", help="Gray code beside such fringes: '{camera}/g{bit}.png'")
     check.add_argument("--sequence", nargs="+", help="what {frame} runs through: fringes gray white black skip:N")
     check.add_argument("--left", metavar="NAME", help="what {camera} is of the left camera")
+    check.add_argument("--cameras", choices=("turns", "halves"), help="how both share {frame}, without {camera}")
     check.add_argument(
         "--labels", nargs="+", default=[], help="what {count} is of each count, in the order of --counts"
     )

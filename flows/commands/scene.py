@@ -36,6 +36,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
         "--exposures", type=float, nargs="+", metavar="TIME", help="of the {exposure}s; by default as they are named"
     )
     new.add_argument("--left", metavar="NAME", help="what {camera} is of the left camera")
+    new.add_argument("--cameras", choices=("turns", "halves"), help="how both share {frame}, without {camera}")
     new.add_argument("--labels", nargs="+", default=[], help="what {count} is of each count, in the order of --counts")
     new.add_argument("--rig", required=True, metavar="ID")
     _add_key_options(new)

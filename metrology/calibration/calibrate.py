@@ -21,8 +21,9 @@ from metrology.calibration.prediction import FieldUncertainty, field_uncertainty
 from metrology.calibration.projected_dots import ProjectedDots
 from metrology.calibration.sightings import of_one_layout, refuse_blurred, sightings_of
 from metrology.calibration.turned_boards import labelled_alike
-from metrology.errors import CalibrationError
-from metrology.rig import Rig
+from metrology.device_plausibility import check_distortion
+from metrology.errors import CalibrationError, RigError
+from metrology.rig import Device, Rig
 from metrology.rig_plausibility import stands_left
 
 Terms = dict[DeviceName, tuple[str, ...]]
@@ -275,11 +276,21 @@ def _choose_model(state: State, sightings: Sequence[Sighting]) -> tuple[Terms, l
             model = tuple((terms | {name: candidate}).items())
             if model not in tried:
                 tried[model] = adjust(state, sightings, _free(dict(model)), robust=False)
-            return tried[model].chi2, tried[model].freedom
+            possible = _one_to_one(tried[model].state.devices[name])
+            return tried[model].chi2 if possible else np.inf, tried[model].freedom
 
         terms[name], found = choose_terms(name, fit, count)
         evidence += found
     return terms, evidence, tried[tuple(terms.items())]
+
+
+def _one_to_one(device: Device) -> bool:
+    """Whether a lens is one out to the image's corners: where no board was, terms of high order run away."""
+    try:
+        check_distortion(device)
+    except RigError:
+        return False
+    return True
 
 
 def _free(terms: Terms) -> dict[DeviceName, Sequence[str]]:

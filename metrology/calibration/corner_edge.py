@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erf
 
 from metrology.arrays import Array
@@ -17,7 +18,7 @@ _LEAST_BAND_PX = 2.0
 _CLEAR_BLURS = 2.0  # from what else is printed, so far its blur reaches
 _ITERATIONS = 15
 _CONVERGED_PX = 1e-4
-_LOST_PX = 2.0  # a corner that leaves its start by more has locked onto something else
+_LOST_PX, _LOST = 2.0, 0.2  # of the reach: a corner that leaves its start by more has locked onto something else
 _LEAST_PIXELS = 80
 _LEAST_CONTRAST = 3.0  # edge height over the residual's scatter
 
@@ -40,7 +41,12 @@ class CornerFit:
 
 
 def fit_corner(
-    image: Array, start: Array, directions: Array, reach_px: float, clear_px: float = np.inf
+    image: Array,
+    start: Array,
+    directions: Array,
+    reach_px: float,
+    clear_px: float = np.inf,
+    clipped: NDArray[np.bool_] | None = None,
 ) -> CornerFit | None:
     """Fit one corner.
 
@@ -58,6 +64,8 @@ def fit_corner(
         How far along the edges to look; less than to the next corner.
     clear_px : float
         How far from the edges something else is printed, as a marker is.
+    clipped : (h, w) bool array, optional
+        Pixels that are at least as bright as the image says: they count where the model has them darker.
 
     Returns
     -------
@@ -69,7 +77,9 @@ def fit_corner(
     size = 2 * margin + 1
     if u0 < 0 or v0 < 0 or u0 + size > image.shape[1] or v0 + size > image.shape[0]:
         return None
-    level = image[v0 : v0 + size, u0 : u0 + size]
+    window = np.s_[v0 : v0 + size, u0 : u0 + size]
+    level = image[window]
+    brighter = np.zeros(level.shape, np.bool_) if clipped is None else clipped[window]
     v, u = np.mgrid[:size, :size]
     pixels = np.stack([u, v], -1).astype(float)
     origin = np.array([u0, v0])
@@ -84,10 +94,14 @@ def fit_corner(
         near &= np.linalg.norm(offset, axis=-1) < reach_px
         if near.sum() < _LEAST_PIXELS:
             return None
+        if brighter.any():
+            near &= ~_satisfied(level, offset, distance, near, brighter, blur)
+        if near.sum() < _LEAST_PIXELS:
+            return None
         solved = _step(level[near], offset[near], distance[near], offset[near] @ along.T, normals, blur)
         if solved is None:
             return None
-        step, covariance = solved
+        step, covariance, contrast = solved
         centre = centre + np.clip(step[:2], -1, 1)
         angles = angles + np.clip(step[2:4], -0.1, 0.1)
         blur = max(blur + float(step[4]), _LEAST_BLUR_PX)
@@ -95,22 +109,33 @@ def fit_corner(
             return None
         if np.abs(step[:2]).max() < _CONVERGED_PX:
             break
-    if np.hypot(*(centre + origin - start)) > _LOST_PX:
+    if contrast < _LEAST_CONTRAST or np.hypot(*(centre + origin - start)) > max(_LOST_PX, _LOST * reach_px):
         return None
     return CornerFit(centre + origin, covariance, blur)
 
 
+def _satisfied(
+    level: Array, offset: Array, distance: Array, near: NDArray[np.bool_], clipped: NDArray[np.bool_], blur: float
+) -> NDArray[np.bool_]:
+    """Clipped pixels that the model, as the others have it, makes as bright as they are, or brighter."""
+    edge = erf(distance / (np.sqrt(2) * blur)).prod(-1)
+    plateaus = np.concatenate([np.ones((*level.shape, 1)), offset, edge[..., None]], axis=-1)
+    known = near & ~clipped
+    levels = np.linalg.lstsq(plateaus[known], level[known], rcond=None)[0]
+    return np.asarray(clipped & (plateaus @ levels >= level))
+
+
 def _step(
     level: Array, offset: Array, distance: Array, along: Array, normals: Array, blur: float
-) -> tuple[Array, Array] | None:
-    """One Gauss-Newton step (centre, angles, blur) with the centre's covariance; levels are solved for each time."""
+) -> tuple[Array, Array, float] | None:
+    """One Gauss-Newton step (centre, angles, blur), the centre's covariance, and the edges' height over the residual's
+    scatter; levels are solved for each time.
+    """
     edge = erf(distance / (np.sqrt(2) * blur))
     plateaus = np.column_stack([np.ones(len(level)), offset, edge.prod(1)])
     levels = np.linalg.lstsq(plateaus, level, rcond=None)[0]
     residual = level - plateaus @ levels
     variance = residual @ residual / max(len(residual) - 9, 1)
-    if abs(levels[3]) < _LEAST_CONTRAST * np.sqrt(variance):
-        return None
     slope = np.sqrt(2 / np.pi) / blur * np.exp(-0.5 * (distance / blur) ** 2) * edge[:, ::-1] * levels[3]
     jacobian = np.column_stack(
         [
@@ -127,4 +152,5 @@ def _step(
         inverse = np.linalg.inv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
     except np.linalg.LinAlgError:
         return None
-    return (inverse @ (jacobian.T @ residual))[:5], variance * inverse[:2, :2]
+    contrast = float(abs(levels[3]) / np.sqrt(max(variance, np.finfo(float).tiny)))
+    return (inverse @ (jacobian.T @ residual))[:5], variance * inverse[:2, :2], contrast

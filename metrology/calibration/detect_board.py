@@ -65,11 +65,15 @@ def detect_board(frames: BoardFrames, board: Board) -> BoardView:
     try:
         view = _detect(frames, lit, board)
     except CalibrationError as problem:
-        if everywhere > _OVEREXPOSED:
-            raise CalibrationError(
-                f"overexposed: {everywhere:.0%} of the white frame is saturated, expected next to none ({problem})"
-            ) from None
-        raise
+        if everywhere <= _OVEREXPOSED:
+            raise
+        if not board.has_dots:
+            raise CalibrationError(f"{problem} (overexposed, too: {everywhere:.0%} of the white frame)") from None
+        raise CalibrationError(
+            f"overexposed: {everywhere:.0%} of the white frame is saturated, expected next to none ({problem})"
+        ) from None
+    if not board.has_dots:
+        return view  # corners are fitted to what is not clipped
     overexposed = _saturated_share(frames, view.pixels) if everywhere > _OVEREXPOSED else 0.0
     if overexposed > _OVEREXPOSED:
         raise CalibrationError(f"overexposed: {overexposed:.0%} of the board is saturated, expected next to none")
@@ -80,7 +84,8 @@ def _detect(frames: BoardFrames, lit: Array, board: Board) -> BoardView:
     if board.has_dots:
         return _detect_dots(frames, lit, board)
     grey = np.clip(lit * (255.0 / np.quantile(lit, 0.995)), 0, 255).astype(np.uint8)
-    return _detect_charuco(grey, lit, board) if board.kind == "charuco" else _detect_chessboard(grey, lit, board)
+    detect_corners = _detect_charuco if board.kind == "charuco" else _detect_chessboard
+    return detect_corners(grey, lit, frames.saturated, board)
 
 
 def _saturated_share(frames: BoardFrames, pixels: Array) -> float:
@@ -145,7 +150,7 @@ def _check_dots(view: BoardView, fits: list[DotFit], board: Board) -> None:
         )
 
 
-def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardView:
+def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, clipped: NDArray[np.bool_], board: Board) -> BoardView:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     pattern = (board.cols, board.rows)
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, pattern, flags | cv2.CALIB_CB_LARGER)
@@ -153,7 +158,9 @@ def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, board: Board) -> Boa
     if not found:  # the older detector finds boards in pictures in which this one does not
         found, corners = cv2.findChessboardCorners(grey, pattern, flags=_OLDER_FLAGS)
     if not found:
-        raise CalibrationError(f"did not find the {board}: half in view, blurred or another one")
+        smaller, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags | cv2.CALIB_CB_LARGER)
+        there = f": found one of {meta.shape[1]} × {meta.shape[0]} inner corners" if smaller else ""
+        raise CalibrationError(f"did not find the {board}{there}: half in view, blurred or another one")
     if {rows, cols} != {board.cols, board.rows}:
         raise CalibrationError(
             f"found a chessboard of {cols} × {rows} inner corners, expected {board.cols} × "
@@ -164,7 +171,7 @@ def _detect_chessboard(grey: NDArray[np.uint8], lit: Array, board: Board) -> Boa
     # Corners lie alike on boards of other colours: black squares on black ones, where there is a choice.
     coloured = [fit for fit in fits if _contrast(lit, board, fit, pixels) > 0]
     placed = upright(coloured or fits, pixels, board)
-    return _refine_corners(lit, board, placed.index, pixels[placed.on_board])
+    return _refine_corners(lit, clipped, board, placed.index, pixels[placed.on_board])
 
 
 def _rows_of_corners(pixels: Array, rows: int) -> Labels:
@@ -189,7 +196,7 @@ def _contrast(lit: Array, board: Board, fit: Placement, pixels: Array) -> float:
     return float(level[~black].mean() - level[black].mean())
 
 
-def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardView:
+def _detect_charuco(grey: NDArray[np.uint8], lit: Array, clipped: NDArray[np.bool_], board: Board) -> BoardView:
     """Find the corners by either layout of the board: OpenCV changed it in 4.6 for boards of even rows."""
     identifier = getattr(cv2.aruco, board.dictionary or "", None)
     if not isinstance(identifier, int):
@@ -217,11 +224,11 @@ def _detect_charuco(grey: NDArray[np.uint8], lit: Array, board: Board) -> BoardV
         raise CalibrationError(
             f"found {len(index)} of {expected} corners of the {board}{tried}: half in view, blurred or another one"
         )
-    view = replace(_refine_corners(lit, board, index, pixels), layout=best)
+    view = replace(_refine_corners(lit, clipped, board, index, pixels), layout=best)
     other = next((layout for layout in found if layout != best), None)
     if other is None or in_place[other] < in_place[best]:
         return view
-    turned = replace(_refine_corners(lit, board, *found[other]), layout=other)
+    turned = replace(_refine_corners(lit, clipped, board, *found[other]), layout=other)
     return replace(view, otherwise=turned)
 
 
@@ -243,7 +250,9 @@ def _markers_in_place(
     return int((np.linalg.norm(seen - known, axis=1) < _OUT_OF_PLACE * board.spacing_mm).sum())
 
 
-def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: Array) -> BoardView:
+def _refine_corners(
+    lit: Array, clipped: NDArray[np.bool_], board: Board, index: NDArray[np.intp], pixels: Array
+) -> BoardView:
     """Fit the crossing edges at every corner; the homography tells their directions."""
     points = board.points[index, :2]
     homography = fit_homography(points, pixels)
@@ -254,7 +263,7 @@ def _refine_corners(lit: Array, board: Board, index: NDArray[np.intp], pixels: A
     for k, start in enumerate(pixels):
         ends = apply_homography(homography, points[k] + np.eye(2)) - apply_homography(homography, points[k] - np.eye(2))
         along = ends / np.linalg.norm(ends, axis=1, keepdims=True)
-        fit = fit_corner(lit, start, along, float(reach[k]), float(clear[k]))
+        fit = fit_corner(lit, start, along, float(reach[k]), float(clear[k]), clipped)
         if fit is not None:
             fits.append(fit)
             kept.append(k)

@@ -42,6 +42,28 @@ def as_arrays(folder: Path, views: Views) -> None:
         np.save(folder / f"images_{side[0].upper()}.npy", np.moveaxis(frames, 0, -1))
 
 
+def in_two_words(folder: Path, views: Views) -> None:
+    """L/fringesleft01.bmp, L/grayleft01.bmp …, and pictures of a board beside them."""
+    for side, frames in views.items():
+        own = {"left": "L", "right": "R"}[side]
+        names = [f"{own}/fringes{side}{k + 1:02d}.bmp" for k in range(4)]
+        save(folder, {side: frames}, names + [f"{own}/gray{side}{k + 1:02d}.bmp" for k in range(5)])
+        board = np.random.default_rng(1).integers(0, 255, (16, 60, 80)).astype(np.uint8)
+        save(folder, {side: board}, [f"board/{own}/{side}{k + 1:02d}.bmp" for k in range(16)])
+
+
+def by_turns(folder: Path, views: Views) -> None:
+    """1.png of the left camera, 2.png of the right one, and so on."""
+    for first, frames in enumerate(views.values()):
+        for k, frame in enumerate(frames):
+            cv2.imwrite(str(folder / f"{2 * k + first + 1}.png"), frame)
+
+
+def in_halves(folder: Path, views: Views) -> None:
+    for k, frame in enumerate(np.concatenate(list(views.values()))):
+        cv2.imwrite(str(folder / f"img_{k:03d}.bmp"), frame)
+
+
 @dataclass(frozen=True)
 class Layout:
     """A folder of another program."""
@@ -82,6 +104,12 @@ LAYOUTS = {
         [f"{{camera}}/{sign}_{bit}.png" for bit in range(8) for sign in ("pos", "neg")],
         "--sequence gray inverse",
     ),
+    "two words for the camera": Layout(
+        BOTH, in_two_words, "--pattern '{camera}/{frame}.bmp' --counts 16 --steps 4 --gray 32 --sequence fringes gray"
+    ),
+    "fringes and stripes by turns": Layout(BOTH, by_turns, "--cameras turns --counts 16 --steps 4 --gray 32"),
+    "stripes by turns": Layout(GRAY, by_turns, "--cameras turns --counts --gray 256 --inverse"),
+    "one camera after the other": Layout(BOTH, in_halves, "--cameras halves --counts 16 --steps 4 --gray 32"),
     "times": Layout(
         HETERODYNE,
         [f"{{camera}}_2019082109{3809 + k}_{100 + 37 * k % 900}.bmp" for k in range(12)],
@@ -122,6 +150,15 @@ def test_a_layout_becomes_a_scene_by_what_the_guess_says(
     assert len(off) > 0.25 * 320 * 240
     assert abs(np.median(off)) < 0.1
     assert np.quantile(np.abs(off), 0.99) < (3.0 if not layout.code.counts else 1.5)
+
+
+def test_a_code_shown_twice_is_of_one_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    once, again = scan(BOTH)["left"], scan(BOTH)["left"] // 2
+    in_halves(tmp_path, {"left": once, "right": again})
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "one camera" in said
+    assert "--cameras" not in said
 
 
 def test_inverses_alone_are_no_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from metrology.calibration.board import Board
 from metrology.calibration.calibrate import calibrate
+from metrology.calibration.corner_edge import fit_corner
 from metrology.calibration.detect import Detection, detect
 from metrology.calibration.detect_board import BoardView, detect_board
 from metrology.calibration.detect_projection import detect_projected_dots
@@ -139,6 +140,31 @@ def test_corners_are_found_within_three_hundredths_of_a_pixel(board: Board) -> N
     assert np.sqrt(np.mean(error**2)) < 0.03
 
 
+@pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO])
+@pytest.mark.parametrize("brighter", [1.6, 2.5])
+def test_corners_are_found_as_well_where_white_is_clipped(board: Board, brighter: float) -> None:
+    sound = frames(board)
+    clipped = BoardFrames(np.clip(np.rint(brighter * sound.white), 0, 255).astype(np.uint8), sound.dark)
+    assert clipped.saturated.mean() > 0.25
+    view = detect_board(clipped, board)
+    assert len(view.index) >= 0.9 * len(board.points)
+    error = view.pixels - true_centres(board, view)
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_a_corner_is_found_from_a_start_that_a_detector_has_off() -> None:
+    image = frames(CHESSBOARD).lit
+    true = apply_homography(FROM_BOARD, CHESSBOARD.points[[17], :2])[0]
+    ahead = apply_homography(FROM_BOARD, CHESSBOARD.points[17, :2] + np.eye(2)) - true
+    along = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    for off in ((1.9, 0.0), (-1.2, 1.4)):
+        found = fit_corner(
+            image, true + np.array(off), along, 0.4 * CHESSBOARD.spacing_mm * float(np.linalg.norm(ahead[0]))
+        )
+        assert found is not None
+        assert np.abs(found.centre - true).max() < 0.05
+
+
 def turned_labels(of: BoardFrames, board: Board, quarters: int) -> tuple[BoardView, NDArray[np.intp]]:
     """The board in a picture turned by quarters of a turn, and which features it truly shows."""
     assert of.dark is not None
@@ -264,6 +290,11 @@ def test_another_board_than_described_is_refused(circles: BoardFrames, board: Bo
 def test_a_larger_chessboard_than_described_is_refused() -> None:
     with pytest.raises(CalibrationError, match="wrong board size"):
         detect_board(frames(CHESSBOARD), replace(CHESSBOARD, cols=6))
+
+
+def test_a_smaller_chessboard_than_described_is_named() -> None:
+    with pytest.raises(CalibrationError, match=r"found one of (7 × 6|6 × 7) inner corners"):
+        detect_board(frames(CHESSBOARD), replace(CHESSBOARD, cols=9))
 
 
 def test_lost_dots_leave_the_board_and_a_reason(circles: BoardFrames) -> None:

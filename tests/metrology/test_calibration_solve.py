@@ -12,6 +12,7 @@ import pytest
 from metrology.calibration.calibrate import Calibration, calibrate_sightings
 from metrology.calibration.epipolar_residuals import epipolar_residuals
 from metrology.calibration.observations import Sighting
+from metrology.device_plausibility import check_device
 from metrology.errors import CalibrationError
 from tests.support.calibration_bench import SIZES, bench_rig, bench_state, see
 
@@ -73,6 +74,18 @@ def test_a_pinhole_is_called_one() -> None:
     ideal = replace(rig, left=replace(rig.left, distortion=np.zeros(5)))
     seen = see(bench_state(ideal), np.random.default_rng(2), SIGMA_PX, dots=False)
     assert calibrate_sightings(seen, CAMERA_SIZES).terms["left"] == ()
+
+
+def test_lens_terms_that_fold_the_image_where_no_board_was_are_not_taken() -> None:
+    rig = bench_rig()
+    steep = replace(rig, left=replace(rig.left, distortion=np.array([-0.27, 21.0, 0.0, 0.0, -545.0])))
+    seen = []
+    for sighting in see(bench_state(steep), np.random.default_rng(2), SIGMA_PX, dots=False):
+        middle = np.linalg.norm(sighting.pixels - np.array([800.0, 600.0]), axis=1) < 560
+        seen.append(sighting.only(middle))
+    found = calibrate_sightings(seen, CAMERA_SIZES)
+    assert "k3" not in found.terms["left"]
+    check_device(found.adjusted.state.devices["left"])
 
 
 def test_a_rig_file_keeps_covariance_residuals_and_poses(calibration: Calibration) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -36,7 +38,7 @@ def reversed_steps(view: DecodedView, size: int) -> DecodedView:
 
 
 def said(views: Views, rig: Rig) -> str:
-    found = find_mix_up(triangulate(*views, rig), "x", rig.projector.width)
+    found = find_mix_up(triangulate(*views, rig), "x", half_size_rig().projector.width)
     return "" if found is None else found.when
 
 
@@ -73,6 +75,22 @@ def test_undistorted_frames(rig: Rig, views: Views) -> None:
     plain = replace(rig, right=replace(rig.right, distortion=np.zeros(5)))
     [right] = seen_by(plain, "right")
     assert "the right camera's lens distortion is left out" in said((views[0], right), bent)
+
+
+@pytest.mark.parametrize("projector", [True, False])
+def test_rectified_frames(rig: Rig, projector: bool) -> None:
+    left, right = rig.left, rig.right
+    size = (left.width, left.height)
+    turn_left, turn_right, P1, P2, *_ = cv2.stereoRectify(
+        left.K, left.distortion8, right.K, right.distortion8, size, right.R, right.t.reshape(3, 1), flags=0
+    )
+    rectified = SimpleNamespace(
+        projector=rig.projector,
+        left=replace(left, K=P1[:, :3], distortion=np.zeros(5), R=turn_left, t=np.zeros(3)),
+        right=replace(right, K=P2[:, :3], distortion=np.zeros(5), R=turn_right @ right.R, t=turn_right @ right.t),
+    )
+    seen = (seen_by(rectified, "left")[0], seen_by(rectified, "right")[0])  # type: ignore[arg-type]
+    assert "the frames are rectified" in said(seen, rig if projector else replace(rig, projector=None))
 
 
 def test_a_right_camera_s_pose_in_another_convention(rig: Rig, views: Views) -> None:

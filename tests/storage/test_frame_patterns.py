@@ -26,6 +26,11 @@ from storage.scene_names import cameras_of, matching
         ([f"pattern_cam{c}_im{k}.png" for c in (1, 2) for k in range(1, 45)], "pattern_cam{camera}_im{frame}.png"),
         ([f"graycode_{k:02d}.png" for k in range(42)], "graycode_{frame}.png"),
         ([f"f{n}_{k}.png" for n in (35, 36) for k in range(8)], "f{count}_{step}.png"),
+        (
+            [f"{s}/gray{w}{k:02d}.bmp" for s, w in (("L", "left"), ("R", "right")) for k in range(1, 13)],
+            "{camera}/gray*{frame}.bmp",
+        ),
+        ([f"gray{side}_{k}.bmp" for side in "LR" for k in range(12)], "gray{camera}_{frame}.bmp"),
         ([f"right ({k}).png" for k in range(9)] + [f"left ({k}).png" for k in range(9)], "{camera} ({frame}).png"),
     ],
 )  # fmt: skip
@@ -38,6 +43,10 @@ def test_names_tell_camera_count_step_and_number(names: list[str], pattern: str,
     assert len(found.paths) == len(names)
     fitting = matching(tmp_path, pattern)
     assert set(fitting) == set(found.paths)
+    if "{frame}" in pattern:
+        assert len({values["frame"] for values in fitting.values()}) == len(names) // (
+            2 if "{camera}" in pattern else 1
+        )
     if "{camera}" in pattern:
         assert len(cameras_of(fitting, None)) == 2
 
