@@ -211,10 +211,10 @@ def _choose(key: str, disposition: str) -> None:
 
 
 def ask_who(context: PageContext, width: int | Literal["stretch"] = "stretch") -> None:
-    """A field for the name, where nobody logs in; `width` in pixels."""
+    """A field for the name, where nobody logs in; `width` in pixels. The key y leads to it (`dashboard.keys`)."""
     if not context.person.verified:
         st.text_input(
-            _("Your name"), key="who", max_chars=120, placeholder=_("Your name"), label_visibility="collapsed",
+            _("Your name"), key="who", max_chars=120, placeholder=_("Your name") + " · Y", label_visibility="collapsed",
             width=width,
             help=_("Nobody logs in here, so the log keeps the name you give."),
         )  # fmt: skip

@@ -65,6 +65,22 @@ if (!window.flushlineKeys) {
 </script>"""
 
 
+NAME_KEY = """<script>
+if (!window.flushlineNameKey) {
+  window.flushlineNameKey = true;
+  window.addEventListener('keydown', (event) => {
+    const field = document.querySelector('.st-key-who input');
+    if (!field || event.key?.toLowerCase() !== 'y' || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest?.('input, textarea, select, [contenteditable="true"], [role="listbox"]')) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    field.focus();
+  }, true);
+}
+</script>"""
+"""Has the key y lead to the field for one's name, on every page that has one."""
+
+
 def keep_order() -> None:
     """Have the browser act on the keys of this page one after the other; called when everything else is drawn."""
     drawn = st.session_state[_DRAWN] = st.session_state.get(_DRAWN, 0) + 1
