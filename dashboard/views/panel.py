@@ -81,7 +81,8 @@ def render(context: PageContext) -> None:
     with left:
         _map(context, view, chosen)
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
-            _sign(context, view, scenes)
+            row = view.row
+            _sign(context, scenes, aircraft, panel, f"{row.verdict}: {row.verdict_reason}")
     with right:
         _beside(context, view, scenes, chosen)
 
@@ -121,8 +122,7 @@ def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, p
     show_scans(context, scenes)
     with st.container(horizontal=True, vertical_alignment="center", gap="small"):
         _report(context, aircraft, panel)
-        ask_who(context, _NAME_PX)
-        _offer(context, scenes, aircraft, panel, "not put together")
+        _sign(context, scenes, aircraft, panel, "not put together")
 
 
 def _chosen(view: PanelView) -> Feature | None:
@@ -236,15 +236,10 @@ def _report(context: PageContext, aircraft: str, panel: str) -> None:
     offer_report(f"{aircraft}~{panel}", context.locale, lambda words: panel_report(store, key, wording=words))
 
 
-def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
-    row = view.row
+def _sign(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
     if all(s.scene_id in context.archive.review().sign_offs() for s in scenes):
         return
     ask_who(context, _NAME_PX)
-    _offer(context, scenes, str(row.aircraft_serial), str(row.panel), f"{row.verdict}: {row.verdict_reason}")
-
-
-def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
     name = f"{aircraft} {panel}"
     meaning = PANEL_RELEASED.format(panel=name, n=len(scenes), verdict=verdict)
     offer_sign_off_of(context, scenes, _("panel {name}", name=plain(name)), meaning)
