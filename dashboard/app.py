@@ -5,6 +5,7 @@ from __future__ import annotations
 import streamlit as st
 
 from dashboard import frame
+from dashboard.keys import NAME_KEY
 from dashboard.loading_ahead import load_ahead
 from dashboard.views import archive, overview, panel, review, runs, scene, sql, trends
 from dashboard.words import _
@@ -28,6 +29,7 @@ _STYLE = """<style>
 [data-testid="stMetricValue"] {font-size: 1.5rem;}
 [data-testid="stVerticalBlock"] {gap: 0.6rem;}
 .st-key-finding {max-height: max(230px, calc(100vh - 490px)); overflow-y: auto;}
+.st-key-panel-warnings {max-height: 3.2rem; overflow-y: auto; flex: none;}
 .st-key-questions {gap: 0.3rem 0.4rem;}
 .st-key-questions button {min-height: 1.9rem; padding: 0.1rem 0.6rem;}
 .st-key-questions button p {font-size: 0.875rem;}
@@ -77,7 +79,7 @@ def main() -> None:
     frame.speak_their_language()
     st.set_page_config("Flushline", _ICON, layout="wide", initial_sidebar_state="collapsed")
     st.html(_STYLE)
-    st.html(_ONE_STEP, unsafe_allow_javascript=True)
+    st.html(_ONE_STEP + NAME_KEY, unsafe_allow_javascript=True)
     load_ahead()
     pages = {
         name: st.Page(body, title=_(title), icon=icon, url_path="" if name == _HOME else name, default=name == _HOME)

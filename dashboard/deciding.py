@@ -18,6 +18,7 @@ import streamlit as st
 
 from dashboard.findings import names_of
 from dashboard.frame import PageContext, link, plain, told
+from dashboard.keys import name_of_browser
 from dashboard.suggestions import suggest_comments
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError, OutdatedError
@@ -27,6 +28,7 @@ from storage.review import DISPOSITIONS, MAX_COMMENT, Disposition, Entry, Review
 from storage.review_details import LONGEST_NUMBER, Numbers, remarks
 
 _OUTCOME = "review_outcome"
+_GIVEN = "name_given"
 ACCEPTS: tuple[Disposition, ...] = ("use as is", "repair")
 """What accepts a part that is not as drawn: where roles are configured, the design authority's to decide."""
 _KEYS: dict[Disposition, str] = {"use as is": "u", "rework": "w", "repair": "p", "scrap": "s", "re-scan": "n"}
@@ -211,13 +213,16 @@ def _choose(key: str, disposition: str) -> None:
 
 
 def ask_who(context: PageContext, width: int | Literal["stretch"] = "stretch") -> None:
-    """A field for the name, where nobody logs in; `width` in pixels."""
+    """A field for the name, where nobody logs in; `width` in pixels. It keeps the name over pages and reloads."""
     if not context.person.verified:
+        # Streamlit forgets what was typed into a field that a page does not have.
+        st.session_state.setdefault("who", st.session_state.get(_GIVEN, name_of_browser()))
         st.text_input(
-            _("Your name"), key="who", max_chars=120, placeholder=_("Your name"), label_visibility="collapsed",
+            _("Your name"), key="who", max_chars=120, placeholder=_("Your name") + " · Y", label_visibility="collapsed",
             width=width,
             help=_("Nobody logs in here, so the log keeps the name you give."),
         )  # fmt: skip
+        st.session_state[_GIVEN] = st.session_state["who"]
 
 
 def who_decides(context: PageContext) -> str:

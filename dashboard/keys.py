@@ -8,6 +8,8 @@ it are forgotten: they were meant for what did not happen.
 
 from __future__ import annotations
 
+from urllib.parse import unquote
+
 import streamlit as st
 
 _DRAWN = "keys_drawn"
@@ -63,6 +65,34 @@ if (!window.flushlineKeys) {
   });
 }
 </script>"""
+
+
+NAME_KEY = """<script>
+if (!window.flushlineNameKey) {
+  window.flushlineNameKey = true;
+  window.addEventListener('change', (event) => {
+    if (event.target.closest?.('.st-key-who'))
+      document.cookie = `flushline_name=${encodeURIComponent(event.target.value)}; path=/; SameSite=Strict`;
+  }, true);
+  window.addEventListener('keydown', (event) => {
+    const field = document.querySelector('.st-key-who input');
+    if (!field || event.key?.toLowerCase() !== 'y' || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest?.('input, textarea, select, [contenteditable="true"], [role="listbox"]')) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    field.focus();
+  }, true);
+}
+</script>"""
+"""Has the key y lead to the field for one's name, on every page that has one; the browser keeps it until it ends."""
+
+
+def name_of_browser() -> str:
+    """The name that was given in this browser before a page was loaded anew; "" where there is none."""
+    try:
+        return unquote(str(st.context.cookies.get("flushline_name") or ""))
+    except Exception:  # Streamlit raises kinds of its own outside a browser session
+        return ""
 
 
 def keep_order() -> None:

@@ -28,9 +28,12 @@ def preload() -> None:
 
 def main() -> None:
     """Take Streamlit's command line."""
+    import gc
+
     from streamlit.web.cli import main as streamlit
 
     preload()
+    gc.freeze()  # Streamlit collects after every run of a page; what was loaded once holds no waste
     from dashboard.warming import keep_warm
 
     keep_warm()

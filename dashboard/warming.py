@@ -12,9 +12,11 @@ import threading
 import time
 
 from dashboard.data import Archive
-from dashboard.filters import began
-from dashboard.findings import PERIODS, Selection, Wanted, findings
+from dashboard.filters import began, newest_scan
+from dashboard.findings import PERIODS, Selection, Wanted, findings, start_of
 from dashboard.margins import with_margins
+from dashboard.news import Since, changes, new_scans
+from dashboard.panels import panel_names
 from dashboard.settings import load_settings, store_root
 from storage.archive.changes import drift_sql
 
@@ -32,12 +34,17 @@ def keep_warm() -> None:
 
 
 def read_ahead(archive: Archive) -> None:
-    """Read what the review and the overview show at first, and the review for each of its periods."""
+    """Read what the review and the overview show, at first and for each of their periods, and the panels' names."""
     without = load_settings(archive.root).not_aircraft
     archive.shared_rows(drift_sql("true"))
+    panel_names(archive)
     for period in PERIODS:  # any time, which is shown at first, is the first of them
         selection = Selection(since=began(archive, period), without=without)
         with_margins(archive, findings(archive, Wanted(selection=selection)))
+        if start := start_of(period, newest_scan(archive)):
+            since = Since(None, Selection(since=start, without=without))
+            changes(archive, since)
+            new_scans(archive, since)
 
 
 def _watch() -> None:

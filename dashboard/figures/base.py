@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from dashboard.palette import INK
 from metrology.tolerance import Limit
 
 _AXIS = {"automargin": True, "title": {"standoff": 6}, "zeroline": False}
+_MOST_DRAWN = 1500
 Line = dict[str, Any]
 """A shape or an annotation, as Plotly's layout has it."""
 
@@ -53,6 +54,11 @@ def _common(locale: Locale, height: int) -> dict[str, Any]:
         "hoverlabel": {"align": "left"},
         "uirevision": "keep",
     }
+
+
+def adds_points(fig: go.Figure, n: int) -> Callable[..., go.Figure]:
+    """How a figure of n points adds them: many by WebGL, which takes a browser longer to begin than to draw a few."""
+    return fig.add_scattergl if n > _MOST_DRAWN else fig.add_scatter
 
 
 def add_shapes(fig: go.Figure, shapes: Sequence[Line], annotations: Sequence[Line] = ()) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dashboard.closeup import RivetCloseUp, SeamSection
-from dashboard.figures.base import add_shapes, figure, limit_lines
+from dashboard.figures.base import add_shapes, adds_points, figure, limit_lines
 from dashboard.figures.limits import with_air
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
@@ -69,7 +69,7 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
         (outer, PURPLE, _("skin"), "circle"),
         (inner, GREEN, _("head"), "square"),
     ):
-        fig.add_scattergl(
+        adds_points(fig, len(position))(
             x=np.round(position[members][:_MOST_POINTS], 3),
             y=np.round(deviation[members][:_MOST_POINTS], 4),
             mode="markers",
@@ -105,13 +105,14 @@ def rivet_section(closeup: RivetCloseUp, limit: Limit | None, locale: Locale, he
 def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.Figure:
     """The section across a seam as the paper's Fig. 8: points, L1, L2, D, G, D′, G′, step and width."""
     fig = figure(locale, height)
+    add = adds_points(fig, len(section.x))
     for members, colour, name, symbol in (
         (~section.used, INK, _("not used"), "circle-open"),
         (section.used, PURPLE, _("skin points"), "circle"),
     ):
         x, h = section.x[members], section.h[members]
         every = max(1, len(x) // _MOST_POINTS)
-        fig.add_scattergl(
+        add(
             x=np.round(x[::every], 3),
             y=np.round(h[::every], 4),
             mode="markers",
@@ -128,7 +129,7 @@ def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.F
         inside = (span >= start) & (span <= end)
         # On the same canvas as the points, which would hide them otherwise.
         skin = np.polyval(line[::-1], span)
-        fig.add_scattergl(
+        add(
             x=span[~inside],
             y=skin[~inside],
             mode="lines",
@@ -136,7 +137,7 @@ def seam_figure(section: SeamSection, locale: Locale, height: int = 330) -> go.F
             name=name,
             hoverinfo="skip",
         )
-        fig.add_scattergl(
+        add(
             x=span[inside],
             y=skin[inside],
             mode="lines",

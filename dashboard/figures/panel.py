@@ -55,7 +55,7 @@ def panel_figure(
         for kind in reversed(KINDS):
             add_features(fig, kind, view.features[kind.name], severity, locale)
     _add_uncovered(fig, view.coverage, locale)
-    _add_names(fig, view, over_picture=picture is not None)
+    _add_names(fig, view, INK if picture is None else "black" if deviation else "white")
     _add_airflows(fig, view, airflows or {})
     mark_chosen(fig, view.features, chosen, INK)
     ticks = _ticks(*y)
@@ -181,9 +181,9 @@ def _add_uncovered(fig: go.Figure, coverage: pd.DataFrame, locale: Locale) -> No
             )  # fmt: skip
 
 
-def _add_names(fig: go.Figure, view: PanelView, over_picture: bool) -> None:
+def _add_names(fig: go.Figure, view: PanelView, colour: str) -> None:
     """Names of single features, a line above their marks; of courses beside their beginnings."""
-    font = {"size": 10, "color": "white", "shadow": _SHADOW} if over_picture else {"size": 10, "color": INK}
+    font = {"size": 10, "color": colour, **({"shadow": _SHADOW} if colour == "white" else {})}
     for kind in KINDS:
         rows = view.features[kind.name]
         rows = rows[rows["u_px"].notna()]

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from dashboard.deviation import FieldDeviation
-from dashboard.figures.base import escape, figure
+from dashboard.figures.base import adds_points, escape, figure
 from dashboard.findings import feature_parameter, feature_words
 from dashboard.locale import Locale
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
@@ -86,7 +86,7 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
             x=u, y=v, mode="lines", line={"color": colour, "width": 2.5}, hoverinfo="skip", showlegend=False
         )
     empty, filled, size = (1.5, 0.0, 6) if kind.is_course else (2.0, 0.5, 9)
-    fig.add_scattergl(
+    adds_points(fig, len(rows))(
         x=part["u_px"],
         y=part["v_px"],
         mode="markers",

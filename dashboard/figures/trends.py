@@ -10,7 +10,7 @@ import pandas as pd
 import plotly.graph_objects as go
 from scipy import stats
 
-from dashboard.figures.base import Line, add_shapes, escape, figure, limit_lines, line_across, stacked
+from dashboard.figures.base import Line, add_shapes, adds_points, escape, figure, limit_lines, line_across, stacked
 from dashboard.first_pass import Yield
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
@@ -265,7 +265,7 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
         if outside
         else {"colorscale": DIVERGING, "cmin": -limit, "cmax": limit}
     )
-    fig.add_scattergl(
+    adds_points(fig, len(rows))(
         x=rows["x"],
         y=rows["y"],
         mode="markers",

@@ -81,8 +81,8 @@ def render(context: PageContext) -> None:
     with left:
         _map(context, view, chosen)
         with st.container(horizontal=True, vertical_alignment="center", gap="small"):
-            _report(context, aircraft, panel)
-            _sign(context, view, scenes)
+            row = view.row
+            _sign(context, scenes, aircraft, panel, f"{row.verdict}: {row.verdict_reason}")
     with right:
         _beside(context, view, scenes, chosen)
 
@@ -120,8 +120,9 @@ def _not_assembled(context: PageContext, scenes: Sequence[Any], aircraft: str, p
         icon=":material/grid_off:",
     )
     show_scans(context, scenes)
-    ask_who(context)
-    _offer(context, scenes, aircraft, panel, "not put together")
+    with st.container(horizontal=True, vertical_alignment="center", gap="small"):
+        _report(context, aircraft, panel)
+        _sign(context, scenes, aircraft, panel, "not put together")
 
 
 def _chosen(view: PanelView) -> Feature | None:
@@ -165,7 +166,8 @@ def _headline(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> N
     st.caption(" · ".join(said))
     texts = [str(text) for text in (row.warnings if row.warnings is not None else ())]
     if texts:
-        st.markdown(f":small[:orange[:material/warning:] {plain(locale.reason(SEPARATOR.join(texts)))}]")
+        with st.container(key="panel-warnings"):  # many scroll: the sign-off below stays on the screen
+            st.markdown(f":small[:orange[:material/warning:] {plain(locale.reason(SEPARATOR.join(texts)))}]")
 
 
 def _in_role(signed: Entry) -> str:
@@ -193,7 +195,7 @@ def _number(view: PanelView, kind: Any) -> int:
 
 def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
     number, shown = 1, None
-    with st.container(horizontal=True, gap="small"):
+    with st.container(horizontal=True, vertical_alignment="center", gap="small"):
         if len(view.parts) > 1:
             parts = view.parts
             of_chosen = _part_of(view, chosen)
@@ -208,6 +210,7 @@ def _map(context: PageContext, view: PanelView, chosen: Feature | None) -> None:
                 _("Ground"), grounds, format_func=_, label_visibility="collapsed", **one_of("map", grounds)
             )
             picture = None if shown == _PLAIN else picture
+        _report(context, str(view.row.aircraft_serial), str(view.row.panel))
     view = with_courses(context.archive, view)
     fig = panel_figure(view, chosen, context.locale, picture, shown == _DEVIATION, airflows(context.archive, view))
     clickable_chart(fig, "panel-map", look_at, {"scrollZoom": True, "displaylogo": False}, above=560)
@@ -233,15 +236,10 @@ def _report(context: PageContext, aircraft: str, panel: str) -> None:
     offer_report(f"{aircraft}~{panel}", context.locale, lambda words: panel_report(store, key, wording=words))
 
 
-def _sign(context: PageContext, view: PanelView, scenes: Sequence[Any]) -> None:
-    row = view.row
+def _sign(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
     if all(s.scene_id in context.archive.review().sign_offs() for s in scenes):
         return
     ask_who(context, _NAME_PX)
-    _offer(context, scenes, str(row.aircraft_serial), str(row.panel), f"{row.verdict}: {row.verdict_reason}")
-
-
-def _offer(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str, verdict: str) -> None:
     name = f"{aircraft} {panel}"
     meaning = PANEL_RELEASED.format(panel=name, n=len(scenes), verdict=verdict)
     offer_sign_off_of(context, scenes, _("panel {name}", name=plain(name)), meaning)

@@ -315,9 +315,10 @@ def _one(context: PageContext, names: Sequence[Name], at: Name, alone: bool) -> 
         _history(context, shown)
     if alone:
         decide(context, [shown], partial(_recorded, _next(names, at)))
-        offer_mark_false(context, shown)
-        offer_taking_back(context, shown)
-        offer_sign_off(context, scene)
+        with st.container(horizontal=True, vertical_alignment="center", gap="small"):
+            offer_mark_false(context, shown)
+            offer_taking_back(context, shown)
+            offer_sign_off(context, scene)
 
 
 def _newer(shown: ShownFinding) -> None:

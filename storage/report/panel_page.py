@@ -90,7 +90,7 @@ def _station(scene: SceneRecord) -> dict[str, Any]:
         "name": scene.scene["station"],
         "verdict": verdict(scene.features),
         "picture": figure(marked_picture(scene.preview, scene.of_kind), _("Left camera.")),
-        "overlay": png_figure(scene.overlay_png, _("overlay"), _("The overlay.")),
+        "overlay": png_figure(scene.overlay_shown, _("overlay"), _("The overlay.")),
         "features": [
             part
             for kind in KINDS

@@ -19,8 +19,8 @@ from metrology.errors import StoreError
 
 FORMAT = "flushline-report/1"
 _PDF, _HTML = (f"%{FORMAT} ", ""), (f"<!--{FORMAT} ", "-->")
-_LATER = ("review_head", "chain")
-"""What of a record changes with what happens elsewhere in the store."""
+_LATER = ("review_head", "chain", "overlay_shown")
+"""What of a record changes with what happens elsewhere in the store, or with the language."""
 
 
 @dataclass(frozen=True)

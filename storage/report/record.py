@@ -23,6 +23,7 @@ from storage.archive.rows import named_rows
 from storage.archive.work import Standing, open_work, standings
 from storage.evidence.chain import Link, scene_links, sign_off_link, sources
 from storage.fits import StoredFits, read_fits
+from storage.report.redrawn import overlay_file
 from storage.review import Entry, ReviewLog
 
 Row = Mapping[str, Any]
@@ -53,6 +54,8 @@ class SceneRecord:
     """What its values rest on."""
     fits: StoredFits = field(default_factory=lambda: StoredFits(()))
     """What its close-ups draw; none of a version that kept none."""
+    overlay_shown: bytes = b""
+    """The overlay in the report's language; overlay_png is as it was stored."""
 
     @property
     def features(self) -> tuple[Row, ...]:
@@ -107,6 +110,7 @@ def scene_record(store: Store, scene_id: str) -> SceneRecord:
         rests_on.scene, found, rests_on.manifest, np.asarray(preview, np.uint8), sound_file(paths.overlay).read_bytes(),
         rests_on.limits, decisions, how_they_stand, str(ReviewLog(store.root).head()),
         (*scene_links(rests_on), sign_off_link(rests_on)), _fits(paths.bundle / FITS),
+        overlay_file(store, scene_id),
     )  # fmt: skip
 
 

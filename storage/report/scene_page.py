@@ -30,7 +30,7 @@ def scene_page(record: SceneRecord, letterhead: Letterhead | None = None) -> str
         picture=figure(
             marked_picture(record.preview, record.of_kind), _("Left camera. Rims and symbols: {key}.", key=key())
         ),
-        overlay=png_figure(record.overlay_png, _("overlay"), _("The overlay, as the projector shows it.")),
+        overlay=png_figure(record.overlay_shown, _("overlay"), _("The overlay, as the projector shows it.")),
         features=[
             (capital(many(kind)), [*features(kind, rows, record.limits), *_close_ups(kind, record)])
             for kind in KINDS

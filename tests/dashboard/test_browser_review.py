@@ -129,6 +129,28 @@ def test_a_scan_stored_between_showing_and_recording(server: tuple[str, Path], c
     assert ", ".join(map(str, recorded)) in names
 
 
+def test_a_key_leads_to_the_name_which_stays(server: tuple[str, Path], chromium: Any) -> None:
+    page = new_page(chromium, apart=True)
+    page.goto(f"{server[0]}/review")
+    name = page.get_by_role("textbox", name="Your name")
+    name.wait_for()
+    settle(page)
+    page.keyboard.press("y")
+    page.keyboard.type("Jörg Yilmaz")  # its letters are typed
+    page.keyboard.press("Tab")
+    settle(page)
+    page.get_by_role("link", name="Archive").click()
+    page.wait_for_url("**/archive**")
+    settle(page)
+    page.get_by_role("link", name="Tolerance review").click()
+    for _ in range(2):
+        name.wait_for()
+        settle(page)
+        assert name.input_value() == "Jörg Yilmaz"
+        page.reload()
+    page.context.close()
+
+
 def test_a_sign_off_is_for_what_was_shown(server: tuple[str, Path], chromium: Any) -> None:
     address, root = server
     store, log = Store(root), ReviewLog(root)

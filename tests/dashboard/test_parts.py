@@ -225,6 +225,15 @@ def test_scene_figure_carries_what_a_click_needs(archive: Archive) -> None:
     assert len(fig.to_json()) < 600_000
 
 
+def test_few_points_need_no_webgl_and_many_have_it(archive: Archive) -> None:
+    row = load_scene_row(archive, LAST)
+    features, picture = load_features(archive, row), load_picture(archive.file(row.preview_path))
+    assert "scattergl" not in {trace.type for trace in scene_figure(picture, features, None, Locale()).data}
+    many = {name: pd.concat([rows] * 40) if name == "seam station" else rows for name, rows in features.items()}
+    drawn = {trace.type: len(trace.x) for trace in scene_figure(picture, many, None, Locale()).data}
+    assert drawn["scattergl"] > 100
+
+
 def test_close_up_figures_draw(archive: Archive) -> None:
     row, features = load_scene_row(archive, LAST), load_features(archive, load_scene_row(archive, LAST))
     cloud = archive.cloud(row.cloud_path)

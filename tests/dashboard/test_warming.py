@@ -9,7 +9,7 @@ import streamlit as st
 
 from dashboard import data
 from dashboard.data import NOTICED, Archive
-from dashboard.findings import Wanted, findings
+from dashboard.findings import PERIODS, Wanted, findings
 from dashboard.loading_ahead import load_ahead
 from dashboard.warming import OFF_VARIABLE, read_ahead
 from metrology.kinds import KINDS
@@ -34,6 +34,13 @@ def test_the_first_review_waits_for_no_finding(filled: Path, open_page: Open, mo
     asked.clear()
     clean(open_page("overview", filled))
     assert not any("regr_slope" in sql for sql in asked)
+    for period in PERIODS:
+        asked.clear()
+        clean(open_page("overview", filled, since=period))
+        assert not any("before_mm" in sql for sql in asked), period
+    asked.clear()
+    clean(open_page("panel", filled))
+    assert not any("last_scan" in sql for sql in asked)
 
 
 def test_findings_are_the_same_from_what_was_noticed(filled: Path) -> None:

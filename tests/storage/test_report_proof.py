@@ -11,11 +11,13 @@ from metrology.errors import StoreError, UsageError
 from metrology.kinds import DEFECT
 from metrology.results import PanelKey
 from storage.archive import Store
-from storage.report import Report, panel_report, scene_report, verify
+from storage.report import Report, panel_report, scene_record, scene_report, verify
 from storage.report.markup import page
-from storage.report.proof import proof_of
+from storage.report.proof import content_of, proof_of
+from storage.report.redrawn import encoded, redrawn_overlay
 from storage.report.sections import features_table
 from storage.review import Feature, ReviewLog, ShownFinding
+from storage.wording import Wording, written_in
 from tests.support.results import small_key, small_result
 
 KEY = small_key("S1")
@@ -50,6 +52,16 @@ def test_a_report_is_as_it_was_written_until_a_byte_of_it_changes(suffix: str, s
         path.write_bytes(damaged)
         with pytest.raises(StoreError, match="expected"):
             verify(path)
+
+
+def test_a_german_report_has_a_german_overlay_and_proves_the_same(store: Store, tmp_path: Path) -> None:
+    scene = str(store.query("SELECT scene_id FROM scenes ORDER BY 1").column(0)[0])
+    with written_in(Wording("de", decimal=",")):
+        record = scene_record(store, scene)
+        drawn = encoded(redrawn_overlay(store, scene, named=False), ".png")
+    assert record.overlay_shown == drawn != record.overlay_png
+    assert content_of(record) == content_of(scene_record(store, scene))
+    assert scene_record(store, scene).overlay_shown == record.overlay_png
 
 
 def test_a_report_of_other_decisions_is_not_what_the_store_says(store: Store, tmp_path: Path) -> None:
