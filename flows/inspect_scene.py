@@ -30,6 +30,7 @@ from tasks.settings import InspectionSettings
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
+_MOSTLY_MATCHED = 0.9  # of the pixels, by a rig that fits
 _NAMES = {step.function: step.name for step in STEPS}
 
 
@@ -157,6 +158,8 @@ def _measure(job: Job, run: _Run) -> _Measured:
         fasteners = run.step(steps.detect_rivets, reconstruction, settings)
         detections = fasteners.rivets
         checking = beside(partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings))
+        if reconstruction.matched < _MOSTLY_MATCHED:  # a rig that does not fit leaves much in which to look for seams
+            checking.result()
         lines = run.step(steps.detect_seams, reconstruction, detections, settings)
         health = checking.result()  # refused before anything is measured with a rig that does not fit
         measuring = beside(partial(run.step, steps.measure_rivets, detections, reconstruction, lines, settings))

@@ -105,6 +105,12 @@ class Reconstruction:
         valid.flags.writeable = False
         return valid
 
+    @property
+    def matched(self) -> float:
+        """Share of the pixels at which the left camera told the phase that have a point."""
+        told = self.left.flags == 0
+        return float((self.valid & told).sum() / max(told.sum(), 1))
+
     def covariance(self, v: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
         """Covariance of the points at pixels [v, u], mm².
 
