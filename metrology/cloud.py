@@ -107,9 +107,9 @@ class Reconstruction:
 
     @property
     def matched(self) -> float:
-        """Share of the pixels at which the left camera told the phase that have a point."""
-        told = self.left.flags == 0
-        return float((self.valid & told).sum() / max(told.sum(), 1))
+        """Points over what was decoded, by the camera that decoded less; 1 where nothing was."""
+        decoded = min(float(np.isfinite(view.coordinate).mean()) for _, view in self.cameras.values())
+        return float(self.valid.mean()) / decoded if decoded else 1.0
 
     def covariance(self, v: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
         """Covariance of the points at pixels [v, u], mm².

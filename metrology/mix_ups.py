@@ -31,7 +31,7 @@ _CLOSER = 10.0
 _MOST_OFF_PX = 5.0
 _CONFIRMED = 3
 # Of the pixels that both cameras decode, the share that must find a counterpart.
-_LEAST_MATCHED = 0.3
+_LEAST_MATCHED = 0.3  # of what both cameras decoded
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def find_mix_up(
     settings = settings or HealthSettings()
     scan = _Scan(reconstruction.left, reconstruction.with_right(), reconstruction.rig)
     misfit = _misfit(scan, axis, settings)
-    if scan.rig.projector is None and not np.isfinite(misfit) and _matched(reconstruction):
+    if scan.rig.projector is None and not np.isfinite(misfit) and reconstruction.matched >= _LEAST_MATCHED:
         return None  # nothing tells that the frames do not fit: of two cameras exchanged and mirrored ones do as well
     limit = min(misfit / _CLOSER, _MOST_OFF_PX)
     tried = [_exchanges_and_turns(scan.rig.projector is not None), _conventions(), _undistortions()]
@@ -111,20 +111,13 @@ def _misfit(scan: _Scan, axis: Axis, settings: HealthSettings) -> float:
     every = _EVERY if scan.rig.left.width >= _LARGE_PX else 1
     rig = _thinned_rig(scan.rig, every)
     reconstruction = triangulate(_thinned(scan.left, every), _thinned(scan.right, every), rig)
-    if not _matched(reconstruction):
+    if reconstruction.matched < _LEAST_MATCHED:
         return np.inf
     if scan.rig.projector is None:
         drift = epipolar_health(reconstruction, (), axis, settings).epipolar_drift_px
         return np.inf if drift is None else every * drift
     rms = projector_rms(reconstruction, axis, replace(settings, block_px=max(16, settings.block_px // every)))
     return np.inf if rms is None else rms
-
-
-def _matched(reconstruction: Reconstruction) -> bool:
-    """Whether most of what both cameras decoded found its counterpart."""
-    views = (reconstruction.left, reconstruction.with_right())
-    decoded = min(float(np.isfinite(view.coordinate).mean()) for view in views)
-    return bool(reconstruction.valid.mean() >= _LEAST_MATCHED * decoded)
 
 
 def _fits(scan: _Scan, axis: Axis, settings: HealthSettings) -> bool:

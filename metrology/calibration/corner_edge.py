@@ -92,8 +92,6 @@ def fit_corner(
         band = min(max(_BAND_PX, _BAND_BLURS * blur), max(clear_px - _CLEAR_BLURS * blur, _LEAST_BAND_PX))
         near = np.abs(distance).min(-1) < band
         near &= np.linalg.norm(offset, axis=-1) < reach_px
-        if near.sum() < _LEAST_PIXELS:
-            return None
         if brighter.any():
             near &= ~_satisfied(level, offset, distance, near, brighter, blur)
         if near.sum() < _LEAST_PIXELS:

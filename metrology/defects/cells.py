@@ -55,6 +55,10 @@ class CellMap:
         """Numbers of the plates."""
         return range(1, int(self.plate.max(initial=0)) + 1)
 
+    def chosen(self, use: NDArray[np.intp]) -> tuple[Array, Array]:
+        """(n, 3) points and (n,) their sigma of cells by their flat indices (n,)."""
+        return self.points.reshape(-1, 3)[use], self.sigma.ravel()[use]
+
 
 def cell_map(sighted: Sighted) -> CellMap:
     """The cells of a scan."""

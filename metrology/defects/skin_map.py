@@ -115,9 +115,9 @@ def skin_map(sighted: Sighted, settings: DefectSettings) -> SkinMap:
     others = {
         p: _reference(cells, p, covered | wide, seams, settings, references[p]) for p in {r.plate for r in regions}
     }
-    doubted = tuple(_doubted(r, depth, cells, references[r.plate], others[r.plate]) for r in regions)
-    contours = {p: _contour(cells, p, wide) for p in others}
-    doubted = tuple(_followed(r, depth, smoothed, cells, contours[r.plate]) for r in doubted)
+    contours = {p: fit_contour(*_bare(cells, p, wide)) for p in others}
+    followed = (_followed(r, depth, smoothed, cells, contours[r.plate]) for r in regions)
+    doubted = tuple(_doubted(r, depth, cells, references[r.plate], others[r.plate]) for r in followed)
     told = {p: _with_waves(r, cells, p, waves.get(p, 0.0), settings) for p, r in references.items()}
     return SkinMap(cells, told, depth, smoothed, sd, waves, doubted)
 
@@ -146,15 +146,14 @@ def _reference(
     dents_known: bool = True,
 ) -> Reference | None:
     """The skin of a plate by its bare cells."""
-    use = _bare(cells, plate, covered)
-    points, sigma = cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use]
+    points, sigma = _bare(cells, plate, covered)
     return fit_reference(points, sigma, seams, settings.largest_mm, like, dents_known)
 
 
-def _bare(cells: CellMap, plate: int, covered: Mask) -> NDArray[np.intp]:
-    """(n,) indices of enough cells of a plate's bare skin."""
+def _bare(cells: CellMap, plate: int, covered: Mask) -> tuple[Array, Array]:
+    """(n, 3) points and (n,) their sigma: enough cells of a plate's bare skin."""
     use = np.flatnonzero((cells.plate == plate) & cells.free & ~covered)
-    return use[:: max(1, len(use) // _ENOUGH)]
+    return cells.chosen(use[:: max(1, len(use) // _ENOUGH)])
 
 
 def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other: Reference | None) -> Region:
@@ -179,12 +178,6 @@ def _doubted(region: Region, depth: Array, cells: CellMap, own: Reference, other
     noise = float((other.variance(x, y) - own.variance(x, y)).mean())
     doubt = np.sqrt(max(float(np.abs(off[middle]).mean()) ** 2 - max(noise, 0.0), 0.0))
     return replace(region, doubt=float(doubt), bend=float(np.sqrt(np.mean(bent**2))))
-
-
-def _contour(cells: CellMap, plate: int, covered: Mask) -> Reference | None:
-    """The paraboloid of a plate by its bare cells."""
-    use = _bare(cells, plate, covered)
-    return fit_contour(cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use])
 
 
 def _followed(region: Region, depth: Array, smoothed: Array, cells: CellMap, contour: Reference | None) -> Region:

@@ -54,7 +54,7 @@ def measure_waviness(sighted: Sighted, settings: WavinessSettings | None = None)
     rows = []
     for plate in cells.plates:
         use = np.flatnonzero((cells.plate == plate) & bare)
-        contour = fit_contour(cells.points.reshape(-1, 3)[use], cells.sigma.ravel()[use])
+        contour = fit_contour(*cells.chosen(use))
         if contour is not None:
             heights = _heights(cells, use, contour)
             rows += [_row(plate, way, heights, contour, sighted, settings) for way in ("along", "across")]
