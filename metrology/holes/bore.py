@@ -23,6 +23,8 @@ _INNERMOST = 0.3  # of the countersink's radius: no bore is smaller
 _SMOOTH_PX = 0.7  # of the derivative along a profile
 _STEEP = 0.06  # of the skin's brightness per pixel: an edge; grain is a third of it
 _TOGETHER_PX = 0.75  # within which edges are of one circle, before its own centre is known
+_AS_GOOD = 0.9  # of the best circle's directions: as well supported
+_SAME_CIRCLE = 0.7  # of them, all the way between: the same circle
 _OFF_CONE_MM = 0.6  # by which a circle may seem to lie off the cone; a shadow's edge lies anywhere
 _ENOUGH = 0.3  # of all directions in which there must be an edge of it
 
@@ -67,7 +69,7 @@ def bore_circle(
         return None
     near = np.abs(radius[:, None] - radii) < _TOGETHER_PX * pixel_mm
     supported = [len(np.unique(direction[column])) for column in near.T]
-    best = int(np.argmax(supported))
+    best = _outermost(np.array(supported))
     if supported[best] < _ENOUGH * DIRECTIONS:
         return None
     kept = near[:, best]
@@ -77,6 +79,18 @@ def bore_circle(
     edges = Edges(x, y, direction[kept], np.concatenate(lean)[kept], EDGE_SD_PX, blur_px)
     bore = rim_circle(edges, pixel_mm)
     return None if bore is None or abs(bore.deeper) > _OFF_CONE_MM else bore
+
+
+def _outermost(supported: NDArray[np.int64]) -> int:
+    """The best supported radius, from the skin inwards, or that of a circle about it with as much of a support.
+
+    What lies inside a bore, a shadow on its ground or the ground's border, may be as good a circle.
+    """
+    most = int(supported.max())
+    first = int(np.argmax(supported >= _AS_GOOD * most))
+    ends = np.flatnonzero(supported[first:] < _SAME_CIRCLE * most)
+    end = first + int(ends[0]) if len(ends) else len(supported)
+    return first + int(np.argmax(supported[first:end]))
 
 
 def _steep_places(profiles: Array) -> tuple[NDArray[np.int64], Array]:

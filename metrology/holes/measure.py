@@ -43,6 +43,9 @@ _SMEAR_PX = 2.5  # to either side of a wall that matching bends
 _SHOWN = 0.75  # of all directions in which pictures show the skin's edge
 _SHARP_PX = 0.35  # standard deviation of the radius of an edge that is one
 _IN_GAP = 1.5  # times a gap's width may a piece of it be wide
+_MOST_BROKEN_MM = 0.35  # below the skin does an edge lie that is but broken; a countersink's lies deeper
+_WHOLE = 0.9  # of the way to the ground: a cone that is a bent wall goes as far
+_BLURRED = 1.25  # times as wide is a bent wall in a blurred picture
 _SIZE = 1.35  # times the radius at which it was found may the rim lie
 
 
@@ -112,9 +115,11 @@ def _measured(
         return _filled(placed, rim, patch, skin, reconstruction, opening.inside_mm)
     rim = _rim(edges, patch, height, pixel_mm)
     cone, axis = _cone(rim, patch, height, pixel_mm, within)
-    if cone is not None and rim is not None and _smeared(cone, rim, pixel_mm):
+    if cone is not None and rim is not None and _smeared(cone, rim, pixel_mm, opening.inside_mm):
         cone = None
-    if cone is None and rim is not None and rim.deeper > 0:
+    if cone is None and rim is not None and rim.deeper <= _MOST_BROKEN_MM:
+        rim = rim.below_broken_edge
+    elif cone is None and rim is not None:
         lies = f"its edge in the pictures lies {rim.deeper:.1f} mm below the skin"
         reason = f"{lies}: a countersink of unknown size, or a shadow"
         return replace(placed, decision="not measured", reason=reason)
@@ -150,11 +155,19 @@ def _at(row: Hole, point: Array, reconstruction: Reconstruction) -> Hole:
     return replace(row, x_mm=x, y_mm=y, z_mm=z, u_px=float(u), v_px=float(v))
 
 
-def _smeared(cone: Countersink, rim: RimCircle, pixel_mm: float) -> bool:
-    """Whether a cone is but a bore's wall as matching smears it: pictures show the skin's edge inside its border."""
+def _smeared(cone: Countersink, rim: RimCircle, pixel_mm: float, inside_mm: float | None) -> bool:
+    """Whether a cone is but a bore's wall as matching smears it: pictures show the skin's edge inside its border.
+
+    By more than the border's U95, or by half a pixel where it goes down to the ground, which no countersink should.
+    """
     inside = 0.5 * cone.diameter_mm - rim.radius
     shown = rim.directions > _SHOWN * DIRECTIONS and rim.deeper <= 0 and rim.radius_sd < _SHARP_PX * pixel_mm
-    return _narrow(cone, pixel_mm) and shown and 0.5 * COVERAGE_95 * cone.diameter_sd_mm < inside < _SMEAR_PX * pixel_mm
+    to_ground = inside_mm is not None and cone.depth_mm > -_WHOLE * inside_mm
+    least = 0.5 * COVERAGE_95 * cone.diameter_sd_mm
+    if to_ground:
+        least = min(least, 0.5 * pixel_mm)
+    narrow = _narrow(cone, pixel_mm * (_BLURRED if to_ground else 1.0))
+    return narrow and shown and least < inside < _SMEAR_PX * pixel_mm
 
 
 def _cone(

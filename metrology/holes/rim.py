@@ -7,7 +7,7 @@ or the cloud, in which the height falls.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ CLOUD_SD_PX = 0.5
 _SCATTER_PX = 0.2  # of a radius by its edges' scatter: they follow no one circle
 _SHARED = 4.0  # neighbouring edges that are worth one
 _SURE = 4.0  # standard deviations of a depth that is beyond doubt
-_DEEPER_MM = 0.2  # than was taken: beyond a broken edge
+_DEEPER_MM = 0.2  # than was taken: beyond noise on any rig
+_TOLD, _BROKEN_MM = 2.5, 0.1  # standard deviations, and depth, from which on an edge is broken
 _DRAWN = 0.5  # of their scatter may all edges be off to one side
 _NEAREST_PX = 0.02  # of an edge off its place: sampled profiles tell it no better
 
@@ -75,6 +76,14 @@ class RimCircle:
     """In how many of them an edge is on it."""
     deeper: float = 0.0
     """By how much it lies deeper than was taken, mm; 0 where that does not show."""
+    broken: float = 0.0
+    """The same where it shows, but may be no more than a broken edge, mm."""
+
+    @property
+    def below_broken_edge(self) -> RimCircle:
+        """The bore below a broken edge of 45°: narrower by nothing to twice the depth at which the edge is seen."""
+        sd = float(np.hypot(self.radius_sd, 0.5 * self.broken / np.sqrt(3)))
+        return replace(self, radius=self.radius - 0.5 * self.broken, radius_sd=sd)
 
 
 def picture_edges(
@@ -209,10 +218,12 @@ def rim_circle(edges: Edges, pixel_mm: float) -> RimCircle | None:
     # Neighbouring edges share their pixels, and what scatters far is drawn by shadows, all to one side.
     if deviation > _SCATTER_PX * pixel_mm:
         return None
-    deeper, by_depth = _depth(edges, off, rows, pixel_mm)
+    depth, depth_sd, by_depth = _depth(edges, off, rows, pixel_mm)
+    deeper = depth if abs(depth) > max(_SURE * depth_sd, _DEEPER_MM) else 0.0
+    broken = depth if depth > max(_TOLD * depth_sd, _BROKEN_MM) else 0.0
     sd = float(np.linalg.norm([deviation, edges.sd_px * pixel_mm, _DRAWN * spread, by_depth]))
     radius = found.radius + 0.5 * (edges.blur_px * pixel_mm) ** 2 / found.radius
-    return RimCircle(found.x, found.y, radius, sd, len(np.unique(edges.direction[kept])), deeper)
+    return RimCircle(found.x, found.y, radius, sd, len(np.unique(edges.direction[kept])), deeper, broken)
 
 
 def _uncertainty(off: Array, rows: Array, kept: NDArray[np.bool_]) -> tuple[float, float]:
@@ -222,22 +233,21 @@ def _uncertainty(off: Array, rows: Array, kept: NDArray[np.bool_]) -> tuple[floa
     return spread, spread * float(np.sqrt(_SHARED * np.linalg.inv(normal)[2, 2]))
 
 
-def _depth(edges: Edges, off: Array, rows: Array, pixel_mm: float) -> tuple[float, float]:
-    """By how much edges lie deeper than was taken, where that is beyond doubt, and how far it moves them, mm.
+def _depth(edges: Edges, off: Array, rows: Array, pixel_mm: float) -> tuple[float, float, float]:
+    """By how much edges lie deeper than was taken, its standard deviation, and how far it moves them, mm.
 
-    One camera does not tell: there a circle that lies deeper is one that lies elsewhere.
+    One camera does not tell: there a circle that lies deeper is one that lies elsewhere. What is not told is 0.
     """
+    nothing = 0.0, 0.0, 0.0
     lean = float(np.sqrt(np.mean(edges.lean**2)))
     if lean == 0:
-        return 0.0, 0.0
+        return nothing
     design = np.column_stack([rows, edges.lean])
     leaning = from_scratch(design, off, 8, 15, _NEAREST_PX * pixel_mm)
     if leaning is None:
-        return 0.0, 0.0
+        return nothing
     kept = leaning.weights > 0
     spread = float(np.sqrt(np.mean((off - design @ leaning.values)[kept] ** 2)))
     normal = design[kept].T @ design[kept] + 1e-9 * np.eye(4)
     depth, sd = float(leaning.values[3]), spread * float(np.sqrt(_SHARED * np.linalg.inv(normal)[3, 3]))
-    if sd * lean > CLOUD_SD_PX * pixel_mm:
-        return 0.0, 0.0
-    return (depth if abs(depth) > max(_SURE * sd, _DEEPER_MM) else 0.0), abs(depth) * lean
+    return nothing if sd * lean > CLOUD_SD_PX * pixel_mm else (depth, sd, abs(depth) * lean)

@@ -11,8 +11,10 @@ import pytest
 from metrology.cloud import PixelFlag, Reconstruction
 from metrology.fastening import detect_fasteners
 from metrology.holes import measure_holes
-from metrology.holes.countersink import countersink
+from metrology.holes.bore import _outermost as outermost
+from metrology.holes.countersink import Countersink, countersink
 from metrology.holes.measure import _cone as about_its_axis
+from metrology.holes.measure import _smeared as smeared
 from metrology.holes.measure import measure_sighted
 from metrology.holes.rim import Edges, RimCircle, leans, rim_circle
 from metrology.kinds import HOLE
@@ -98,6 +100,31 @@ def test_an_edge_below_the_skin_is_no_plain_hole(rng: np.random.Generator) -> No
     (hole,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
     assert (hole.diameter_mm, hole.decision) == (None, "not measured")
     assert re.search(r"1\.[123] mm below the skin: a countersink", hole.reason)
+
+
+def test_a_bore_below_a_broken_edge_is_narrower_by_up_to_twice_its_depth(rng: np.random.Generator) -> None:
+    """Pictures show the edge 0.25 mm below the skin: at 45° the bore begins there, or as far below again."""
+    reconstruction = scan(SKIN, (), rng)
+    x, y = on_skin(reconstruction)
+    reconstruction = darkened(moved(reconstruction, np.hypot(x, y) < 2.5, np.nan), 0.0, 0.0, 2.5, deep=0.25)
+    (hole,) = measure_holes(detect_fasteners(reconstruction).openings, reconstruction)
+    assert hole.diameter_mm == pytest.approx(4.75, abs=0.1)
+    assert 0.25 < hole.diameter_u95_mm < 0.5
+
+
+def test_a_circle_inside_a_bore_is_not_the_bore() -> None:
+    support = np.array([0, 12, 0, 40, 69, 50, 24, 30, 70, 60, 20])
+    assert outermost(support) == 4
+    assert outermost(np.array([0, 38, 31, 28, 39, 36, 5])) == 4  # one circle, blurred
+
+
+def test_a_steep_cone_down_to_the_ground_is_a_bent_wall() -> None:
+    """Its border is not known well, but the skin's edge lies a pixel inside; a countersink ends above the ground."""
+    cone = Countersink(8.94, 0.42, 1.81, 66.0)
+    rim = RimCircle(0.0, 0.0, 4.1, 0.027, 72)
+    assert smeared(cone, rim, 0.25, -1.86)
+    assert not smeared(cone, rim, 0.25, -5.0)
+    assert not smeared(cone, replace(rim, radius=4.46), 0.25, -1.86)
 
 
 def test_a_wall_that_matching_bends_is_no_countersink(rng: np.random.Generator) -> None:
