@@ -89,3 +89,27 @@ def test_stretches_without_points_and_short_seams_change_nothing(rng: np.random.
     assert with_one_sided_bends(rows, [one] * 5, [EDGES] * 5) == rows
     one.misfit[0, 3] = 0
     assert np.isnan(step_moved_by_bends([one, None], [EDGES] * 2)).all()
+
+
+def test_own_curvatures_move_the_step_as_a_fit_with_both_does(rng: np.random.Generator) -> None:
+    x = np.concatenate([-1, 1] * rng.uniform(INNER, OUTER, (900, 2)))
+    y = rng.uniform(-2, 2, x.size)
+    h = np.where(x < 0, 7e-4, 3e-4) * x**2 + np.where(x > 0, STEP, 0.0) + 0.002 * rng.standard_normal(x.size)
+    fit = fit_skin_lines(np.stack([x, y, h, np.full(x.size, 0.002)], axis=1), -INNER, INNER, 3.0)
+    a, b = x < 0, x > 0
+    assert (fit.n_a, fit.n_b) == (a.sum(), b.sum())
+    both = np.stack([a, a * x, a * x**2, a * y, b, b * x, b * x**2, b * y], axis=1)
+    own = np.linalg.lstsq(both, h)[0]
+    assert abs(fit.own_curvatures_step) > 0.005
+    assert fit.solution[2] - fit.solution[0] + fit.own_curvatures_step == pytest.approx(own[4] - own[0], abs=1e-6)
+
+
+def test_steps_that_own_curvatures_move_along_a_stretch_have_that_in_u95(rng: np.random.Generator) -> None:
+    """Over a stretch of 30 mm; what changes its sign from one station to the next is noise."""
+    one = section(0.0, rng, 0.0)
+    moved = np.where(np.arange(60) < 20, 0.008, 0.02 * (-1.0) ** np.arange(60))
+    sections = [replace(one, own_curvatures_step=step) for step in moved]
+    rows = [station(one, 2.0 * k, 0.005) for k in range(60)]
+    told = np.array([row.step_u95_mm for row in with_one_sided_bends(rows, sections, [EDGES] * 60)])
+    assert told[:12] == pytest.approx(0.008)
+    assert (told[30:] == 0.005).all()

@@ -7,6 +7,9 @@ B's the other. How far neighbouring sections' residuals go along with it says ho
 
 Where a foot begins farther out, both lines fit well, and the step is off all the same. But the line on its side leans:
 the kink between both lines changes along the seam as no plate of metal is twisted.
+
+And what a curvature of its own on each side would make of the step is a rival of the common one: where that is another
+over 30 mm along a seam, the step rests on what both sides are taken to have in common, and may be off by as much.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ _OF_A_KINK = 0.125
 _KINKED = 6
 _QUIET, _KINKS_BY_CHANCE = 0.25, 3.0  # the quietest quarter of a seam has no dent beside it; chance makes so much of it
 _LINE_ROUNDS = 20
+_RIVAL = 7  # sections before and behind over which the rival's step is averaged: by itself it scatters twice as much
 _TOLD = 0.002  # share of the bend's shape (its square) that lines leave: 0.02 where all of both sides is seen
 
 
@@ -57,10 +61,20 @@ def with_one_sided_bends(
     usual = float(np.median(power[np.isfinite(moved)]))
     bent = np.maximum(power - _BY_CHANCE * usual, 0.0)
     u95 = COVERAGE_95 * np.sqrt(np.maximum(bent, _step_moved_by_kinks(sections)))
+    u95 = np.maximum(u95, np.abs(_rival_step(sections)))
     return [
         row.changed(step_u95_mm=float(off)) if row.step_u95_mm is not None and row.step_u95_mm < off else row
         for row, off in zip(rows, u95, strict=True)
     ]
+
+
+def _rival_step(sections: Sequence[Section | None]) -> Array:
+    """(n,) by how much the steps hereabouts would be others with a curvature of its own on each side, mm."""
+    moved = np.array([0.0 if section is None else section.own_curvatures_step for section in sections])
+    known = np.array([section is not None for section in sections], float)
+    window = np.ones(2 * _RIVAL + 1)
+    total, count = (np.convolve(np.pad(values, _RIVAL), window, "valid") for values in (moved, known))
+    return np.asarray(total / np.maximum(count, 1.0))
 
 
 def _step_moved_by_kinks(sections: Sequence[Section | None]) -> Array:

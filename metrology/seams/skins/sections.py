@@ -42,6 +42,8 @@ class Section:
     """(8,): those sums, see `SkinFit`."""
     misfit: Array = field(default_factory=lambda: np.zeros((3, 8)))
     """(3, 8): how the points lie beside the lines, see `SkinFit`."""
+    own_curvatures_step: float = 0.0
+    """By how much the step would be another if each side had a curvature of its own, mm."""
 
     def point(self, x: float, h: float, y: float = 0.0) -> Array:
         """(3,) rig-frame point of section coordinates."""
@@ -184,7 +186,9 @@ def section_at(
         return f"{n} points of skin on side {side}, {min_points} needed"
     a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
     b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
-    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit)
+    return Section(
+        frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit, fit.own_curvatures_step
+    )
 
 
 def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:

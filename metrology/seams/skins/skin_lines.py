@@ -46,6 +46,8 @@ class SkinFit(NamedTuple):
     """
     misfit: Array
     """(3, 8): of each stretch its number of points, their mean x and their mean residual, mm."""
+    own_curvatures_step: float
+    """By how much the step at x = 0 would be another if each side had a curvature of its own, mm."""
 
     @property
     def covariance(self) -> Array:
@@ -66,11 +68,28 @@ def fit_skin_lines(points: Array, inner_a: float, inner_b: float, max_height: fl
         Points farther from h = 0 than this are not skin.
     """
     x, y, h, sigma = (np.ascontiguousarray(column) for column in points[:, :4].T)
-    normal, solution, stretches = np.zeros((7, 7)), np.zeros(7), np.zeros((4, 2 * _STRETCHES))
+    normal, solution, stretches = np.zeros((7, 7)), np.zeros(7), np.zeros((6, 2 * _STRETCHES))
     spread, n_a, n_b, clumping, good = _fit(x, y, h, sigma, inner_a, inner_b, max_height, normal, solution, stretches)
     if not good:
         return None
-    return SkinFit(solution, normal, spread, n_a, n_b, clumping, stretches[0] / spread, stretches[1:])
+    moved = _own_curvatures_step(normal, *stretches[4:].reshape(2, 2, _STRETCHES).sum(axis=2))
+    return SkinFit(solution, normal, spread, n_a, n_b, clumping, stretches[0] / spread, stretches[1:4], moved)
+
+
+def _own_curvatures_step(normal: Array, fourth: Array, carried: Array) -> float:
+    """By how much the step changes with one more unknown β, which adds βx² on side A and takes it off on side B.
+
+    Parameters
+    ----------
+    normal : (7, 7) ndarray
+    fourth, carried : (2,) ndarray
+        Of either side the sums of x⁴/σ² and of x² times the residual over σ².
+    """
+    with_others = normal[:, 4] * np.array([1.0, 1.0, -1.0, -1.0, 0.0, 1.0, -1.0])
+    with_others[4] = fourth[0] - fourth[1]
+    taken = np.linalg.solve(normal, with_others)
+    left = fourth.sum() - with_others @ taken
+    return float((taken[0] - taken[2]) * (carried[0] - carried[1]) / left) if left > 0 else 0.0
 
 
 @kernel
@@ -160,7 +179,8 @@ def _solve(x, y, h, sigma, inner_a, kept, normal, solution):  # type: ignore[no-
 def _clumping(x, sigma, inner_a, inner_b, kept, residual, told):  # type: ignore[no-untyped-def]
     """Mean square of the stretches' sums over their numbers of points.
 
-    `told` gets of each stretch its sum over the root of its number of points, that number, mean x and mean residual.
+    `told` gets of each stretch its sum over the root of its number of points, that number, mean x and mean residual,
+    and the sums of x⁴/σ² and of x² times the residual over σ².
     """
     low, high = x.min(), x.max()
     told[:] = 0.0
@@ -175,6 +195,8 @@ def _clumping(x, sigma, inner_a, inner_b, kept, residual, told):  # type: ignore
         told[1, k] += 1.0
         told[2, k] += x[i]
         told[3, k] += residual[i] * sigma[i]
+        told[4, k] += (x[i] * x[i] / sigma[i]) ** 2
+        told[5, k] += x[i] * x[i] * residual[i] / sigma[i]
     total, used = 0.0, 0
     for k in range(2 * _STRETCHES):
         if told[1, k] > 0:
