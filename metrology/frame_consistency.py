@@ -81,6 +81,8 @@ class FrameConsistency:
     shutter rolls."""
     disagreement: Disagreement | None = None
     """What the phases of the counts miss each other by; None where that cannot be told."""
+    unexplained: float = 0.0
+    """Largest deviation of a frame beside light that flickers: once frames are brought to one level."""
 
     @property
     def uneven(self) -> bool:
@@ -138,6 +140,7 @@ def frame_consistency(sample: FrameSample, exposure: int) -> FrameConsistency:
         drift=told.drift / DRIFT,
         rolling=_rolling(fit, lit, rows, max(_BLOCK, _rows_per_band(sample))),
         disagreement=_disagreement(told, even, lit & ~contradictory, sample),
+        unexplained=largest,
     )
 
 

@@ -145,10 +145,11 @@ def without_unevenness(
             f"the frames of the {camera} camera are uneven in another way than the other camera's (a blurred frame, a "
             "late trigger, light that flickers): the ripple that they make was taken out; look at triggers and light"
         )
-    if difference <= 1 and max(worst.values()) > _DOUBTFUL:
-        cameras = " and ".join(name for name, deviation in worst.items() if deviation > _DOUBTFUL)
+    left_over = {view.camera: max((judged.unexplained for judged in view.found), default=0.0) for view in checked}
+    if difference <= 1 and max(left_over.values()) > _DOUBTFUL:
+        cameras = " and ".join(name for name, deviation in left_over.items() if deviation > _DOUBTFUL)
         remarks.append(
-            f"frames of the {cameras} camera hardly fit each other ({max(worst.values()):.0%} of what is refused): "
+            f"frames of the {cameras} camera hardly fit each other ({max(left_over.values()):.0%} of what is refused): "
             "look for light that flickers or changes, dark parts cut off at black, movement, or a blurred frame"
         )
     return left, right, tuple(remarks)

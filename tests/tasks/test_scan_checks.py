@@ -156,6 +156,22 @@ def test_frames_that_hardly_fit_are_warned_of(shared: Path, tmp_path: Path) -> N
     assert "left and right camera hardly fit each other" in said
 
 
+def test_a_lamp_that_flickers_is_no_reason_for_a_warning(shared: Path, tmp_path: Path) -> None:
+    """Every frame as a whole brighter or darker by a few percent, for both cameras."""
+
+    def flickering(folder: Path, document: dict[str, Any]) -> None:
+        for camera in ("left", "right"):
+            for k, name in enumerate(document["frames"][camera][0]):
+                picture = cv2.imread(str(folder / name), cv2.IMREAD_UNCHANGED).astype(float)
+                (folder / name).unlink()
+                light = 0.95 + 0.05 * np.sin(2.4 * k)
+                cv2.imwrite(str(folder / name), np.clip(np.rint(light * picture), 0, 255).astype(np.uint8))
+
+    folder = faulty(shared, tmp_path / "scene", flickering)
+    loaded = steps.load(folder, shared / "scenes" / "rig.json", Store(tmp_path / "store"))
+    assert steps.reconstruct_scene(loaded, InspectionSettings()).remarks == ()
+
+
 @pytest.mark.parametrize(("light", "faint"), [(0.1, True), (0.3, False)])
 def test_a_scan_in_the_dark_is_warned_of(shared: Path, tmp_path: Path, light: float, faint: bool) -> None:
     def darker(folder: Path, document: dict[str, Any]) -> None:
