@@ -46,6 +46,7 @@ _NEXT_SIZE = 1 + 2.5 * HALF_STEP  # times a size, at most, is the next one of a 
 _WIDER_SIGMAS, _WIDER_SHARE = 4.0, 0.15
 # Where no others tell what gaps take: a black gap of more, mm, is no fastener's that lies flush in its countersink.
 _WIDEST_GAP_MM = 0.35
+_SIZE_PX, _SIZE_SHARE = 1.25, 0.02  # px and share of it by which two rings of one diameter differ at most
 _RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
@@ -215,9 +216,9 @@ def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstructio
     if why := _unlike_gaps(one, certain, gaps):
         return f"a ring without a step, whose line is unlike the gaps of the fasteners here: {why}"
     places = [s.place for s in certain if s.place is not None]
-    if one.place is None or len(places) < _FEW or _usual_size(one.place, places) or _in_row(one.place, places):
+    if one.place is None or len(places) < _FEW or _same_size(one.place, places) or _in_row(one.place, places):
         return None
-    if one.like_gaps and _between(one.place, places):
+    if one.light is not None and gaps.is_gap(one.light) and _between(one.place, places):
         return None
     return "a ring without a step, of another size than the fasteners here and in no row of theirs"
 
@@ -342,8 +343,10 @@ def _between(place: _Place, others: Sequence[_Place]) -> bool:
     return min(sizes) / _NEXT_SIZE < place.diameter < max(sizes) * _NEXT_SIZE
 
 
-def _usual_size(place: _Place, others: Sequence[_Place]) -> bool:
-    return any(abs(place.diameter / other.diameter - 1) < HALF_STEP for other in others)
+def _same_size(place: _Place, others: Sequence[_Place]) -> bool:
+    """Whether a size is that of another, as well as diameters of rings are known."""
+    known = max(_SIZE_PX * place.pixel, _SIZE_SHARE * place.diameter)
+    return any(abs(place.diameter - other.diameter) < known for other in others)
 
 
 def _in_row(place: _Place, others: Sequence[_Place]) -> bool:

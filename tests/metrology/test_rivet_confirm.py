@@ -61,6 +61,16 @@ def test_a_painted_ring_of_another_size_between_the_rows_is_in_doubt(rng: np.ran
     assert "without a step" in doubtful[0].doubt
 
 
+def test_a_painted_ring_of_nearly_a_usual_size_between_the_rows_is_in_doubt(rng: np.random.Generator) -> None:
+    """As thin as a gap, and as dark: its size is that of no other, as well as diameters are known."""
+    skin = Skin()
+    ring = replace(ROWS[0], x=-32.0, y=6.0, diameter=1.07 * ROWS[0].diameter)
+    detections = detect_rivets(painted(scan(skin, ROWS, rng), ring, skin))
+    assert len(detections) == len(ROWS) + 1
+    (doubtful,) = (d for d in detections if d.doubt)
+    assert "in no row of theirs" in doubtful.doubt
+
+
 @pytest.mark.parametrize(("width_mm", "contrast"), [(0.24, 30.0), (0.12, 90.0), (0.12, 74.0), (0.12, -30.0)])
 def test_a_painted_ring_of_the_usual_size_is_told_by_its_line(
     rng: np.random.Generator, width_mm: float, contrast: float
