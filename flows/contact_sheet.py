@@ -16,6 +16,8 @@ from metrology.fringe import FringeCode
 from metrology.gray import runs_along_rows
 from metrology.reconstruct import usual_size
 from storage.scene import MANIFEST, load_scene
+from tasks.scan_checks import check_frames, refuse_wrong_frames
+from tasks.settings import SceneChecks
 
 _TILE = 360
 _STRIP = 22  # pixels of the words above a tile
@@ -28,7 +30,7 @@ def describe_scene(folder: Path, sheet: Path) -> list[str]:
     """Decode the cameras, draw the contact sheet, and say what was decoded."""
     scene = load_scene(folder)
     size = usual_size(scene.code)
-    rows, lines = [], []
+    rows, lines, checked = [], [], []
     for camera in scene.headers:
         frames = scene.frames(camera)
         view = decode_phase(frames, scene.code, size, scene.exposures)
@@ -48,6 +50,11 @@ def describe_scene(folder: Path, sheet: Path) -> list[str]:
                 "where the camera is not turned, these are frames of the other --axis"
             )
         rows.append(_row(camera, view, off, scene.code, size))
+        checked.append(check_frames(camera, frames, view, scene))
+    try:
+        refuse_wrong_frames(scene, checked, SceneChecks())
+    except SceneError as problem:
+        lines.append(f"note: these frames will be refused: {problem}")
     sheet.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(sheet), np.vstack(rows)):
         raise SceneError(f"{sheet}: found a file that cannot be written as a picture, expected the ending .png")

@@ -34,14 +34,25 @@ def write_pages(folder: Path) -> list[str]:
     -------
     list of str
         What was found, a line per file.
+
+    Raises
+    ------
+    SceneError
+        Where a file's pages are no frames, or two files' frames would lie in one folder.
     """
     lines: list[str] = []
+    source: dict[Path, str] = {}
     for path in sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
         if inside.parts[0] == PAGES or path.suffix.lower() not in (*_TIFF, *_ARRAYS) or not path.is_file():
             continue
         for name, frames in _stacks(path, lines):
             target = pages_of(folder, path) / name
+            if (other := source.setdefault(target, inside.as_posix())) != inside.as_posix():
+                raise SceneError(
+                    f"{path}: found that {other} has the same name but for its ending, so that the frames of both "
+                    f"would lie in {target.relative_to(folder).as_posix()}, expected names that differ: rename one"
+                )
             if not target.is_dir() or target.stat().st_mtime < path.stat().st_mtime:
                 _write(target, frames)
             height, width = frames[0].shape

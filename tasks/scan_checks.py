@@ -49,7 +49,9 @@ class CheckedFrames:
     """Grey levels from one that occurs to the next."""
 
 
-def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scene, rig: Rig) -> CheckedFrames:
+def check_frames(
+    camera: Camera, frames: NDArray, view: DecodedView, scene: Scene, rig: Rig | None = None
+) -> CheckedFrames:
     """Look at one camera's frames, closely where a coarse grid of them is suspicious.
 
     Parameters
@@ -57,6 +59,8 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     frames : (exposures, frames, h, w) ndarray of uint8 or uint16
     view : DecodedView
         Of these frames.
+    rig : Rig, optional
+        Where it is known, an order of frames whose coordinate runs against it is not considered.
     """
     noise = view.noise or NoiseModel(1.0, 0.0)
     sample = sample_frames(frames, scene.code, noise)
@@ -72,8 +76,7 @@ def check_frames(camera: Camera, frames: NDArray, view: DecodedView, scene: Scen
     def finer(rows: NDArray[np.int64]) -> FrameSample:
         return sample_frames(frames, scene.code, noise, rows)
 
-    device = rig.cameras[camera]
-    gradient = expected_gradient(device, rig.projector, scene.code.axis)
+    gradient = expected_gradient(rig.cameras[camera], rig.projector, scene.code.axis) if rig else None
     return CheckedFrames(camera, sample, found, diagnose_frames(sample, found, finer, gradient))
 
 

@@ -190,6 +190,22 @@ def test_a_contact_sheet_shows_where_frames_do_not_bear_out_what_was_decoded() -
     assert np.isnan(off[:, 288:]).all()
 
 
+def test_a_step_that_was_shown_twice_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = FringeCode("x", 4, (16,), GrayCode(32, True))
+    views = scan(code)
+    arguments = ("--pattern", "{camera}_{frame}.png", "--counts", "16", "--gray", "32", "--inverse", "--rig", "small")
+    folder = save(tmp_path / "sound", views, SINGLE[: code.frames])
+    assert run("scene", "new", folder, *arguments) == 0
+    assert "will be refused" not in capsys.readouterr().out
+    rng = np.random.default_rng(1)
+    for frames in views.values():  # the projector showed the first step once more in place of the fourth
+        frames[3] = np.clip(frames[0] + rng.integers(-2, 3, frames[0].shape), 0, 255)
+    folder = save(tmp_path / "twice", views, SINGLE[: code.frames])
+    assert run("scene", "new", folder, *arguments) == 0
+    assert "note: these frames will be refused: " in (said := capsys.readouterr().out)
+    assert all(name in said for name in ("L_3.png", "R_3.png")), said
+
+
 def test_colour_becomes_grey_with_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     views = {camera: np.repeat(f[..., None], 3, -1) for camera, f in scan(FringeCode("x", 4, (7, 6, 5))).items()}
     folder = save(tmp_path, views, COUNTS)

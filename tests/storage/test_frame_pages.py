@@ -35,6 +35,15 @@ def test_a_newer_file_is_written_out_anew(tmp_path: Path) -> None:
     assert [one.name for one in (tmp_path / "pages").iterdir()] == ["left"]
 
 
+def test_files_that_differ_in_their_ending_alone_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "left.npy", FRAMES)
+    write_pages(tmp_path)
+    cv2.imwritemulti(str(tmp_path / "left.tif"), list(FRAMES[1:]))
+    with pytest.raises(SceneError, match=r"left\.tif: found that left\.npy has the same name.*rename one"):
+        write_pages(tmp_path)
+    assert np.array_equal(first(tmp_path, "left"), FRAMES[0])
+
+
 def test_half_of_the_frames_are_never_taken_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(path: Path, frame: np.ndarray) -> None:
         if path.name == "003.png":
