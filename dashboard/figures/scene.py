@@ -85,8 +85,8 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
         )
     empty, filled, size = (1.5, 0.0, 6) if kind.is_course else (2.0, 0.5, 9)
     adds_points(fig, len(rows))(
-        x=part["u_px"],
-        y=part["v_px"],
+        x=part["u_px"].tolist(),  # Plotly looks at columns and arrays much longer than at lists
+        y=part["v_px"].tolist(),
         mode="markers",
         marker={
             "color": colour,
