@@ -18,7 +18,6 @@ from dashboard.findings import (
     STATES,
     Wanted,
     feature_from_parameter,
-    feature_of,
     feature_parameter,
     feature_words,
     findings,
@@ -83,7 +82,10 @@ def render(context: PageContext) -> None:
     rows = findings(context.archive, wanted)
     if len(rows):
         rows = _sorted(with_margins(context.archive, rows), order)
-    names = [(str(row.scene_id), feature_of(row)) for row in rows.itertuples()]
+    names = [
+        (str(scene), Feature(kind, str(name)))
+        for scene, kind, name in zip(rows["scene_id"], rows["feature_kind"], rows["feature_id"], strict=True)
+    ]
     at = _standing(context, names, wanted)
     if at is None:
         say_outcome(context, at)
