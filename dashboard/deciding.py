@@ -206,7 +206,7 @@ def _choose_disposition(context: PageContext, key: str) -> str | None:
                 args=(key, disposition),
             )
         with st.container(key="take-back"):  # for its key alone; not drawn
-            st.button("✕", key=f"{key}-none", shortcut="Escape", on_click=_choose, args=(key, None))
+            st.button("✕", key=f"none-{key}", shortcut="Escape", on_click=_choose, args=(key, None))
     return chosen
 
 

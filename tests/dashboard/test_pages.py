@@ -317,18 +317,18 @@ def test_a_finding_is_listed_with_what_its_verdict_is_about(writable: Path, open
 
 
 def test_a_disposition_stays_chosen_until_it_is_taken_back(filled: Path, open_page: Open) -> None:
-    def pressed(page: AppTest, ends: str) -> AppTest:
-        return clean(next(b for b in page.button if str(b.key).endswith(ends)).click().run())
+    def pressed(page: AppTest, label: str) -> AppTest:
+        return clean(next(b for b in page.button if b.label == label).click().run())
 
     def offered(page: AppTest) -> str:
         return next(b.label for b in page.button if str(b.key).startswith("record-"))
 
     page = clean(open_page("review", filled))
     for __ in range(2):
-        page = pressed(page, "-rework")
+        page = pressed(page, "rework")
         assert offered(page).startswith("Record *rework*")
-    assert offered(pressed(page, "-none")).startswith("Record for")
-    assert offered(pressed(pressed(page, "-rework"), "-scrap")).startswith("Record *scrap*")
+    assert offered(pressed(page, "✕")).startswith("Record for")
+    assert offered(pressed(pressed(page, "rework"), "scrap")).startswith("Record *scrap*")
 
 
 def test_a_signature_counts_scans_as_one_says_it(writable: Path, open_page: Open) -> None:
