@@ -27,7 +27,8 @@ KEYS_IN_ORDER = """<script>
   const drawn = () => here()?.dataset.drawn;
   const refusals = () => [...document.querySelectorAll(REFUSED)].map(e => e.innerText).join();
   const buttonOf = (key) => [...document.querySelectorAll('[data-has-shortcut="true"] [aria-label]')]
-      .find(mark => mark.getAttribute('aria-label').toLowerCase() === `shortcut ${key}`)?.closest('button');
+      .find(mark => mark.getAttribute('aria-label').toLowerCase() === `shortcut ${key.replace('escape', 'esc')}`)
+      ?.closest('button');
   const busy = () => before === drawn() || document.querySelector('[data-stale="true"]')
       || !document.querySelector('[data-testid="stApp"][data-test-script-state="notRunning"]');
   const act = () => {
