@@ -39,8 +39,9 @@ NOTICED = "noticed"
 """What needs attention on the newest scans, as a table of queries that may use what people decided."""
 Name = tuple[str, str, str]
 """A finding: scene, kind and id."""
-Margin = tuple[float, str, float]
-"""Distance to the limit (negative: beyond it), its unit, and as a share of what the limits leave."""
+Margin = tuple[float, str, float, str, float, float]
+"""Distance to the limit (negative: beyond it), its unit, and as a share of what the limits leave; name, value and U95
+of the quantity that the verdict is about, "" where something else than a limit decided."""
 
 
 class Archive:

@@ -19,7 +19,6 @@ import streamlit as st
 from dashboard.findings import names_of
 from dashboard.frame import PageContext, link, plain, told
 from dashboard.keys import name_of_browser
-from dashboard.suggestions import suggest_comments
 from dashboard.words import N_, _
 from metrology.errors import FlushlineError, OutdatedError
 from storage.archive.decisions import close_work, dispose, undo
@@ -176,7 +175,6 @@ def _form(context: PageContext, shown: Sequence[ShownFinding], done: Done) -> No
             on_click=_record,
             args=(context, tuple(shown), key, comment_key, done),
         )
-        suggest_comments(context.archive.review())  # at the end: it has a gap of its own
 
 
 def _numbers_asked(context: PageContext, disposition: str | None) -> list[str]:
@@ -187,9 +185,12 @@ def _numbers_asked(context: PageContext, disposition: str | None) -> list[str]:
 
 def _choose_disposition(context: PageContext, key: str) -> str | None:
     """Buttons with keys, of which one is chosen; those that this person may not choose are grey."""
-    st.markdown(":small[" + _("Disposition") + "]")
     chosen: str | None = st.session_state.get(key)
-    with st.container(horizontal=True, gap="small", key="decisions"):
+    with st.container(horizontal=True, vertical_alignment="center", gap="small", key="decisions"):
+        st.markdown(
+            ":small[" + _("Disposition") + "]", width="content",
+            help=_("A key chooses, Enter records. Another key changes the choice, Escape takes it back."),
+        )  # fmt: skip
         for disposition in DISPOSITIONS:
             allowed = context.person.may_accept or disposition not in ACCEPTS
             st.button(
@@ -204,12 +205,14 @@ def _choose_disposition(context: PageContext, key: str) -> str | None:
                 on_click=_choose,
                 args=(key, disposition),
             )
+        with st.container(key="take-back"):  # for its key alone; not drawn
+            st.button("✕", key=f"none-{key}", shortcut="Escape", on_click=_choose, args=(key, None))
     return chosen
 
 
-def _choose(key: str, disposition: str) -> None:
-    """Choose a disposition; a second time takes the choice back."""
-    st.session_state[key] = None if st.session_state.get(key) == disposition else disposition
+def _choose(key: str, disposition: str | None) -> None:
+    """Choose a disposition, however often its key is pressed; None takes the choice back."""
+    st.session_state[key] = disposition
 
 
 def ask_who(context: PageContext, width: int | Literal["stretch"] = "stretch") -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -13,6 +15,8 @@ from dashboard.findings import PERIODS, Selection, start_of
 from dashboard.words import _
 from storage.archive.views import NEWEST_TIME
 
+_MOST_ODD = 3
+
 
 def names(archive: Archive, column: str, selection: Selection | None = None) -> list[str]:
     """The different values of a column of `scenes`."""
@@ -22,6 +26,13 @@ def names(archive: Archive, column: str, selection: Selection | None = None) -> 
         parameters,
     )
     return [str(name) for name in rows["name"]]
+
+
+def odd_serials(archive: Archive) -> list[str]:
+    """Patterns such as STD-* of serial numbers that begin otherwise than most do, at most three."""
+    begins = Counter(re.split("[0-9]", serial)[0] for serial in names(archive, "aircraft_serial"))
+    (__, n), *others = begins.most_common() or [("", 0)]
+    return [f"{begin}*" for begin, count in others if begin and count < n][:_MOST_ODD]
 
 
 def newest_scan(archive: Archive) -> datetime | None:

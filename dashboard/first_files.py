@@ -18,6 +18,8 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from dashboard.page_end import page_end
+
 _PARTS = ("Html", "Button", "Selectbox", "Metric", "ButtonGroup")
 _FONT = "MaterialSymbols-Rounded"
 _FOLDER = Path(streamlit.__file__).parent / "static"
@@ -46,11 +48,13 @@ class FirstFiles:
             answer = Response(_content(path), media_type=kind, headers={"Cache-Control": _FOREVER})
             await answer(scope, receive, send)
         else:
-            await self.app(scope, receive, _Naming(send))
+            # Streamlit would squeeze a page before anything could be added to it.
+            headers = [(name, value) for name, value in scope["headers"] if name != b"accept-encoding"]
+            await self.app({**scope, "headers": headers} if _wants_page(scope) else scope, receive, _Naming(send))
 
 
 class _Naming:
-    """Passes an answer on; to a page it adds which programs it will want."""
+    """Passes an answer on; to a page it adds which programs it will want, and styles and scripts of its own."""
 
     def __init__(self, send: Send) -> None:
         self.send = send
@@ -70,12 +74,17 @@ class _Naming:
         if message.get("more_body"):
             return
         self.body = self.body.replace(b"</head>", links().encode() + b"</head>", 1)
+        self.body = self.body.replace(b"</body>", page_end().encode() + b"</body>", 1)
         headers = MutableHeaders(scope=self.start)
         headers["content-length"] = str(len(self.body))
         for name in ("etag", "last-modified"):
             del headers[name]
         await self.send(self.start)
         await self.send({"type": "http.response.body", "body": self.body})
+
+
+def _wants_page(scope: Scope) -> bool:
+    return any(name == b"accept" and b"text/html" in value for name, value in scope["headers"])
 
 
 def _asks_for_a_part(scope: Scope) -> bool:

@@ -14,11 +14,10 @@ import streamlit as st
 
 _DRAWN = "keys_drawn"
 # `data-has-shortcut` and `aria-label="Shortcut …"` are how Streamlit marks a button's key.
-_SCRIPT = """<script>
-if (!window.flushlineKeys) {
-  window.flushlineKeys = true;
+KEYS_IN_ORDER = """<script>
+{
   const MOST = 12, LATE = 15000;
-  const KEYS = ['j', 'k', 'u', 'w', 'p', 's', 'n', 'enter'];
+  const KEYS = ['j', 'k', 'u', 'w', 'p', 's', 'n', 'enter', 'escape'];
   const OWN = 'canvas, .st-key-decisions, .st-key-previous, .st-key-next, [data-testid="stDataFrame"]';
   const FIELDS = 'input, textarea, select, [contenteditable="true"], [role="dialog"], [role="listbox"]';
   const REFUSED = '[data-testid="stAlertContentError"], [data-testid="stAlertContentWarning"]';
@@ -28,7 +27,8 @@ if (!window.flushlineKeys) {
   const drawn = () => here()?.dataset.drawn;
   const refusals = () => [...document.querySelectorAll(REFUSED)].map(e => e.innerText).join();
   const buttonOf = (key) => [...document.querySelectorAll('[data-has-shortcut="true"] [aria-label]')]
-      .find(mark => mark.getAttribute('aria-label').toLowerCase() === `shortcut ${key}`)?.closest('button');
+      .find(mark => mark.getAttribute('aria-label').toLowerCase() === `shortcut ${key.replace('escape', 'esc')}`)
+      ?.closest('button');
   const busy = () => before === drawn() || document.querySelector('[data-stale="true"]')
       || !document.querySelector('[data-testid="stApp"][data-test-script-state="notRunning"]');
   const act = () => {
@@ -68,8 +68,7 @@ if (!window.flushlineKeys) {
 
 
 NAME_KEY = """<script>
-if (!window.flushlineNameKey) {
-  window.flushlineNameKey = true;
+{
   window.addEventListener('change', (event) => {
     if (event.target.closest?.('.st-key-who'))
       document.cookie = `flushline_name=${encodeURIComponent(event.target.value)}; path=/; SameSite=Strict`;
@@ -96,7 +95,6 @@ def name_of_browser() -> str:
 
 
 def keep_order() -> None:
-    """Have the browser act on the keys of this page one after the other; called when everything else is drawn."""
+    """Have the browser act on this page's keys one after the other, see `page_end`; called when all else is drawn."""
     drawn = st.session_state[_DRAWN] = st.session_state.get(_DRAWN, 0) + 1
-    st.html(_SCRIPT, unsafe_allow_javascript=True)
     st.html(f'<i data-drawn="{drawn}" hidden></i>')

@@ -8,40 +8,38 @@ from __future__ import annotations
 
 import json
 import os
-from functools import cache
 from pathlib import Path
 
-import streamlit as st
+import streamlit
 
 from dashboard.warming import OFF_VARIABLE
 
 _PARTS = ("Multiselect", "ButtonGroup", "DataFrame", "PlotlyChart", "PageLink", "TextInput", "ImageList")
 _AFTER_MS = 1500
 _SCRIPT = """<script>
-if (!window.flushlineAhead) {
-  window.flushlineAhead = true;
+{
   const idle = window.requestIdleCallback ?? ((then) => setTimeout(then, 200));
-  const main = document.querySelector('script[type="module"][src]');
   const load = async () => {
+    const main = document.querySelector('script[type="module"][src]');
+    if (!main) return;
     for (const name of NAMES) {
       await new Promise((then) => idle(then));
       await import(new URL(name, main.src)).catch(() => {});
     }
   };
-  if (main) setTimeout(load, AFTER);
+  const drawn = () => document.querySelector('[data-testid="stApp"][data-test-script-state="notRunning"]');
+  const begin = () => drawn() ? setTimeout(load, AFTER) : setTimeout(begin, 100);
+  begin();
 }
 </script>"""
 
 
-def load_ahead() -> None:
-    """Have the browser load them; nothing happens where this version of Streamlit calls them otherwise."""
+def script() -> str:
+    """Has the browser load them; empty where this version of Streamlit calls them otherwise."""
     names = [] if os.environ.get(OFF_VARIABLE) else _names()
-    if names:
-        script = _SCRIPT.replace("NAMES", json.dumps(names)).replace("AFTER", str(_AFTER_MS))
-        st.html(script, unsafe_allow_javascript=True)
+    return _SCRIPT.replace("NAMES", json.dumps(names)).replace("AFTER", str(_AFTER_MS)) if names else ""
 
 
-@cache
 def _names() -> list[str]:
-    folder = Path(st.__file__).parent / "static" / "static" / "js"
+    folder = Path(streamlit.__file__).parent / "static" / "static" / "js"
     return [path.name for part in _PARTS for path in sorted(folder.glob(f"{part}.*.js"))]

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Any
 
 import pandas as pd
 
 from dashboard.data import Archive, Margin, Name
-from dashboard.scenes import required_by
 from metrology.errors import FlushlineError
-from metrology.kinds import BY_NAME
-from metrology.requirements import Requirement
-from metrology.tolerance import Limit, PanelSpec
+from metrology.kinds import BY_NAME, Kind
+from metrology.requirements import Requirement, of_quantity, requirements
+from metrology.tolerance import Limit, PanelSpec, decisive
+from storage.archive.rows import result_of
 from storage.archive.schema import OF_KIND
-from storage.review import Feature
 
 _MOST_BUNDLES = 5  # that are asked for their specification
-_UNKNOWN: Margin = (float("nan"), "", float("nan"))
+_NAN = float("nan")
+_UNKNOWN: Margin = (_NAN, "", _NAN, "", _NAN, _NAN)
+_COLUMNS = ("margin", "margin_unit", "margin_share", "quantity", "quantity_value", "quantity_u95")
 
 
 def with_margins(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
     """Findings with `margin` (negative: beyond the limit), its `margin_unit`, and `margin_share` of the tolerance.
 
-    Of several quantities it is the one that lies farthest beyond, as a share of what its limits leave.
+    Beside them `quantity`, `quantity_value` and `quantity_u95`: what the verdict is about. Of several quantities it is
+    the one that lies farthest beyond, as a share of what its limits leave.
     """
     known = archive.margins()
     keys = list(zip(rows["scene_id"], rows["feature_kind"], rows["feature_id"], strict=True))
@@ -37,7 +40,28 @@ def with_margins(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
         if spec is not None:
             known |= _of_findings(archive, str(kind_name), part, spec)
     margins = [known.get(key, _UNKNOWN) for key in keys]
-    return rows.assign(**dict(zip(("margin", "margin_unit", "margin_share"), zip(*margins, strict=True), strict=True)))
+    return rows.assign(**dict(zip(_COLUMNS, zip(*margins, strict=True), strict=True)))
+
+
+def mixed(rows: pd.DataFrame) -> bool:
+    """Whether a verdict of these findings is about another quantity than the first of its kind."""
+    return any(name and name != first for name, first in zip(rows["quantity"], _firsts(rows), strict=True))
+
+
+def about_the_verdict(rows: pd.DataFrame) -> pd.DataFrame:
+    """The findings with the quantity that each one's verdict is about, its value and its U95."""
+    first = pd.Series(_firsts(rows), rows.index)
+    quantity = rows["quantity"].where(rows["quantity"] != "", first)
+    other = quantity != first
+    return rows.assign(
+        quantity=quantity,
+        value_mm=rows["value_mm"].mask(other, rows["quantity_value"]),
+        u95_mm=rows["u95_mm"].mask(other, rows["quantity_u95"]),
+    )
+
+
+def _firsts(rows: pd.DataFrame) -> list[str]:
+    return [BY_NAME[kind].quantities[0].name for kind in rows["feature_kind"]]
 
 
 def _runs(archive: Archive, rows: pd.DataFrame) -> pd.DataFrame:
@@ -59,7 +83,10 @@ def _specification(archive: Archive, bundles: pd.Series) -> PanelSpec | None:
 
 
 def _of_findings(archive: Archive, kind_name: str, findings: pd.DataFrame, spec: PanelSpec) -> dict[Name, Margin]:
-    """Margins of findings of one kind; of a stretch that of the position that pages show it by (see `find_feature`)."""
+    """Margins of findings of one kind, and what they are about.
+
+    Of a stretch it is that of the position that pages show it by (see `find_feature`).
+    """
     kind = BY_NAME[kind_name]
     columns = ", ".join(column.name for column in OF_KIND[kind_name].columns)
     same = "named = feature_id OR named = stretch" if kind.is_course else "named = feature_id"
@@ -72,19 +99,25 @@ def _of_findings(archive: Archive, kind_name: str, findings: pd.DataFrame, spec:
         + (f" QUALIFY row_number() OVER ({worst}) = 1" if kind.is_course else ""),
         findings,
     )
-    margins = {
-        (row.scene_id, kind_name, row.named): _worst(required_by(Feature(kind_name, row.feature_id), row, spec))
-        for row in rows.itertuples()
-    }
-    return {key: margin for key, margin in margins.items() if margin is not None}
+    return {(row.scene_id, kind_name, row.named): _of_row(kind, row, spec) for row in rows.itertuples()}
 
 
-def _worst(required: Sequence[Requirement]) -> Margin | None:
+def _of_row(kind: Kind, row: Any, spec: PanelSpec) -> Margin:
+    result = result_of(kind.row_type, row._asdict())
+    about = decisive(kind, result, spec)
+    if about is None:
+        return (*_worst(requirements(kind, result, spec)), "", _NAN, _NAN)
+    value, u95 = (getattr(result, name) for name in (about.column, about.u95_column))
+    worst = _worst(of_quantity(about, result, spec.zone(result.zone)))
+    return (*worst, about.name, _NAN if value is None else value, _NAN if u95 is None else u95)
+
+
+def _worst(required: Sequence[Requirement]) -> tuple[float, str, float]:
     margins = [_margin(r, r.limit) for r in required if r.limit is not None and r.value is not None]
-    return min(margins, key=lambda margin: margin[2], default=None)
+    return min(margins, key=lambda margin: margin[2], default=(_NAN, "", _NAN))
 
 
-def _margin(required: Requirement, limit: Limit) -> Margin:
+def _margin(required: Requirement, limit: Limit) -> tuple[float, str, float]:
     margin = limit.margin(float(required.value or 0.0))
     _, reach = limit.scaling or (0.0, 1.0)
     return margin, required.unit, margin / reach

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import streamlit as st
 
 from dashboard.data import Archive
 from dashboard.figures.scene import SceneFeatures
-from dashboard.pictures import shrunk
+from dashboard.pictures import masked_uri, shrunk
 from dashboard.scenes import load_features, load_scene_row
 from metrology.arrays import Array
 from metrology.assembly.picture import Stitched
@@ -33,7 +32,7 @@ from storage.archive.schema import (
     Table,
 )
 from storage.documents import read_json
-from storage.panel_picture import stored_pictures, webp
+from storage.panel_picture import stored_pictures
 from storage.panel_spec import locations_of
 from storage.review import Feature
 
@@ -119,13 +118,15 @@ def load_panel(archive: Archive, aircraft: str, panel: str) -> PanelView | None:
 
 def _drawable(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows as figures of pictures take them: millimetres of the panel stand for pixels."""
-    numbers = rows.select_dtypes("number").replace([np.inf, -np.inf], np.nan)
-    drawn = rows.assign(**{name: numbers[name] for name in numbers})
-    drawn = drawn.assign(u_px=drawn["x_panel_mm"].astype(float), v_px=-drawn["y_panel_mm"].astype(float))
-    if "diameter_mm" in drawn:
-        drawn = drawn.assign(major_px=drawn["diameter_mm"], minor_px=drawn["diameter_mm"])
-        drawn["angle_deg"] = 0.0
-    return drawn
+    numbers = rows.select_dtypes("number")
+    if np.isinf(numbers.to_numpy(float)).any():
+        numbers = numbers.replace([np.inf, -np.inf], np.nan)
+        rows = rows.assign(**{name: numbers[name] for name in numbers})
+    places = {"u_px": rows["x_panel_mm"].astype(float), "v_px": -rows["y_panel_mm"].astype(float)}
+    if "diameter_mm" in rows:
+        places |= {"major_px": rows["diameter_mm"], "minor_px": rows["diameter_mm"]}
+        places["angle_deg"] = pd.Series(0.0, rows.index)
+    return pd.concat([rows.drop(columns=[name for name in places if name in rows]), pd.DataFrame(places)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,7 @@ def _stitched(manifest: str, _archive: Archive) -> dict[int, PanelPicture]:
 def _for_page(found: Stitched) -> PanelPicture:
     grey = shrunk(found.grey, _PICTURE_PX)
     seen = cv2.resize(found.seen.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_AREA) > 0
-    return PanelPicture(found, "data:image/webp;base64," + base64.b64encode(webp(grey, seen)).decode())
+    return PanelPicture(found, masked_uri(grey, seen))
 
 
 def in_scan(archive: Archive, view: PanelView, feature: Feature, scene_id: str | None = None) -> InScan | None:

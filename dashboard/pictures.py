@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from pathlib import Path
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -32,10 +33,30 @@ def shrunk(picture: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
 
 def data_uri(picture: NDArray[np.uint8]) -> str:
     """A picture as a JPEG inside a URI."""
-    ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return _uri(picture, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+
+
+def masked_uri(picture: NDArray[np.uint8], seen: NDArray[np.bool_]) -> str:
+    """A picture inside a URI, transparent where `seen` (h, w) is false.
+
+    A JPEG behind a mask: formats that know transparency take fifty times as long to write.
+    """
+    height, width = picture.shape
+    size = f'width="{width}" height="{height}"'
+    mask = _uri(np.where(seen, 255, 0).astype(np.uint8), "png", [])
+    drawing = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 {width} {height}" preserveAspectRatio="none">'
+        f'<mask id="seen"><image href="{mask}" {size}/></mask>'
+        f'<image href="{data_uri(picture)}" {size} mask="url(#seen)"/></svg>'
+    )
+    return "data:image/svg+xml," + quote(drawing, safe=" =/:;,+()")
+
+
+def _uri(picture: NDArray[np.uint8], kind: str, options: list[int]) -> str:
+    ok, data = cv2.imencode(f".{kind}", picture, options)
     if not ok:
         raise StoreError(f"found a picture of shape {picture.shape} that does not encode, expected grey levels")
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    return f"data:image/{kind};base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def around(picture: NDArray[np.uint8], u: float, v: float, reach: float) -> NDArray[np.uint8]:

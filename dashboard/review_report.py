@@ -10,11 +10,13 @@ import pandas as pd
 from dashboard.data import Archive
 from dashboard.findings import feature_of, feature_words, standings_words
 from dashboard.locale import Locale
-from dashboard.palette import decision_words
+from dashboard.margins import about_the_verdict, with_margins
+from dashboard.palette import decision_words, quantity_words
 from dashboard.pictures import data_uri
 from dashboard.scenes import find_feature, load_features, load_scene_row, surroundings
 from dashboard.words import N_, _, speak
 from metrology.errors import FlushlineError
+from metrology.kinds import BY_NAME
 from metrology.verdicts import SEVERITIES
 from storage.archive.work import Standing
 from storage.review import Feature, ReviewLog
@@ -24,7 +26,7 @@ from storage.templates import rendered
 
 _MOST_PICTURES = 60
 _HEADS = (
-    N_("Aircraft"), N_("Panel"), N_("Station"), N_("Feature"), N_("Height / step, mm"), N_("± U95, mm"), N_("Verdict"),
+    N_("Aircraft"), N_("Panel"), N_("Station"), N_("Feature"), N_("Value, mm"), N_("± U95, mm"), N_("Verdict"),
     N_("Why"), N_("State"), N_("Disposition"),
 )  # fmt: skip
 
@@ -47,7 +49,8 @@ def csv_report(rows: pd.DataFrame, locale: Locale) -> bytes:
 def html_report(rows: pd.DataFrame, archive: Archive, locale: Locale, title: str, spoken: str) -> bytes:
     """Findings as one HTML page in a language, with pictures of the first ones, dispositions and traceability."""
     speak(spoken)  # made when it is asked for, which is no run of the page
-    findings = [_finding(row, archive, locale, i < _MOST_PICTURES) for i, row in enumerate(rows.to_dict("records"))]
+    shown = about_the_verdict(with_margins(archive, rows)).to_dict("records")
+    findings = [_finding(row, archive, locale, i < _MOST_PICTURES) for i, row in enumerate(shown)]
     page = rendered(
         "dashboard",
         "review.html",
@@ -94,13 +97,21 @@ def _finding(row: dict[str, Any], archive: Archive, locale: Locale, picture: boo
         "feature_id": feature_words(str(row["feature_id"]), locale),
         "state": _(str(row["state"])),
         "picture": _picture(row, archive) if picture else "",
-        "value": locale.number(row["value_mm"], sign=True),
+        "value": _value(row, locale),
         "u95": locale.number(row["u95_mm"]),
         "verdict": decision_words(row["decision"]),
         "reason": "" if pd.isna(row["reason"]) else locale.reason(row["reason"]),
         "decided": decided,
         "severity": row["severity"] if row["severity"] in SEVERITIES and row["severity"] else "",
     }
+
+
+def _value(row: dict[str, Any], locale: Locale) -> str:
+    """What the verdict is about; its name where that is not the first quantity of its kind."""
+    first, *others = BY_NAME[row["feature_kind"]].quantities
+    value = locale.number(row["value_mm"], sign=True)
+    other = next((quantity for quantity in others if quantity.name == row["quantity"] != first.name), None)
+    return f"{quantity_words(other.name)} {value} {other.unit}" if other else value
 
 
 def _picture(row: dict[str, Any], archive: Archive) -> str:

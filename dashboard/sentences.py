@@ -2,6 +2,8 @@
 
 SENTENCES = (
     "every finding of the scan is decided, and no work is open",
+    "panel {panel} released with 1 scan; verdict {verdict}: {reason}",
+    "panel {panel} released with 1 scan; verdict {verdict}",
     "panel {panel} released with {n} scans; verdict {verdict}: {reason}",
     "panel {panel} released with {n} scans; verdict {verdict}",
     "first scan of station {station}: the rivets ({rivets}) and seams ({seams}) found in it were enrolled as the "

@@ -16,8 +16,9 @@ from dashboard.filters import began, newest_scan
 from dashboard.findings import PERIODS, Selection, Wanted, findings, start_of
 from dashboard.margins import with_margins
 from dashboard.news import Since, changes, new_scans
-from dashboard.panels import panel_names
+from dashboard.panels import load_panel, panel_names, stitched_pictures
 from dashboard.settings import load_settings, store_root
+from dashboard.views.waiting import panel_states
 from storage.archive.changes import drift_sql
 
 OFF_VARIABLE = "FLUSHLINE_NO_READ_AHEAD"
@@ -34,10 +35,13 @@ def keep_warm() -> None:
 
 
 def read_ahead(archive: Archive) -> None:
-    """Read what the review and the overview show, at first and for each of their periods, and the panels' names."""
+    """Read what the review and the overview show, at first and for each of their periods, and the newest panel."""
     without = load_settings(archive.root).not_aircraft
     archive.shared_rows(drift_sql("true"))
-    panel_names(archive)
+    panel_states(archive, Selection(without=without))
+    for newest in panel_names(archive).head(1).itertuples():
+        if view := load_panel(archive, str(newest.aircraft_serial), str(newest.panel)):
+            stitched_pictures(archive, view)
     for period in PERIODS:  # any time, which is shown at first, is the first of them
         selection = Selection(since=began(archive, period), without=without)
         with_margins(archive, findings(archive, Wanted(selection=selection)))

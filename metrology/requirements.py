@@ -39,10 +39,11 @@ class Requirement:
 def requirements(kind: Kind, row: Feature, spec: PanelSpec) -> list[Requirement]:
     """What a feature must meet."""
     zone = spec.zone(row.zone)
-    return [required for quantity in kind.quantities_of(row) for required in _of_quantity(quantity, row, zone)]
+    return [required for quantity in kind.quantities_of(row) for required in of_quantity(quantity, row, zone)]
 
 
-def _of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requirement]:
+def of_quantity(quantity: Quantity, row: Feature, zone: Zone) -> list[Requirement]:
+    """What one quantity of a feature must meet in a zone."""
     value, u95 = getattr(row, quantity.column), getattr(row, quantity.u95_column)
     limit, *by_wind = (zone.get(limit.name) for limit in quantity.limits)
     own = Requirement(quantity.name, quantity.unit, value, u95, limit, quantity.signed)

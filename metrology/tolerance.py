@@ -22,15 +22,15 @@ import re
 from collections.abc import Sequence
 from typing import TypeVar
 
-from metrology.kinds import Kind, load
+from metrology.kinds import Kind, Quantity, load
 from metrology.limits import DEFAULT_ZONE, Limit, PanelSpec, Zone
 from metrology.plausibility import unjudged, without
-from metrology.requirements import Requirement, downstream_of, limit_of, requirements
+from metrology.requirements import Requirement, downstream_of, limit_of, of_quantity, requirements
 from metrology.results import Course, Decision, Feature, Severity
 from metrology.stretches import with_stretches
 from metrology.verdicts import DECISIONS, SEVERITIES, Verdict
 
-__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "as_measured", "judge"]
+__all__ = ["DEFAULT_ZONE", "RULE", "Limit", "PanelSpec", "Zone", "as_measured", "decisive", "judge"]
 
 Row = TypeVar("Row", bound=Feature)
 RULE = "ISO 14253-1, guard band U95"
@@ -89,6 +89,29 @@ def judge(kind: Kind, rows: Sequence[Row], spec: PanelSpec) -> list[Row]:
     """
     judged = [_judged(kind, _judgeable(kind, row, spec.zone(row.zone)), spec) for row in rows]
     return with_stretches(kind, judged, spec) if kind.is_course else judged  # type: ignore[type-var]
+
+
+def decisive(kind: Kind, row: Feature, spec: PanelSpec) -> Quantity | None:
+    """The quantity whose verdict a judged row has, of several the one farthest beyond its limits.
+
+    None where something else than a limit decided.
+    """
+    zone = spec.zone(row.zone)
+    found = [
+        (_share(required), quantity)
+        for quantity in kind.quantities_of(row)
+        for required in of_quantity(quantity, row, zone)
+        if required.limit is not None and _judge(required).decision == row.decision
+    ]
+    return min(found, key=lambda each: each[0])[1] if found else None
+
+
+def _share(required: Requirement) -> float:
+    """Distance to the limit (negative: beyond it), as a share of what the limits leave."""
+    if required.limit is None or required.value is None:
+        return 0.0
+    __, reach = required.limit.scaling or (0.0, 1.0)
+    return required.limit.margin(required.value) / reach
 
 
 def as_measured(kind: Kind, row: Row) -> Row:

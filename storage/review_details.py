@@ -71,6 +71,7 @@ class Signature(StrictModel):
 
 SCAN_RELEASED = "every finding of the scan is decided, and no work is open"
 PANEL_RELEASED = "panel {panel} released with {n} scans; verdict {verdict}"
+PANEL_RELEASED_ONE = "panel {panel} released with 1 scan; verdict {verdict}"
 """What signatures say, kept in English."""
 ADDED = ("numbers", "mark", "takes_back", "signature")
 """Parts of a document that earlier formats do not have."""

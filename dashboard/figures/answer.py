@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import plotly.graph_objects as go
 
-from dashboard.figures.base import figure
+from dashboard.figures.base import NAMES, figure
 from dashboard.locale import Locale
 from dashboard.palette import BLUE
 
@@ -22,7 +22,7 @@ def answer_figure(rows: pd.DataFrame, x: str, y: str, locale: Locale, height: in
     else:
         part = rows.head(_MOST_BARS)
         fig.add_bar(x=part[x].astype(str), y=part[y], marker={"color": BLUE})
-        fig.update_xaxes(type="category")
+        fig.update_xaxes(**NAMES)
     fig.update_xaxes(title=x)
-    fig.update_yaxes(title=y)
+    fig.update_yaxes(title=y, automargin=True)  # of any size
     return fig

@@ -13,7 +13,14 @@ from dashboard.locale import Locale
 from dashboard.palette import INK
 from metrology.tolerance import Limit
 
-_AXIS = {"automargin": True, "title": {"standoff": 6}, "zeroline": False}
+# Plotly draws all of a figure anew where an axis asks for room while it is drawn: so numbers and times have theirs
+# beforehand, and only axes of names, which may be long, ask.
+_AXIS = {"automargin": False, "title": {"standoff": 6}, "zeroline": False}
+NAMES = {"automargin": True, "type": "category"}
+"""An axis of names."""
+MARGINS = {"l": 62, "r": 8, "t": 28, "b": 42}
+BARE = {"l": 8, "r": 8, "t": 28, "b": 8}
+"""Margins round a picture, whose axes are not shown."""
 _MOST_DRAWN = 1500
 Line = dict[str, Any]
 """A shape or an annotation, as Plotly's layout has it."""
@@ -21,7 +28,8 @@ Line = dict[str, Any]
 
 def figure(locale: Locale, height: int, **layout: Any) -> go.Figure:
     """An empty figure."""
-    return go.Figure(layout={**_common(locale, height), "xaxis": dict(_AXIS), "yaxis": dict(_AXIS), **layout})
+    axes = {name: {**_AXIS, **layout.pop(name, {})} for name in ("xaxis", "yaxis")}
+    return go.Figure(layout={**_common(locale, height), **axes, **layout})
 
 
 def stacked(locale: Locale, height: int, shares: Sequence[float], spacing: float, **options: Any) -> go.Figure:
@@ -45,10 +53,30 @@ def stacked(locale: Locale, height: int, shares: Sequence[float], spacing: float
     return fig
 
 
+def two_charts(locale: Locale, height: int, share: float, spacing: float, **layout: Any) -> Line:
+    """The layout of two charts with one axis along both, for a figure that is made in one go.
+
+    Parameters
+    ----------
+    share : float
+        Of the height, for the upper chart (axes x and y); the lower one (x2 and y2) has the rest but `spacing`.
+    layout
+        What else it has; of an axis beside what it has here.
+    """
+    axes = {
+        "xaxis": {**_AXIS, "anchor": "y", "matches": "x2", "showticklabels": False},
+        "yaxis": {**_AXIS, "anchor": "x", "domain": [1 - share, 1]},
+        "xaxis2": {**_AXIS, "anchor": "y2"},
+        "yaxis2": {**_AXIS, "anchor": "x2", "domain": [0, 1 - share - spacing]},
+    }
+    own = {name: {**axis, **layout.pop(name, {})} for name, axis in axes.items()}
+    return {**_common(locale, height), **own, **layout}
+
+
 def _common(locale: Locale, height: int) -> dict[str, Any]:
     return {
         "height": height,
-        "margin": {"l": 8, "r": 8, "t": 8, "b": 8},
+        "margin": dict(MARGINS),
         "separators": locale.separators,
         "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.0, "x": 0, "font": {"size": 11}},
         "hoverlabel": {"align": "left"},

@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dashboard.closeup import RivetCloseUp, SeamSection
-from dashboard.figures.base import add_shapes, adds_points, figure, limit_lines
+from dashboard.figures.base import BARE, add_shapes, adds_points, figure, limit_lines
 from dashboard.figures.limits import with_air
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
@@ -18,7 +18,7 @@ _MOST_POINTS = 3000
 
 def rivet_map(closeup: RivetCloseUp, locale: Locale, height: int = 300) -> go.Figure:
     """The head and the skin around it from above, coloured by deviation, with both point sets' borders."""
-    fig = figure(locale, height)
+    fig = figure(locale, height, margin=BARE)
     u0, v0 = closeup.u.min(), closeup.v.min()
     image = np.full((closeup.v.max() - v0 + 1, closeup.u.max() - u0 + 1), np.nan, np.float32)
     image[closeup.v - v0, closeup.u - u0] = closeup.deviation

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from dashboard.figures.base import figure, stacked
+from dashboard.figures.base import BARE, figure, stacked
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, MISSING, ORANGE, PURPLE, RED
 from dashboard.words import _
@@ -17,7 +17,7 @@ _AIR = 0.15  # of what is shown, above and below
 
 def defect_map(form: DefectForm, locale: Locale, height: int = 300) -> go.Figure:
     """The defect as the left camera sees it, coloured by height, with its outline and the two lines of section."""
-    fig = figure(locale, height)
+    fig = figure(locale, height, margin=BARE)
     rows, columns = form.heights.shape
     limit = max(_LEAST_SCALE_MM, float(np.nanpercentile(np.abs(form.heights), 99)))
     fig.add_heatmap(
@@ -87,7 +87,7 @@ def defect_sections(form: DefectForm, depth: float, u95: float, locale: Locale, 
     shown = np.concatenate([np.concatenate([section.surface, section.skin, [0.0]]) for section in sections])
     low, high = float(shown.min()), float(shown.max())
     air = max(_AIR * (high - low), 0.01)
-    fig.update_yaxes(range=[low - air, high + air], tickformat="+.2f", title="mm", automargin=True, zeroline=False)
+    fig.update_yaxes(range=[low - air, high + air], tickformat="+.2f", title="mm")
     fig.update_xaxes(title=_("from the deepest point, mm"), row=2, col=1)
     fig.update_layout(margin={"t": 44}, legend={"y": 1.08})
     return fig

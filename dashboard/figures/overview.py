@@ -16,6 +16,7 @@ from dashboard.words import _
 from storage.templates import rendered
 
 _MOST_AIRCRAFT = 25
+_LETTER_PX, _MOST_LETTERS, _SCALE_PX = 6.4, 24, 74
 
 
 def panel_matrix(
@@ -32,7 +33,8 @@ def panel_matrix(
     waiting = np.full((len(rows), len(columns)), np.nan)
     for row in part.itertuples():
         waiting[place[row.aircraft_serial, row.panel]] = row.waiting
-    fig = figure(locale, height, showlegend=False, clickmode="event+select", dragmode=False)
+    margins = _margins(rows, columns)
+    fig = figure(locale, height, margin=margins, showlegend=False, clickmode="event+select", dragmode=False)
     fig.add_heatmap(
         z=waiting,
         x=columns,
@@ -67,6 +69,15 @@ def panel_matrix(
     fig.update_yaxes(type="category", autorange="reversed", tickfont={"size": 10}, showgrid=False)
     fig.update_layout(plot_bgcolor=MISSING)
     return fig, len(rows)
+
+
+def _margins(rows: Sequence[str], columns: Sequence[str]) -> dict[str, int]:
+    """Room for the names (those of columns stand aslant) and the colours' scale, px.
+
+    Plotly would draw all of it a second time to make room itself.
+    """
+    left, below = (_LETTER_PX * min(_MOST_LETTERS, max(map(len, names), default=0)) for names in (rows, columns))
+    return {"l": round(14 + left), "r": _SCALE_PX, "t": 8, "b": round(16 + 0.87 * below)}
 
 
 def _said(row: Any, locale: Locale) -> str:

@@ -122,15 +122,15 @@ def _add_stretches(fig: go.Figure, view: PanelView, locale: Locale, labelled_mm:
     labelled = 0
     for row in view.findings[view.findings["from_mm"].notna()].itertuples():
         name, position = BY_NAME[str(row.feature_kind)].id_columns
-        course = view.features[str(row.feature_kind)]
+        course = view.features[str(row.feature_kind)][[name, position, "u_px", "v_px"]]
         within = course[
             (course[name] == str(row.feature_id).split("@")[0]) & course[position].between(row.from_mm, row.to_mm)
         ].sort_values(position)
         if within.empty:
             continue
         fig.add_scatter(
-            x=within["u_px"], y=within["v_px"], mode="lines", opacity=0.45, showlegend=False, hoverinfo="skip",
-            line={"color": SEVERITY_COLOURS.get(row.severity, INK), "width": 14},
+            x=within["u_px"].tolist(), y=within["v_px"].tolist(), mode="lines", opacity=0.45, showlegend=False,
+            hoverinfo="skip", line={"color": SEVERITY_COLOURS.get(row.severity, INK), "width": 14},
         )  # fmt: skip
         if row.length_mm < labelled_mm:
             continue  # a name would cover its neighbours'
@@ -185,16 +185,16 @@ def _add_names(fig: go.Figure, view: PanelView, colour: str) -> None:
     """Names of single features, a line above their marks; of courses beside their beginnings."""
     font = {"size": 10, "color": colour, **({"shadow": _SHADOW} if colour == "white" else {})}
     for kind in KINDS:
-        rows = view.features[kind.name]
-        rows = rows[rows["u_px"].notna()]
+        rows = view.features[kind.name][[kind.id_columns[0], "u_px", "v_px"]].dropna(subset="u_px")
+        if rows.empty:
+            continue
         if kind.is_course:
             rows = rows.groupby(kind.id_columns[0], as_index=False).first()
         rows = rows.head(_MOST_NAMES)
         names = rows[kind.id_columns[0]]
-        if len(rows):
-            fig.add_scatter(
-                x=rows["u_px"], y=rows["v_px"], mode="text",
-                text=[f"  {escape(name)}" if kind.is_course else f"{escape(name)}<br> " for name in names],
-                textposition="middle right" if kind.is_course else "top center", textfont=font, hoverinfo="skip",
-                showlegend=False,
-            )  # fmt: skip
+        fig.add_scatter(
+            x=rows["u_px"].tolist(), y=rows["v_px"].tolist(), mode="text",
+            text=[f"  {escape(name)}" if kind.is_course else f"{escape(name)}<br> " for name in names],
+            textposition="middle right" if kind.is_course else "top center", textfont=font, hoverinfo="skip",
+            showlegend=False,
+        )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import plotly.graph_objects as go
 
-from dashboard.figures.base import escape, figure, stacked
+from dashboard.figures.base import NAMES, escape, figure, stacked
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, YELLOW
 from dashboard.words import _
@@ -30,7 +30,7 @@ def seconds_figure(nights: pd.DataFrame, locale: Locale, height: int = 400) -> g
                 hovertemplate="%{y:.2f} s<extra>" + _(step.replace("_", " ")) + "</extra>",
             )
     fig.update_yaxes(title=_("s per scan"))
-    fig.update_xaxes(**({"type": "category", "autorange": "reversed"} if few else {"tickformat": locale.axis_dates}))
+    fig.update_xaxes(**({**NAMES, "autorange": "reversed"} if few else {"tickformat": locale.axis_dates}))
     return fig
 
 

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from dashboard.deviation import FieldDeviation
-from dashboard.figures.base import adds_points, escape, figure
+from dashboard.figures.base import BARE, adds_points, escape, figure
 from dashboard.findings import feature_parameter, feature_words
 from dashboard.locale import Locale
 from dashboard.palette import DIVERGING, MISSING, SEVERITY_COLOURS, SEVERITY_SYMBOLS, SEVERITY_WORDS
@@ -46,7 +46,7 @@ def scene_figure(
         Whether values are written beside features that do not pass.
     """
     rows, columns = picture.shape
-    fig = figure(locale, height, dragmode="pan", clickmode="event+select")
+    fig = figure(locale, height, margin=BARE, dragmode="pan", clickmode="event+select")
     fig.add_layout_image(
         source=data_uri(shrunk(picture, _PICTURE_PX)),
         xref="x",
@@ -69,14 +69,12 @@ def scene_figure(
     return fig
 
 
-def _with(rows: pd.DataFrame, severity: str | None) -> pd.DataFrame:
-    return rows[rows["severity"].isna()] if severity is None else rows[rows["severity"] == severity]
-
-
 def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str | None, locale: Locale) -> None:
     """Symbols of a kind's features of one severity, with the rims of heads."""
-    part = _with(rows, severity)
-    part = part[part["u_px"].notna() & part["v_px"].notna()]
+    if rows.empty:
+        return
+    of_it = rows["severity"].isna() if severity is None else rows["severity"] == severity
+    part = rows[of_it & rows["u_px"].notna() & rows["v_px"].notna()]
     if part.empty:
         return
     colour = SEVERITY_COLOURS[severity]
@@ -87,8 +85,8 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
         )
     empty, filled, size = (1.5, 0.0, 6) if kind.is_course else (2.0, 0.5, 9)
     adds_points(fig, len(rows))(
-        x=part["u_px"],
-        y=part["v_px"],
+        x=part["u_px"].tolist(),  # Plotly looks at columns and arrays much longer than at lists
+        y=part["v_px"].tolist(),
         mode="markers",
         marker={
             "color": colour,
@@ -100,12 +98,19 @@ def add_features(fig: go.Figure, kind: Kind, rows: pd.DataFrame, severity: str |
             },
         },
         customdata=[feature_parameter(Feature(kind.name, str(name))) for name in part["feature_id"]],
-        text=[_said(kind, row, locale) for row in part.itertuples()],
+        text=[_said(kind, row, locale) for row in part[_columns_said(kind, part)].itertuples()],
         hovertemplate="%{text}<extra></extra>",
         name=f"{_(kind.subject)} {_(SEVERITY_WORDS[severity])}",
         selected={"marker": {"opacity": 1}},
         unselected={"marker": {"opacity": 1}},
     )
+
+
+def _columns_said(kind: Kind, rows: pd.DataFrame) -> list[str]:
+    """The columns that `_said` needs: whole rows of a table take much longer."""
+    values = [name for quantity in kind.quantities for name in (quantity.column, quantity.u95_column)]
+    named = ["feature_id", "decision", *values, *(["diameter_mm"] if "diameter_mm" in rows else [])]
+    return list(dict.fromkeys(named))
 
 
 def _said(kind: Kind, row: Any, locale: Locale) -> str:
@@ -175,7 +180,7 @@ def mark_chosen(fig: go.Figure, features: SceneFeatures, chosen: Feature | None,
 
 def deviation_map(field: FieldDeviation, locale: Locale, height: int = 520) -> go.Figure:
     """The whole field's deviation from its smooth skin."""
-    fig = figure(locale, height)
+    fig = figure(locale, height, margin=BARE)
     limit = field.scale_mm
     fig.add_heatmap(
         z=np.round(field.deviation, 4),
@@ -200,7 +205,7 @@ def cloud_figure(field: FieldDeviation, exaggeration: float, locale: Locale, hei
     # The ground of a gap lies millimetres below and would squeeze everything else flat.
     present = np.abs(field.deviation) < _MOST_SCALES * limit
     deviation = field.deviation[present]
-    fig = figure(locale, height)
+    fig = figure(locale, height, margin=BARE)
     fig.add_scatter3d(
         x=field.x[present],
         y=-field.y[present],

@@ -10,7 +10,18 @@ import pandas as pd
 import plotly.graph_objects as go
 from scipy import stats
 
-from dashboard.figures.base import Line, add_shapes, adds_points, escape, figure, limit_lines, line_across, stacked
+from dashboard.figures.base import (
+    BARE,
+    MARGINS,
+    NAMES,
+    Line,
+    adds_points,
+    escape,
+    figure,
+    limit_lines,
+    line_across,
+    two_charts,
+)
 from dashboard.first_pass import Yield
 from dashboard.locale import Locale
 from dashboard.palette import BLUE, DIVERGING, GREEN, INK, ORANGE, PURPLE, RED, SEQUENTIAL
@@ -34,35 +45,38 @@ def control_figure(
     height: int = 420,
 ) -> go.Figure:
     """Individuals chart above, moving ranges below, in the order of time; events as vertical lines."""
-    fig = stacked(locale, height, (0.68, 0.32), 0.06)
     times = locale.axis_times(rows["captured_at"])
-    fig.add_traces([_values(rows, times, chart, violations, quantity, locale), _moving_ranges(times, chart)])
     lines, texts = _chart_lines(chart, locale)
     marked, said = _event_lines([(times.iloc[event.index], escape(event.text)) for event in events])
-    add_shapes(fig, [*lines, *_limits(chart, limit), *marked], [*texts, *said])
-    fig.update_layout(
-        xaxis_tickformat=locale.axis_dates,
-        xaxis2_tickformat=locale.axis_dates,
-        yaxis_title_text=f"{_(quantity.title)}, {quantity.unit}",
+    # In one go: each step that changes one of Plotly's figures looks through all of it.
+    layout = two_charts(
+        locale, height, 0.64, 0.06,
+        xaxis={"tickformat": locale.axis_dates},
+        xaxis2={"tickformat": locale.axis_dates},
+        yaxis={"title": {"text": f"{_(quantity.title)}, {quantity.unit}"}},
         yaxis2={"title": {"text": _("moving range")}, "rangemode": "tozero"},
-        margin={"r": 84, "l": 8, "t": 8, "b": 8},
+        shapes=[*lines, *_limits(chart, limit), *marked],
+        annotations=[*texts, *said],
+        margin={**MARGINS, "r": 84, "t": 8},
         clickmode="event+select",
-    )
-    return fig
+    )  # fmt: skip
+    values = _values(rows, times, chart, violations, quantity, locale)
+    return go.Figure([values, _moving_ranges(times, chart)], layout)
 
 
-def _moving_ranges(times: pd.Series, chart: ControlChart) -> go.Scatter:
-    return go.Scatter(
-        x=times,
-        y=chart.moving_range,
-        mode="lines+markers",
-        line={"color": PURPLE, "width": 1.2},
-        marker={"size": 4, "symbol": "square"},
-        hovertemplate=_("moving range") + " %{y:.3f}<extra></extra>",
-        showlegend=False,
-        xaxis="x2",
-        yaxis="y2",
-    )
+def _moving_ranges(times: pd.Series, chart: ControlChart) -> Line:
+    return {
+        "type": "scatter",
+        "x": times,
+        "y": chart.moving_range,
+        "mode": "lines+markers",
+        "line": {"color": PURPLE, "width": 1.2},
+        "marker": {"size": 4, "symbol": "square"},
+        "hovertemplate": _("moving range") + " %{y:.3f}<extra></extra>",
+        "showlegend": False,
+        "xaxis": "x2",
+        "yaxis": "y2",
+    }
 
 
 def _chart_lines(chart: ControlChart, locale: Locale) -> tuple[list[Line], list[Line]]:
@@ -93,7 +107,7 @@ def _values(
     violations: Mapping[str, np.ndarray],
     quantity: Quantity,
     locale: Locale,
-) -> go.Scatter:
+) -> Line:
     """The values in the order of time; those that break a rule larger, in red, with the rule's name."""
     broken: dict[int, list[str]] = {}
     for name, points in violations.items():
@@ -106,23 +120,24 @@ def _values(
         + ("<br>" + _("breaks rule {rules}", rules=", ".join(broken[i])) if i in broken else "")
         for i, r in enumerate(rows.itertuples())
     ]
-    return go.Scatter(
-        x=times,
-        y=chart.values,
-        mode="lines+markers",
-        line={"color": BLUE, "width": 1.5},
-        marker={
+    return {
+        "type": "scatter",
+        "x": times,
+        "y": chart.values,
+        "mode": "lines+markers",
+        "line": {"color": BLUE, "width": 1.5},
+        "marker": {
             "size": [9 if i in broken else 6 for i in range(len(rows))],
             "color": [RED if i in broken else BLUE for i in range(len(rows))],
             "symbol": ["triangle-up" if i in broken else "circle" for i in range(len(rows))],
         },
-        text=text,
-        customdata=rows["scene_id"].astype(str),
-        hovertemplate="%{text}<extra></extra>",
-        showlegend=False,
-        xaxis="x",
-        yaxis="y",
-    )
+        "text": text,
+        "customdata": rows["scene_id"].astype(str),
+        "hovertemplate": "%{text}<extra></extra>",
+        "showlegend": False,
+        "xaxis": "x",
+        "yaxis": "y",
+    }
 
 
 def _event_lines(marks: Sequence[tuple[Any, str]]) -> tuple[list[Line], list[Line]]:
@@ -156,7 +171,11 @@ def _limits(chart: ControlChart, limit: Limit | None) -> list[Line]:
 
 def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: Locale, height: int = 260) -> go.Figure:
     """All values with the limits and the normal distribution of their mean and standard deviation."""
-    fig = figure(locale, height, bargap=0.05)
+    title = f"{_(quantity.title)}, {quantity.unit} (" + _("dashed: limits") + ")"
+    fig = figure(
+        locale, height, bargap=0.05, shapes=limit_lines(limit, "x"),
+        xaxis={"title": {"text": title}}, yaxis={"title": {"text": _("how many")}},
+    )  # fmt: skip
     fig.add_bar(
         x=values.centres,
         y=values.counts,
@@ -175,9 +194,6 @@ def histogram(values: Spread, quantity: Quantity, limit: Limit | None, locale: L
             name=_("normal distribution"),
             hoverinfo="skip",
         )
-    add_shapes(fig, limit_lines(limit, "x"))
-    fig.update_xaxes(title=f"{_(quantity.title)}, {quantity.unit} (" + _("dashed: limits") + ")")
-    fig.update_yaxes(title=_("how many"))
     return fig
 
 
@@ -203,6 +219,7 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
     )
     fig.update_layout(
         yaxis2={
+            "automargin": True,
             "overlaying": "y",
             "side": "right",
             "range": [0, 1.02],
@@ -213,7 +230,7 @@ def pareto_figure(bars: Sequence[ParetoBar], locale: Locale, height: int = 300) 
             "dtick": 0.2,
         }
     )
-    fig.update_xaxes(type="category", tickangle=-60 if len(bars) > _MOST_LEVEL else 0)
+    fig.update_xaxes(**NAMES, tickangle=-60 if len(bars) > _MOST_LEVEL else 0)
     fig.update_yaxes(title=_("findings outside"), selector={"title": {"text": None}, "overlaying": None})
     return fig
 
@@ -238,14 +255,15 @@ def yield_figure(yields: Sequence[Yield], locale: Locale, height: int = 300) -> 
         hovertemplate="%{x}: %{y:.1%} (%{customdata[0]} / %{customdata[1]})<extra></extra>",
         name=_("passed at once"),
     )
-    fig.update_xaxes(type="category", tickangle=-60 if len(yields) > _MOST_LEVEL else 0)
+    fig.update_xaxes(**NAMES, tickangle=-60 if len(yields) > _MOST_LEVEL else 0)
     fig.update_yaxes(title=_("first-pass yield"), range=[0, 1.02], tickformat=".0%")
     return fig
 
 
 def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: Locale, height: int = 380) -> go.Figure:
     """Features at their places on the panel, coloured by mean or share outside; each carries its station and name."""
-    fig = figure(locale, height, clickmode="event+select")
+    in_mm = bool(rows.attrs.get("registered"))
+    fig = figure(locale, height, margin=MARGINS if in_mm else BARE, clickmode="event+select")
     outside = measure == "outside"
     limit = float(np.nanpercentile(np.abs(rows["mean"]), 98)) if rows["mean"].notna().any() else 1.0
     text = [
@@ -294,7 +312,6 @@ def layout_figure(rows: pd.DataFrame, measure: str, quantity: Quantity, locale: 
         x=named["x"], y=named["y"], mode="text", text=[f"{escape(name)}<br> " for name in named["named"]],
         textposition="top center", textfont={"size": 10, "color": INK}, hoverinfo="skip", showlegend=False,
     )  # fmt: skip
-    in_mm = bool(rows.attrs.get("registered"))
     fig.update_xaxes(visible=in_mm, title="x, mm", showgrid=False, constrain="domain")
     fig.update_yaxes(visible=in_mm, title="y, mm", showgrid=False, scaleanchor="x")
     return fig

@@ -47,7 +47,7 @@ from metrology.kinds import BY_NAME, KINDS
 from metrology.results import PanelKey
 from storage.report import panel_report
 from storage.review import Entry, Feature
-from storage.review_details import PANEL_RELEASED, remarks
+from storage.review_details import PANEL_RELEASED, PANEL_RELEASED_ONE, remarks
 from storage.wording import capital
 
 TITLE = N_("Panel")
@@ -241,7 +241,8 @@ def _sign(context: PageContext, scenes: Sequence[Any], aircraft: str, panel: str
         return
     ask_who(context, _NAME_PX)
     name = f"{aircraft} {panel}"
-    meaning = PANEL_RELEASED.format(panel=name, n=len(scenes), verdict=verdict)
+    released = PANEL_RELEASED_ONE if len(scenes) == 1 else PANEL_RELEASED
+    meaning = released.format(panel=name, n=len(scenes), verdict=verdict)
     offer_sign_off_of(context, scenes, _("panel {name}", name=plain(name)), meaning)
 
 

@@ -12,13 +12,12 @@ import streamlit as st
 
 from dashboard.address import one_of, put, some_of
 from dashboard.deciding import ask_who, decide, say_outcome, say_signed
-from dashboard.filters import scene_filters
+from dashboard.filters import odd_serials, scene_filters
 from dashboard.findings import (
     OPEN,
     STATES,
     Wanted,
     feature_from_parameter,
-    feature_of,
     feature_parameter,
     feature_words,
     findings,
@@ -28,7 +27,7 @@ from dashboard.findings import (
 from dashboard.frame import PageContext, link, plain
 from dashboard.keys import keep_order
 from dashboard.locale import NOTHING
-from dashboard.margins import with_margins
+from dashboard.margins import about_the_verdict, mixed, with_margins
 from dashboard.marking import offer_mark_false, offer_taking_back
 from dashboard.palette import OPEN_DECISIONS, decision_words
 from dashboard.picking import clicked_row
@@ -36,6 +35,7 @@ from dashboard.review_report import csv_report, html_report
 from dashboard.room import room
 from dashboard.scenes import find_feature, load_features, load_scene_row, surroundings
 from dashboard.signing import offer_sign_off
+from dashboard.suggestions import suggest_comments
 from dashboard.tables import fitting, styled_table
 from dashboard.views.feature import HOW_DECIDED, close_up
 from dashboard.words import N_, _, language
@@ -64,6 +64,7 @@ def _columns() -> dict[str, str]:
         "panel": _("Panel"),
         "station": _("Station"),
         "feature_id": _("Feature"),
+        "quantity": _("Quantity"),
         "value_mm": _("Value, mm"),
         "u95_mm": _("± U95"),
         "margin": _("To limit"),
@@ -81,7 +82,10 @@ def render(context: PageContext) -> None:
     rows = findings(context.archive, wanted)
     if len(rows):
         rows = _sorted(with_margins(context.archive, rows), order)
-    names = [(str(row.scene_id), feature_of(row)) for row in rows.itertuples()]
+    names = [
+        (str(scene), Feature(kind, str(name)))
+        for scene, kind, name in zip(rows["scene_id"], rows["feature_kind"], rows["feature_id"], strict=True)
+    ]
     at = _standing(context, names, wanted)
     if at is None:
         say_outcome(context, at)
@@ -95,6 +99,7 @@ def render(context: PageContext) -> None:
         if ticked:
             _several(context, ticked)
         _one(context, names, at, alone=not ticked)
+    suggest_comments(context.archive.review())  # what has nothing to show has a gap of its own: at the end
     keep_order()
 
 
@@ -215,8 +220,11 @@ def _list(
 ) -> list[Name]:
     """The findings; a click looks at one. Returns those that are ticked."""
     _exports(context, rows, int(rows["total"].iloc[0]), without)
-    columns = {name: title for name, title in _columns().items() if name != "disposition" or rows[name].notna().any()}
-    shown = rows.copy()
+    shown = about_the_verdict(rows)
+    left_out = {"quantity": not mixed(rows), "disposition": rows["disposition"].isna().all()}
+    columns = {name: title for name, title in _columns().items() if not left_out.get(name)}
+    if mixed(rows):
+        columns["value_mm"] = _("Value")
     # Which row is looked at is said in words: a mark of Streamlit's own would go with the row's number.
     shown["feature_id"] = [f"▸ {name[1].id}" if name == at else name[1].id for name in names]
     styled, config = styled_table(shown, columns, context.locale)
@@ -269,6 +277,16 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int, without: Sequ
         if without:
             found += " · " + _("without {names}", names=plain(", ".join(without)))
         st.caption(found, help=_("Click a row to look at it; tick several to decide on them at once."))
+        if not context.settings.not_aircraft and (odd := odd_serials(context.archive)):
+            st.caption(
+                _("{names}: gauges?", names=plain(", ".join(odd))),
+                help=_(
+                    "These serial numbers begin otherwise than most. If they are gauges or standard parts, name them "
+                    "in the settings (dashboard.toml in the store): `not_aircraft = [{names}]`. Overview, review and "
+                    "yield then leave them out.",
+                    names=", ".join(f'"{name}"' for name in odd),
+                ),
+            )
 
 
 def _several(context: PageContext, ticked: Sequence[Name]) -> None:

@@ -103,9 +103,12 @@ def _take_over(name: str | None, sql: str) -> None:
 def _text(known: dict[str, str], name: str) -> str:
     """The query's field: what the address holds, what was chosen, or what was typed before."""
     held = st.query_params.get("sql")
+    opened = _NAME not in st.session_state
     if st.session_state.get(_NAME) != name:
         st.session_state[_NAME] = name
         st.session_state[_TEXT] = held or known.get(name, "")
+        # Who follows a link to a query that has a name asks it; choosing another one here does not.
+        st.session_state[_RUN] = opened and not held and st.query_params.get("query") == name
     elif held and _TEXT not in st.session_state:
         st.session_state[_TEXT] = held
     st.session_state["sql"] = st.session_state.get(_TEXT, "")

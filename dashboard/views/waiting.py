@@ -9,7 +9,7 @@ import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from dashboard.data import NOTICED
+from dashboard.data import NOTICED, Archive
 from dashboard.figures.overview import decision_bar, panel_matrix
 from dashboard.filters import newest_scan, scene_filters
 from dashboard.findings import Selection
@@ -40,7 +40,7 @@ def where_work_waits(context: PageContext, beside: DeltaGenerator) -> None:
         Left free.
     """
     selection = replace(scene_filters(context.archive), without=context.settings.not_aircraft)
-    panels = panel_states(context, selection)
+    panels = panel_states(context.archive, selection)
     if panels.empty:
         st.info(_("No scan matches these filters. Clear one of them to see more."))
         return
@@ -52,7 +52,7 @@ def where_work_waits(context: PageContext, beside: DeltaGenerator) -> None:
         _matrix(context.locale, panels)
 
 
-def panel_states(context: PageContext, selection: Selection) -> pd.DataFrame:
+def panel_states(archive: Archive, selection: Selection) -> pd.DataFrame:
     """One row per panel of each aircraft, from the newest scan of each station; the most work first."""
     condition, selected = selection.where()
     features = " + ".join(f"coalesce({_counted_as(kind)}, 0)" for kind in KINDS)
@@ -85,7 +85,7 @@ SELECT aircraft_serial, panel, {_counted("waiting", "open_work", *_COLUMNS.value
 FROM panels LEFT JOIN per_panel USING (aircraft_serial, panel)
 ORDER BY waiting DESC, fail DESC, last_scan DESC, aircraft_serial, panel
 """
-    return context.archive.rows_with_review(sql, selected * 4)
+    return archive.rows_with_review(sql, selected * 4)
 
 
 def _counted_as(kind: Kind) -> str:

@@ -87,7 +87,7 @@ def _changed(
 ) -> ChangeRow:  # fmt: skip
     """A finding of the newer assembly."""
     kind = BY_NAME[finding.feature_kind]
-    worst, then = _worst(kind, rows, spec), _worst(kind, before, spec, finding.quantity)
+    worst, then = (_worst(kind, part, spec, finding.quantity) for part in (rows, before))
     was_one = any(row.decision not in IN_ORDER for row in before)
     change: Change = _compared(kind, finding, worst, then, before) if was_one else "new"
     seen = before or (finding.x_panel_mm is not None and shown(frame, finding.x_panel_mm, finding.y_panel_mm or 0.0))

@@ -89,7 +89,7 @@ class FindingRow:
 
     feature_kind: Annotated[str, "kind of the feature"]
     feature_id: Annotated[str, "its name; of a stretch: COURSE@FROM-TO"]
-    quantity: Annotated[str, "what is beyond its limits; of a single feature the one that findings are sorted by"]
+    quantity: Annotated[str, "what the decision is about; the first of its kind where no limit decided"]
     value: Annotated[float | None, "of the feature, or the worst of the stretch"]
     value_u95: Annotated[float | None, "expanded uncertainty (95 %) of value"]
     from_mm: Annotated[float | None, "where the stretch begins along the course, mm"]

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 from metrology.acceptance import PanelVerdict, judge_rules, panel_verdict, unruled
 from metrology.assembly.rows import FindingRow, RuleRow
-from metrology.kinds import BY_NAME, Kind
+from metrology.kinds import BY_NAME, Kind, Quantity
 from metrology.limits import PanelSpec
 from metrology.panel import PanelLayout
 from metrology.results import Feature
 from metrology.rules import Rule
 from metrology.stretches import Stretch, stretches
+from metrology.tolerance import decisive
 from metrology.verdicts import IN_ORDER
 
 
@@ -63,15 +64,15 @@ def findings(features: Mapping[str, Sequence[Feature]], spec: PanelSpec) -> list
 def _of_kind(kind: Kind, rows: Sequence[Feature], spec: PanelSpec) -> list[FindingRow]:
     if kind.is_course:
         return [_of_stretch(each) for each in stretches(kind, rows, spec)]  # type: ignore[arg-type]
-    first = kind.quantities[0]
-    return [
-        FindingRow(
-            kind.name, kind.id_of(row), first.name, getattr(row, first.column), getattr(row, first.u95_column), None,
-            None, None, row.x_panel_mm, row.y_panel_mm, row.z_panel_mm, row.severity, row.decision, row.reason,
-        )
-        for row in rows
-        if row.decision not in IN_ORDER
-    ]  # fmt: skip
+    return [_of_single(kind, row, decisive(kind, row, spec)) for row in rows if row.decision not in IN_ORDER]
+
+
+def _of_single(kind: Kind, row: Feature, decided: Quantity | None) -> FindingRow:
+    shown = decided or kind.quantities[0]
+    return FindingRow(
+        kind.name, kind.id_of(row), shown.name, getattr(row, shown.column), getattr(row, shown.u95_column), None, None,
+        None, row.x_panel_mm, row.y_panel_mm, row.z_panel_mm, row.severity, row.decision, row.reason,
+    )  # fmt: skip
 
 
 def _of_stretch(found: Stretch) -> FindingRow:

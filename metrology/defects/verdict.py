@@ -21,7 +21,7 @@ def defect_finding(defect: Defect) -> Verdict | None:
 
 
 def unlimited_defect(defect: Defect) -> Verdict | None:
-    """A defect that no limit of its zone judges: somebody must decide."""
+    """A defect that no limit of its zone judges: somebody must decide. Outside of nothing, it has no severity."""
     if defect.depth_mm is None:
         return None
-    return Verdict("blue", "conditional fail", f"{defect.kind} without a limit that judges it: to be decided")
+    return Verdict(None, "conditional fail", f"{defect.kind} without a limit that judges it: to be decided")

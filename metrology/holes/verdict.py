@@ -29,4 +29,4 @@ def unexpected_hole(hole: Hole) -> Verdict | None:
     """An open hole that no zone's `hole_diameter_mm` asks for: somebody must say what belongs there."""
     if hole.kind != "open hole" or hole.diameter_mm is None:
         return None
-    return Verdict("blue", "conditional fail", f"open hole of {hole.diameter_mm:.1f} mm where no limit asks for one")
+    return Verdict(None, "conditional fail", f"open hole of {hole.diameter_mm:.1f} mm where no limit asks for one")

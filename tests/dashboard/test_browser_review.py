@@ -14,7 +14,7 @@ from metrology.results import SceneKey
 from storage.archive.store import Store
 from storage.archive.work import standings
 from storage.review import Entry, Feature, ReviewLog, ShownFinding
-from tests.support.browser import choose, click_row, entries_of, new_page, record, settle, wait
+from tests.support.browser import SMALL, choose, click_row, entries_of, new_page, record, settle, wait
 from tests.support.synthetic_scene import Recipe, synthetic_result
 from tests.support.week import BEFORE, recipe
 
@@ -238,8 +238,20 @@ def test_findings_are_decided_by_keys_alone(server: tuple[str, Path], chromium: 
     rework, scrap = entries_of(root, own.aircraft_serial)
     assert (rework.disposition, words(rework)) == ("rework", first.split(" (")[0])
     assert (scrap.disposition, words(scrap)) == ("scrap", second.split(" (")[0])
-    # Enter on a button opens that, and records nothing.
+    # A key that is pressed again chooses the same; Escape takes it back.
     settle(page)
+    for key in ("u", "u"):
+        page.keyboard.press(key)
+    page.get_by_role("button", name="Record use as is for").wait_for()
+    settle(page)
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Record for").wait_for()
+    # All of it is on the screen of a laptop, without scrolling.
+    settle(page)
+    box = page.get_by_role("button", name="Sign off MSN-0403 LH-F12 S9 …").bounding_box()
+    assert box["y"] + box["height"] <= SMALL[1] - 8
+    assert page.evaluate("document.querySelector('[data-testid=stMain]').scrollTop") == 0
+    # Enter on a button opens that, and records nothing.
     page.keyboard.press("u")
     page.get_by_role("button", name="Record use as is for").wait_for()
     page.get_by_role("button", name="Export").focus()

@@ -7,7 +7,7 @@ import re
 import tarfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +22,22 @@ from dashboard.comparing import differences
 from dashboard.data import Archive
 from dashboard.findings import Selection, Wanted, findings
 from dashboard.first_pass import Yield, first_pass
+from dashboard.frame import plain
+from dashboard.locale import Locale
 from dashboard.questions import MORE, QUESTIONS
+from dashboard.review_report import html_report
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.sql_runner import run_query
 from dashboard.trends import PARETO, QUANTITIES, Subject, outside_by, series
 from metrology.kinds import HOLE, RIVET
-from metrology.results import Hole
+from metrology.results import Hole, SceneKey
 from metrology.tolerance import judge
 from storage.archive.schema import TABLES
 from storage.archive.store import Store
 from storage.archive.views import VIEWS
 from storage.panel_spec import load_panel_spec
 from storage.review import Feature, ReviewLog, ShownFinding, ShownScene
-from tests.support.synthetic_scene import synthetic_result
+from tests.support.synthetic_scene import Recipe, synthetic_result
 from tests.support.week import AIRCRAFT, WORST_HEIGHT, recipe, texts
 
 DATA = Path(__file__).resolve().parent.parent / "data"
@@ -283,6 +286,57 @@ def test_the_review_lists_no_gauges(writable: Path, open_page: Open) -> None:
     assert any(c.value.startswith(f"{found.sum() - found[gauge]} findings · without") for c in page.caption)
     chosen = clean(open_page("review", writable, aircraft=gauge)).dataframe[0].value
     assert set(chosen["Aircraft"]) == {gauge}
+
+
+def test_what_may_be_a_gauge_is_said_where_the_settings_name_none(writable: Path, open_page: Open) -> None:
+    def hints() -> list[str]:
+        return [c.value for c in clean(open_page("review", writable)).caption if "gauges?" in c.value]
+
+    assert hints() == []
+    key = SceneKey("STD-0001", "standard-part", "S1", datetime(2026, 11, 19, 9, tzinfo=UTC))
+    Store(writable).publish(synthetic_result(Recipe(key, heights_mm=(0.5, *[0.0] * 11))))
+    assert hints() == [r"STD\-\*: gauges?"]
+    (writable / "dashboard.toml").write_text('not_aircraft = ["STD-*"]\n')
+    assert hints() == []
+
+
+def test_a_finding_is_listed_with_what_its_verdict_is_about(writable: Path, open_page: Open) -> None:
+    key = SceneKey("MSN-0499", "LH-F12", "S1", datetime(2026, 11, 19, 9, tzinfo=UTC))
+    Store(writable).publish(synthetic_result(Recipe(key, heights_mm=(0.3, *[0.0] * 11), tilt_deg=1.4)))
+    rows = clean(open_page("review", writable, aircraft="MSN-0499", kind="rivet")).dataframe[0].value
+    tilted = rows[rows["Quantity"] == "tilt"]
+    assert len(tilted) >= 11
+    assert tilted["Value"].between(1.2, 1.6).all()
+    assert (tilted["Value"] + tilted["To limit"]).round(6).eq(1.0).all()  # the example limits' tilt
+    archive = Archive(writable)
+    found = findings(archive, Wanted(selection=Selection(aircraft=("MSN-0499",))))
+    page = html_report(found, archive, Locale(), "Hall 7", "en").decode()
+    assert re.search(r"tilt \+1\.[2-6]\d* °", page)
+    # All the others are about what their kind is listed by: no column more.
+    assert "Quantity" not in clean(open_page("review", writable, aircraft="MSN-0425")).dataframe[0].value
+
+
+def test_a_disposition_stays_chosen_until_it_is_taken_back(filled: Path, open_page: Open) -> None:
+    def pressed(page: AppTest, label: str) -> AppTest:
+        return clean(next(b for b in page.button if b.label == label).click().run())
+
+    def offered(page: AppTest) -> str:
+        return next(b.label for b in page.button if str(b.key).startswith("record-"))
+
+    page = clean(open_page("review", filled))
+    for __ in range(2):
+        page = pressed(page, "rework")
+        assert offered(page).startswith("Record *rework*")
+    assert offered(pressed(page, "✕")).startswith("Record for")
+    assert offered(pressed(pressed(page, "rework"), "scrap")).startswith("Record *scrap*")
+
+
+def test_a_signature_counts_scans_as_one_says_it(writable: Path, open_page: Open) -> None:
+    key = SceneKey("MSN-0498", "LH-F12", "S1", datetime(2026, 11, 19, 9, tzinfo=UTC))
+    Store(writable).publish(synthetic_result(Recipe(key, heights_mm=(0.0,) * 12, step_mm=0.01)))
+    said = texts(clean(open_page("panel", writable, aircraft="MSN-0498", panel="LH-F12")))
+    assert plain("released with 1 scan; verdict") in said
+    assert "1 scans" not in said
 
 
 def test_the_worst_of_a_panel_is_a_height_or_a_step_and_no_diameter(writable: Path, open_page: Open) -> None:
@@ -784,6 +838,16 @@ def test_a_question_is_answered_by_one_click_and_kept(filled: Path, open_page: O
     assert next(b for b in page.button if str(b.key).startswith("asked-0")).label.startswith("SELECT")
     page.toggle(key="sql_chart").set_value(True)
     clean(page.run())
+
+
+def test_a_link_to_a_question_asks_it(filled: Path, open_page: Open) -> None:
+    page = clean(open_page("sql", filled, query="Recurring at the same place"))
+    assert list(page.dataframe[0].value["rivet_id"]) == ["R09", "R09"]
+    # Choosing another one here does not, and neither does a text that somebody wrote.
+    page.selectbox(key="query").set_value("By operator")
+    assert list(clean(page.run()).dataframe[0].value["rivet_id"]) == ["R09", "R09"]
+    assert not clean(open_page("sql", filled, sql="SELECT 7 AS seven")).dataframe
+    assert not clean(open_page("sql", filled)).dataframe
 
 
 def test_an_address_holds_a_query(filled: Path, open_page: Open) -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
+from base64 import b64decode
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -22,6 +26,7 @@ from dashboard.figures.panel import panel_figure
 from dashboard.figures.seam import seam_course_figure
 from dashboard.locale import locale_of
 from dashboard.panels import PanelPicture, in_scan, load_panel, stitched_pictures
+from dashboard.pictures import shrunk
 from dashboard.same_place import at_same_place, named, scans_of_place
 from dashboard.scenes import load_features, load_scene_row
 from dashboard.seam_course import seam_course, seam_names
@@ -63,7 +68,15 @@ def test_the_picture_lies_under_the_features(nights: Path) -> None:
     picture = stitched_pictures(archive, view)[1]
     figure = panel_figure(view, None, locale_of(None, None), picture)
     [image] = figure.layout.images
-    assert image.source.startswith("data:image/webp;base64,")
+    kind, __, drawing = image.source.partition(",")
+    assert kind == "data:image/svg+xml"
+    svg = ElementTree.fromstring(unquote(drawing))
+    mask, grey = (_decoded(each) for each in svg.iter("{http://www.w3.org/2000/svg}image"))
+    # Transparent where nothing was seen, and grey as stored elsewhere.
+    seen = cv2.resize(picture.stitched.seen.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_AREA) > 0
+    assert np.array_equal(mask > 0, seen)
+    stored = shrunk(picture.stitched.grey, grey.shape[1])
+    assert np.abs(grey[seen].astype(int) - stored[seen]).mean() < 3
     assert len(image.source) < 1_000_000
     heads = view.features["rivet"]
     assert image.x < heads["u_px"].min() < heads["u_px"].max() < image.x + image.sizex
@@ -71,6 +84,12 @@ def test_the_picture_lies_under_the_features(nights: Path) -> None:
     (left, right), (lower, upper) = figure.layout.xaxis.range, figure.layout.yaxis.range
     assert left <= image.x < image.x + image.sizex <= right
     assert upper <= image.y < image.y + image.sizey <= lower
+
+
+def _decoded(image: ElementTree.Element) -> np.ndarray:
+    """The grey levels of a picture within an SVG."""
+    content = np.frombuffer(b64decode(image.attrib["href"].partition(",")[2]), np.uint8)
+    return np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))
 
 
 def test_the_map_of_deviations_is_small_enough_for_a_page(nights: Path) -> None:

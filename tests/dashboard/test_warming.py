@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
-import streamlit as st
+from starlette.applications import Starlette
+from starlette.datastructures import Headers
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
+from starlette.routing import Route
 
 from dashboard import data
 from dashboard.data import NOTICED, Archive
 from dashboard.findings import PERIODS, Wanted, findings
-from dashboard.loading_ahead import load_ahead
+from dashboard.first_files import FirstFiles
+from dashboard.loading_ahead import script
 from dashboard.warming import OFF_VARIABLE, read_ahead
 from metrology.kinds import KINDS
 from storage.archive.work import findings_sql, noticed_sql, register
@@ -58,11 +67,44 @@ def test_findings_are_the_same_from_what_was_noticed(filled: Path) -> None:
 
 def test_what_the_browser_loads_ahead_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another version of Streamlit may call its files otherwise: then pages show their first chart later."""
-    said: list[str] = []
-    monkeypatch.setattr(st, "html", lambda text, **_options: said.append(text))
-    load_ahead()
-    assert "DataFrame." in said[0]
-    assert "PlotlyChart." in said[0]
+    assert "DataFrame." in script()
+    assert "PlotlyChart." in script()
     monkeypatch.setenv(OFF_VARIABLE, "1")
-    load_ahead()
-    assert len(said) == 1
+    assert script() == ""
+
+
+def test_a_browser_gets_the_page_with_our_links_and_scripts() -> None:
+    """A browser takes compressed answers, and into these nothing can be written."""
+
+    async def streamlit_page(request: Request) -> HTMLResponse:
+        return HTMLResponse("<html><head></head><body><div id='root'></div></body></html>" + " " * 2000)
+
+    app = Starlette(
+        routes=[Route("/sql", streamlit_page)],
+        middleware=[Middleware(FirstFiles), Middleware(GZipMiddleware)],
+    )
+    asked = {"accept": "text/html,application/xhtml+xml", "accept-encoding": "gzip, deflate, br"}
+    headers, page = _got(app, "/sql", asked)
+    assert "content-encoding" not in headers
+    assert int(headers["content-length"]) == len(page)
+    text = page.decode()
+    assert text.index("modulepreload") < text.index("<body>")
+    assert text.index("id='root'") < text.index(".stMainBlockContainer") < text.index("</body>")
+
+
+def _got(app: Starlette, path: str, asked: dict[str, str]) -> tuple[Headers, bytes]:
+    """Headers and body of an answer."""
+    sent: list[Any] = []
+    scope = {
+        "type": "http", "method": "GET", "path": path, "raw_path": path.encode(), "root_path": "", "query_string": b"",
+        "headers": [(name.encode(), value.encode()) for name, value in asked.items()],
+    }  # fmt: skip
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    asyncio.run(app(scope, receive, send))
+    return Headers(raw=sent[0]["headers"]), b"".join(message.get("body", b"") for message in sent[1:])

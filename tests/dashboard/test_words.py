@@ -170,6 +170,10 @@ def test_reasons_are_worded_clause_by_clause(stored: str, english: str, german: 
             "Paneel MSN-1 LH-F12 freigegeben, Scans: 2; Urteil: bedingt angenommen (näher als U95 an einer Grenze: "
             "R04)",
         ),
+        (
+            "panel MSN-1 LH-F12 released with 1 scan; verdict not put together",
+            "Paneel MSN-1 LH-F12 freigegeben, Scans: 1; Urteil: nicht zusammengesetzt",
+        ),
         ("edges of M1@8.5 and R04", "edges of M1 bei 8,5 mm and R04"),
         ("3 % of the pixels are saturated", "3 % of the pixels are saturated"),
         (

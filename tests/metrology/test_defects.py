@@ -258,7 +258,7 @@ def test_limits_judge_depth_ratio_and_distance(rng: np.random.Generator) -> None
     # No fastener in view, so that this limit says nothing of it: an inspector must not miss it for that.
     assert decision(defect_fastener_distance_mm=Limit(lower=10.0)) == "conditional fail"
     unlimited = judged()
-    assert unlimited.severity == "blue"
+    assert unlimited.severity is None  # outside of nothing: drawn as what has no limit
     assert unlimited.reason == "dent without a limit that judges it: to be decided"
     assert as_measured(DEFECT, unlimited) == found
 

@@ -302,6 +302,7 @@ def test_an_open_hole_is_a_finding_unless_a_limit_asks_for_it() -> None:
                 diameter_u95_mm=0.06)  # fmt: skip
     (found,) = judge(HOLE, [hole], PanelSpec("P", "A"))
     assert (found.decision, found.reason) == ("conditional fail", "open hole of 8.0 mm where no limit asks for one")
+    assert found.severity is None  # outside of nothing: drawn as what has no limit
     asked = PanelSpec("P", "A", {"default": {"hole_diameter_mm": Limit(lower=7.9, upper=8.2)}})
     assert judge(HOLE, [hole], asked)[0].decision == "pass"
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metrology.assembly.verdict import findings
 from metrology.errors import SpecError
 from metrology.kinds import RIVET, SEAM_STATION
 from metrology.results import Rivet, SeamStation
-from metrology.tolerance import Limit, PanelSpec, judge
+from metrology.tolerance import Limit, PanelSpec, decisive, judge
 from tests.support.rows import rivet_at, station_at
 
 LIMIT = Limit(lower=-0.1, upper=0.1, serious_lower=-0.2, serious_upper=0.2, source="DS-1", revision="B")
@@ -49,6 +50,32 @@ def test_not_measured_is_never_a_pass_and_never_hides_a_failure() -> None:
     assert (missing.severity, missing.decision) == (None, "not measured")
     failing = judge(RIVET, [rivet(None, tilt=0.9)], spec)[0]
     assert (failing.severity, failing.decision) == ("blue", "fail")
+
+
+@pytest.mark.parametrize(
+    ("height", "tilt", "about"),
+    [
+        (0.05, 0.9, "tilt"),
+        (0.05, 0.49, "tilt"),
+        (0.3, 0.1, "height"),
+        (0.095, 0.9, "tilt"),  # the height is doubtful, the tilt is out
+        (0.3, 0.505, "height"),
+        (0.3, 5.0, "tilt"),  # both are out, the tilt by more of its limit
+        (None, 0.1, "height"),
+    ],
+)
+def test_a_verdict_is_about_the_quantity_that_decided(height: float | None, tilt: float, about: str) -> None:
+    spec = PanelSpec("P", "1", {"default": {"height_mm": LIMIT, "tilt_deg": Limit(upper=0.5)}})
+    judged = judge(RIVET, [rivet(height, tilt=tilt)], spec)[0]
+    decided = decisive(RIVET, judged, spec)
+    assert decided is not None
+    assert decided.name == about
+    [finding] = findings({RIVET.name: [judged]}, spec)
+    assert finding.quantity == about
+    assert finding.value == (tilt if about == "tilt" else height)
+    # What no limit decided is about none of them, and listed by the first.
+    assert decisive(RIVET, replace(judged, decision="unconfirmed"), spec) is None
+    assert findings({RIVET.name: [replace(judged, decision="unconfirmed")]}, spec)[0].quantity == "height"
 
 
 def test_without_limits_nothing_is_judged() -> None:
