@@ -18,6 +18,7 @@ from metrology.rivets.shapes import SHAPE_TOLERANCE, CircleShapes, log_shape, sh
 from metrology.rivets.suspects import ANY_SHAPE, KNOWN_SHAPE, STRONG, Evidence, Traces, levels_for, suspects, trace
 
 _SHADOW = 1.6  # radii about a clear ring's centre in which no other rim is looked for
+_WHOLE = 0.85  # of a ring's sectors in which it shows: nothing of it is missing
 _APART = 0.85  # of the sum of two rings' radii, at least, between their centres
 _FAINT = 40.0  # quality of usual rings, below which arcs of smaller and partial ones are lost in the grain
 _CLEAR = 2.0  # ridges of this many times the least strength are of clear rings
@@ -50,7 +51,7 @@ class Ring:
     @property
     def confident(self) -> bool:
         """Complete and clear: needs no confirmation."""
-        return self.fit.coverage > 0.85 and self.quality > 10
+        return self.fit.coverage > _WHOLE and self.quality > 10
 
 
 def detect_ellipses(
@@ -193,6 +194,10 @@ def _verified(
         fit = _fitted(image, Ellipse.of(near), shape, limits, settings)
     if fit is None:
         return None
+    if fit.coverage < _WHOLE:
+        # From a start far off, the part of a ring that was seen first may hold the fit beside the rest.
+        again = _fitted(image, fit.ellipse, shape, limits, settings)
+        fit = max([fit, again], key=lambda one: one.coverage) if again else fit
     if shape is None and fit.coverage < settings.min_coverage_alone:
         return None
     if shape is not None and np.linalg.norm(log_shape(fit.ellipse) - log_shape(start)) > SHAPE_TOLERANCE:

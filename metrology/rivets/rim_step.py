@@ -6,6 +6,8 @@ Skin and inside are fitted together, in 1/z, in which a plane is linear over the
 
 q is a quadric, ℓ the radius relative to the ring's own, x and y run from −1 to 1 across it. c_0 … c_2 are the step at
 the ring itself, c_3 is a head's dome: a bowl or bump that crosses the ring smoothly has no step, whatever its depth.
+Of a small ring few pixels are clear of it, and they hardly tell c_0 from c_3. Whether it steps at all is asked with a
+prior of c_3: by how much inside and outside are bent differently grows with the ring's area.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ _FEWEST = 40
 _RECESS = 5.0  # standard deviations by which the step told by all of the inside departs from that told beside the rim
 _CORRELATED = 4.0  # pixels of a cloud that are worth one: matching correlates neighbours
 _WAVES_MM = 0.004  # of the skin that no quadric follows
+_BENT_MM = 100.0  # radius of curvature: standard deviation of the inside's bend against the skin's, the prior of c_3
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class RimStep:
     rise_mm: float
     """By how much that differs from the mean where it differs most: a tilt."""
     significance: float
-    """Length of both over their standard deviation (χ of three components): above 3.4 in one flat ring of a hundred."""
+    """Length of both over their standard deviation (χ of three components), where the inside is bent no more than the
+    prior has it: above 3.4 in one flat ring of a hundred."""
     mean_significance: float
     """Size of the mean alone over its standard deviation."""
 
@@ -79,15 +83,22 @@ def rim_step(reconstruction: Reconstruction, ellipse: Ellipse) -> RimStep | None
             solved = at_rim
     if solved is None:
         return None
-    solution, covariance = solved
-    spread = covariance[:3, :3] * max(1.0, _CORRELATED / min(thinned)) + _WAVES_MM**2 * np.eye(3)
-    step = solution[:3]
+    solution, covariance = solved[0][:4], solved[1][:4, :4] * max(1.0, _CORRELATED / min(thinned))
+    waves = _WAVES_MM**2 * np.eye(3)
+    radius_mm = ellipse.radius * middle / reconstruction.rig.left.K[0, 0]
+    step, spread = _with_prior(solution, covariance, radius_mm**2 / (2 * _BENT_MM))
     return RimStep(
-        mean_mm=float(step[0]),
-        rise_mm=float(np.hypot(step[1], step[2])),
-        significance=float(np.sqrt(step @ np.linalg.solve(spread, step))),
-        mean_significance=float(abs(step[0]) / np.sqrt(spread[0, 0])),
+        mean_mm=float(solution[0]),
+        rise_mm=float(np.hypot(solution[1], solution[2])),
+        significance=float(np.sqrt(step @ np.linalg.solve(spread + waves, step))),
+        mean_significance=float(abs(solution[0]) / np.sqrt(covariance[0, 0] + _WAVES_MM**2)),
     )
+
+
+def _with_prior(solution: Array, covariance: Array, dome_sd: float) -> tuple[Array, Array]:
+    """The step and its covariance where the dome is 0 but for a standard deviation."""
+    gain = covariance[:3, 3] / (covariance[3, 3] + dome_sd**2)
+    return solution[:3] - gain * solution[3], covariance[:3, :3] - np.outer(gain, covariance[3, :3])
 
 
 def _thinned(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:

@@ -172,13 +172,25 @@ def test_a_dent_does_not_step_at_any_ring_and_a_head_does(rng: np.random.Generat
     skin = Skin()
     dent = dented(scan(skin, (), rng), skin, 0.0, 0.0, 0.25, 18.0)
     u, v = dent.rig.left.project(skin.frame.rig([0.0, 0.0, 0.0]))
-    for radius in (15.0, 22.0, 29.0):
+    for radius in (9.0, 15.0, 22.0, 29.0):
         step = rim_step(dent, Ellipse(u, v, radius, radius, 0.0))
-        assert abs(step.mean_mm) < 0.015
+        assert abs(step.mean_mm) < 0.015 * max(1, 15 / radius)
+        assert step.significance < 3
     head = scan(skin, (Head(0, 0, height=-0.058),), rng)
     step = rim_step(head, Ellipse(u, v, 20.0, 19.7, 0.0))
     assert step.mean_mm == pytest.approx(-0.058, abs=0.008)
     assert step.significance > 5
+
+
+def test_a_head_of_few_pixels_steps(rng: np.random.Generator) -> None:
+    skin = Skin(sigma_z=0.03)
+    u, v = (float(place) for place in scan(skin, (), rng).rig.left.project(skin.frame.rig([0.0, 0.0, 0.0])))
+    for height in (0.1, -0.1):
+        step = rim_step(scan(skin, (Head(0, 0, 3.2, height),), rng), Ellipse(u, v, 8.0, 7.9, 0.0))
+        assert step.mean_mm == pytest.approx(height, abs=0.15)
+        assert step.significance > 3
+    flat = rim_step(scan(skin, (), rng), Ellipse(u, v, 8.0, 7.9, 0.0))
+    assert flat.significance < 3
 
 
 def test_a_recess_that_fills_most_of_a_head_does_not_turn_its_step(rng: np.random.Generator) -> None:

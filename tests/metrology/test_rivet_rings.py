@@ -10,6 +10,7 @@ from metrology.errors import UsageError
 from metrology.rivets import RivetSettings, detect_ellipses
 from metrology.rivets.alike import _quarters, _ring_sums, rings_alike
 from metrology.rivets.ellipse import Ellipse, ellipse_of_shape
+from metrology.rivets.ellipse_detection import _verified
 from metrology.rivets.ring import fit_ring
 from metrology.rivets.shapes import CircleShapes, log_shape, shapes_of
 from tests.support.painted_texture import paint_texture
@@ -114,6 +115,21 @@ def test_a_glint_on_a_slope_of_light_hides_no_rim(rng: np.random.Generator) -> N
     ring = fit_ring(np.clip(image, 0, 255).astype(np.float32), truth, 1.0, LIMITS, truth.shape)
     assert ring is not None
     assert (ring.ellipse.u, ring.ellipse.v) == pytest.approx((truth.u, truth.v), abs=0.5)
+
+
+def test_a_start_far_off_finds_the_whole_of_a_small_ring(rng: np.random.Generator) -> None:
+    """A recess' shadow beside it holds the fit to the part that is seen first."""
+    truth = Ellipse(60.2, 58.6, 9.4, 9.2, 0.3)
+    v, u = np.mgrid[:120, :120]
+    recess = 30 * np.exp(-(((np.hypot(u - truth.u, v - truth.v) - 4) / 1.2) ** 2)) * (u > truth.u)
+    image = (painted_ring(truth, -40, sigma=0.8) - recess + rng.normal(0, 0.6, (120, 120))).astype(np.float32)
+    found = []
+    for turn in np.arange(0, 2 * np.pi, 0.2):
+        start = Ellipse(truth.u + 3 * np.cos(turn), truth.v + 3 * np.sin(turn), 8.0, 7.9, 0.0)
+        found.append(_verified(image, start, None, (4.0, 35.0), RivetSettings()))
+    rings = [ring for ring in found if ring and ring.ellipse.radius > 8]
+    assert len(rings) > 20
+    assert min(ring.fit.coverage for ring in rings) > 0.85
 
 
 def test_known_shape_steadies_half_a_ring(rng: np.random.Generator) -> None:
