@@ -112,6 +112,13 @@ class _Shown:
         return (self.step.significance if self.clear else self.step.mean_significance) >= _STEPS
 
 
+    @property
+    def certain(self) -> bool:
+        """Whether it is a fastener beyond doubt: what it encloses lies off the skin, too, as no letter does of paint
+        that is thick enough to step."""
+        return self.clear and self.stands and self.relief.significance >= _STEPS
+
+
 @dataclass(frozen=True)
 class _Place:
     """A ring laid onto the skin."""
@@ -155,10 +162,10 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
         grain = _OF_GRAIN * float(np.median([s.ring.fit.noise for s in standing]))
         shown = [replace(s, grain=grain) for s in shown]
     shown = [_placed(s, reconstruction) if s.thin or s.stands else s for s in shown]
-    certain = [s for s in shown if s.clear and s.stands]
+    certain = [s for s in shown if s.certain]
     gaps = _gaps(certain)
     shown = [replace(s, like_gaps=_like_gaps(s, certain, gaps)) for s in shown]
-    certain = [s for s in shown if s.clear and s.stands]
+    certain = [s for s in shown if s.certain]
     found = []
     for s in shown:
         if s.stands:
