@@ -125,6 +125,7 @@ def examine_relief(
     texture = reconstruction.left.texture[pieces.v, pieces.u].astype(float)
     half = max(width_px / 2 - settings.guard_px, _LEAST_HALF_PX)
     depth, depth_sigma, seen = _depth(pieces, half, sides.at_places(pieces, inverse), texture, skin, sides)
+    least_depth = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * depth_sigma)
     if width_px < _NARROW_PX:
         modulation = reconstruction.left.modulation[pieces.v, pieces.u].astype(float)
         black = black_level(reconstruction.left)
@@ -133,8 +134,9 @@ def examine_relief(
         # A bright line that is saturated has lost a part of its fringes.
         saturated = (reconstruction.left.flags[pieces.v, pieces.u] & _SATURATED)[:, middle].any(axis=1)
         bright = saturated & (row_medians(texture, middle) > row_medians(texture, skin))
-        depth = np.where((lit < _LIT_SHARE) & ~bright, _SHADOW_DEPTH_MM, depth)
-    depth_limit = np.maximum(settings.min_groove_mm, _DEPTH_SIGMAS * depth_sigma)[joined]
+        stands_out = (seen >= _SEEN) & (depth < -least_depth)  # thick paint, whose own points say so
+        depth = np.where((lit < _LIT_SHARE) & ~bright & ~stands_out, _SHADOW_DEPTH_MM, depth)
+    depth_limit = least_depth[joined]
     step_limit = np.maximum(settings.min_step_mm, _STEP_SIGMAS * sides.sigma_mm)[joined]
     width_mm = width_px / reconstruction.rig.left.K[0, 0] / row_medians(inverse, skin)[joined]
     shallow = (seen[joined] >= _SEEN) & (depth[joined] < 0.5 * width_mm)
