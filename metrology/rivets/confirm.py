@@ -111,7 +111,6 @@ class _Shown:
             return self.step.mean_significance >= _STROKE_STEPS and abs(self.step.mean_mm) > self.step.rise_mm
         return (self.step.significance if self.clear else self.step.mean_significance) >= _STEPS
 
-
     @property
     def certain(self) -> bool:
         """Whether it is a fastener beyond doubt: what it encloses lies off the skin, too, as no letter does of paint
