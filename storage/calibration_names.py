@@ -41,10 +41,10 @@ _ROLES = {
           "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
           "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
-          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec"),
+          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec", "rotate"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
           "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
-          "transformationmatrix", "rt", "translationofcamera", "tvector"),
+          "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
     "size": ("imagesize", "imgsize", "imgshape", "imageshape", "resolution", "size", "shape", "imageresolution",
              "framesize", "frameshape", "imsize"),
 }  # fmt: skip
