@@ -21,7 +21,7 @@ Found = dict[str, Array]
 
 NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size2", "size3")
 # Of a file of one camera, or of a rectification: `storage.other_rigs.pose_of_both`.
-_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "placed1", "placed2", "rectified1", "rectified2", "projection2")
+_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "posedR3", "posedT3", "placed1", "placed2", "rectified1", "rectified2", "projection2")
 _RECTIFIED = {"R1": ("rectified1", (3, 3)), "R2": ("rectified2", (3, 3)), "P2": ("projection2", (3, 4))}
 # Names whose device or role their words do not tell.
 _EXACT = {
@@ -88,8 +88,8 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     ----------
     values : mapping
         Flat names to values.
-    file_side : 1 or 2, optional
-        The camera that the file as a whole is of, for names that tell none.
+    file_side : 1, 2 or 3, optional
+        The camera, or the projector, that the file as a whole is of, for names that tell none.
     """
     arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
     arrays |= _by_axes(arrays) | _by_parts(arrays)
@@ -342,13 +342,20 @@ def _side_of(text: str) -> int | None:
 
 
 def side_of_file(parts: Iterable[str], first: int = 0) -> int | None:
-    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one."""
-    for part in parts:
-        for word in re.findall(r"[A-Za-z]+", part):
-            if word.lower() in ("left", "l", "right", "r"):
-                return _SIDES[word.lower()]
+    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one. 3 is
+    the projector: projector.json, and not what is of a camera and its projector.
+    """
+    parts = list(parts)
+    words = [[word.lower() for word in re.findall(r"[A-Za-z]+", part)] for part in parts]
+    for part in words:
+        for word in part:
+            if word in ("left", "l", "right", "r"):
+                return _SIDES[word]
     number = _number_of(parts)
-    return None if number is None else {first: 1, first + 1: 2}.get(number)
+    if number is not None:
+        return {first: 1, first + 1: 2}.get(number)
+    lone = [part for part in words if "projector" in part and not {"cam", "camera"} & set(part)]
+    return 3 if lone and lone[0] == words[0] else None
 
 
 def first_number(names: Iterable[Iterable[str]]) -> int:
