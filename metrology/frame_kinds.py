@@ -123,11 +123,12 @@ def _borders(taken: FrameSample, lit: NDArray[np.bool_]) -> Array:
 
 
 def _without_stripes(borders: Array, first: int, end: int, kinds: Sequence[Kind]) -> range:
-    """What is left of fringes when blurred stripes beside other stripes are taken off: frames with more or fewer borders
-    than all but one other, since a count has three steps and more, and a bit twice the borders of the one before.
+    """What is left of fringes when blurred stripes beside other stripes are taken off: frames to which no two others
+    are alike in borders, since a count has three steps and more, and a bit twice the borders of the one before.
     """
     own = borders[first:end]
-    alone = [(own <= _AS_DENSE * n).sum() - (own * _AS_DENSE < n).sum() < 3 and n > _MANY_BORDERS for n in own]
+    alike = (own <= _AS_DENSE * own[:, None]) & (own[:, None] <= _AS_DENSE * own)
+    alone = (alike.sum(1) < 3) & (own > _MANY_BORDERS)
     start, stop = 0, end - first
     while first and kinds[first - 1] == "gray" and start < stop and alone[start]:
         start += 1

@@ -21,7 +21,10 @@ Found = dict[str, Array]
 
 NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size2", "size3")
 # Of a file of one camera, or of a rectification: `storage.other_rigs.pose_of_both`.
-_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "posedR3", "posedT3", "placed1", "placed2", "rectified1", "rectified2", "projection2")
+_OWN = (
+    *(f"posed{role}{side}" for side in "123" for role in "RT"),
+    "placed1", "placed2", "rectified1", "rectified2", "projection2",
+)  # fmt: skip
 _RECTIFIED = {"R1": ("rectified1", (3, 3)), "R2": ("rectified2", (3, 3)), "P2": ("projection2", (3, 4))}
 # Names whose device or role their words do not tell.
 _EXACT = {
@@ -41,7 +44,8 @@ _ROLES = {
           "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
           "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
-          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec", "rotate"),
+          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec",
+          "rotate"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
           "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
           "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
@@ -342,20 +346,17 @@ def _side_of(text: str) -> int | None:
 
 
 def side_of_file(parts: Iterable[str], first: int = 0) -> int | None:
-    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one. 3 is
-    the projector: projector.json, and not what is of a camera and its projector.
+    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one. 3: the
+    projector, where the file's name has that word and none for a camera.
     """
     parts = list(parts)
-    words = [[word.lower() for word in re.findall(r"[A-Za-z]+", part)] for part in parts]
-    for part in words:
-        for word in part:
-            if word in ("left", "l", "right", "r"):
-                return _SIDES[word]
-    number = _number_of(parts)
-    if number is not None:
+    words = [re.findall(r"[a-z]+", part.lower()) for part in parts]
+    for word in (word for part in words for word in part):
+        if word in ("left", "l", "right", "r"):
+            return _SIDES[word]
+    if (number := _number_of(parts)) is not None:
         return {first: 1, first + 1: 2}.get(number)
-    lone = [part for part in words if "projector" in part and not {"cam", "camera"} & set(part)]
-    return 3 if lone and lone[0] == words[0] else None
+    return 3 if "projector" in words[0] and not {"cam", "camera"} & set(words[0]) else None
 
 
 def first_number(names: Iterable[Iterable[str]]) -> int:

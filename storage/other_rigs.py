@@ -276,10 +276,10 @@ def _pose_of_projector(found: Mapping[str, Array]) -> Found:
     """From the left camera, of a projector that a file of its own says where it stands."""
     if "R3" in found or not {"posedR3", "posedT3"} <= set(found):
         return {}
-    there = _posed(found, "3")
+    R, t = _posed(found, "3")
     if {"posedR1", "posedT1"} <= set(found):
-        there = tuple(_relative(*_posed(found, "1"), *there).values())
-    return dict(zip(("R3", "T3"), there, strict=True))
+        R, t = _relative(*_posed(found, "1"), R, t).values()
+    return {"R3": R, "T3": t}
 
 
 def _pose_of_right(found: Mapping[str, Array]) -> Found:
