@@ -73,6 +73,8 @@ def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGues
     turns, lit = _phases(levels, plain, saturation)
     if lit.sum() < _LEAST_PIXELS:
         raise SceneError(f"found {int(lit.sum())} pixels with fringes or stripes, expected at least {_LEAST_PIXELS}")
+    if plain.gray and plain.gray.references and np.median((levels[-2] - levels[-1])[lit]) < 0:
+        raise SceneError("found the all-white frame darker than the all-black one, expected white before black")
     if plain.gray is None:
         return _from_counts(turns[:, lit].astype(float), plain, code.phase_offsets_rad)
     return _from_stripes(levels, turns, lit, plain)

@@ -224,3 +224,12 @@ def test_bits_of_gray_code_are_no_fringes_of_one_stripe_each() -> None:
     taken = np.concatenate([frames[5:], frames[:5]])
     with pytest.raises(SceneError, match="do not fit each other"):
         guess_code(taken, FringeCode("x", 3, (32,), GrayCode(32)), 250)
+
+
+def test_white_and_black_that_are_exchanged_are_refused() -> None:
+    code = FringeCode("x", 0, (), GrayCode(32, False, True))
+    shown = np.broadcast_to(code.patterns(640, 1).reshape(7, 1, -1), (7, 64, 640))
+    frames = np.rint(20 + 200 * shown).astype(np.uint8)
+    assert guess_code(frames, code, 250).agreement == pytest.approx(1)
+    with pytest.raises(SceneError, match="darker than the all-black one"):
+        guess_code(frames[[0, 1, 2, 3, 4, 6, 5]], code, 250)
