@@ -115,9 +115,8 @@ def _judged(state: CaptureState, fringes: bool) -> CaptureState:
             "projector, or show wider fringes"
         )
     if state.signal < _LEAST_SIGNAL:
-        problems.append(
-            f"fringes are {state.signal:.1f} times the noise: more light or longer exposure, less gain, more steps"
-        )
+        more = "" if state.clipped > _MOST_CLIPPED else "more light or longer exposure, "
+        problems.append(f"fringes are {state.signal:.1f} times the noise: {more}less gain, more steps")
     if state.gamma is not None and abs((state.gamma - 1) / (state.gamma + 2)) > _MOST_HARMONIC:
         problems.append(
             f"the projector is not linear (gamma {state.gamma:.2f}): switch off its picture modes; two cameras measure "

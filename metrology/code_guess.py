@@ -73,6 +73,8 @@ def guess_code(frames: NDArray, code: FringeCode, saturation: float) -> CodeGues
     turns, lit = _phases(levels, plain, saturation)
     if lit.sum() < _LEAST_PIXELS:
         raise SceneError(f"found {int(lit.sum())} pixels with fringes or stripes, expected at least {_LEAST_PIXELS}")
+    if plain.gray and plain.gray.references and np.median((levels[-2] - levels[-1])[lit]) < 0:
+        raise SceneError("found the all-white frame darker than the all-black one, expected white before black")
     if plain.gray is None:
         return _from_counts(turns[:, lit].astype(float), plain, code.phase_offsets_rad)
     return _from_stripes(levels, turns, lit, plain)
@@ -167,7 +169,8 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
     if not runs_along_rows(np.where(lit, number, np.nan).astype(np.float32)):
         number, turns, lit = number.T, turns.transpose(0, 2, 1), lit.T
     k = int(np.argmin(code.counts))
-    direction = _rising(number, turns[k], lit)
+    rising = _rising(number, turns[k], lit)
+    direction = 1 if rising >= 0 else -1
     phase = direction * turns[k]
     per_fringe = code.gray.stripes / code.counts[k]
     pairs = lit[:, :-1] & lit[:, 1:] & (np.abs(np.diff(number, axis=1)) == 1)
@@ -183,6 +186,7 @@ def _from_stripes(levels: NDArray, turns: NDArray, lit: NDArray[np.bool_], code:
         if off > agreement + 1e-3:
             best, agreement = shift, off
     best -= per_fringe if best > per_fringe / 2 else 0.0
+    agreement = min(agreement, abs(rising))  # where a stripe is a fringe, its phase may be any
     if min(agreement, float(np.abs(mean))) < _LEAST_AGREEMENT / 2:
         raise SceneError(
             f"found fringes and stripes that do not fit each other ({agreement:.0%} of the pixels do), expected "
@@ -236,12 +240,13 @@ def _by_one(number: NDArray[np.int64], lit: NDArray[np.bool_]) -> float:
     return float((among == 1).mean()) if among.size else 1.0
 
 
-def _rising(number: NDArray[np.int64], turns: NDArray, lit: NDArray[np.bool_]) -> int:
-    """1 where the phase rises along rows as the stripes' numbers do, −1 where it falls."""
+def _rising(number: NDArray[np.int64], turns: NDArray, lit: NDArray[np.bool_]) -> float:
+    """From 1 where all phases rise along rows as the stripes' numbers do, to −1 where all fall; near 0: no fringes."""
     rise = np.sign(number[:, _NEAR:] - number[:, :-_NEAR])
     both = lit[:, _NEAR:] & lit[:, :-_NEAR] & (rise != 0)
-    step = _fraction(turns[:, 1 : turns.shape[1] - _NEAR + 1] - turns[:, : turns.shape[1] - _NEAR])
-    return 1 if float((np.sign(step) * rise)[both].sum()) >= 0 else -1
+    change = np.cumsum(_fraction(np.diff(turns, axis=1, prepend=0.0)), axis=1)
+    step = change[:, _NEAR:] - change[:, :-_NEAR]
+    return float((np.sign(step) * rise)[both].mean()) if both.any() else 0.0
 
 
 def _fraction(value: NDArray) -> NDArray:

@@ -27,6 +27,8 @@ _HIGH, _LOW = 0.8, 0.2
 _UNIFORM = 0.97  # of the lit pixels: an all-white or all-black frame
 _LEAST_BETWEEN = 0.2  # of the lit pixels between low and high: of a sinusoid 0.41
 _MOST_STEPS = 36
+_AS_DENSE = 1.25  # stripes' borders of one frame over those of another: fringes of one count have as many at each step
+_MANY_BORDERS = 0.02  # of the lit pixels: fine stripes have more
 _LARGEST_MISFIT = 0.45  # of the amplitude: what a projector's gamma leaves of a sinusoid
 _CLEARLY = 0.5  # of the misfit of another order of the frames
 _LEAST_TURN = 0.2  # of all change: what a turn of the code from one axis to the other explains more than none
@@ -89,7 +91,7 @@ def runs_of(taken: FrameSample) -> list[Run]:
     if lit.sum() < _LEAST_LIT:
         raise SceneError(f"found {int(lit.sum())} pixels that change from frame to frame, expected those of a pattern")
     level = (taken.here - dark)[:, lit] / swing[lit]
-    kinds = _kinds(level)
+    kinds = _kinds(level, _borders(taken, lit))
     axes = _axes(taken, lit, kinds)
     runs = []
     for first, end in _stretches(list(zip(kinds, axes, strict=True))):
@@ -102,15 +104,37 @@ def runs_of(taken: FrameSample) -> list[Run]:
     return runs
 
 
-def _kinds(level: Array) -> list[Kind]:
+def _kinds(level: Array, borders: Array) -> list[Kind]:
     """Fringes or stripes, which leave few levels between dark and bright; white and black."""
     ends = (level > _HIGH).mean(1) + (level < _LOW).mean(1)
     kinds: list[Kind] = ["gray" if share > 1 - _LEAST_BETWEEN else "fringes" for share in ends]
     for first, end in _stretches(kinds):  # the finest stripes are blurred, and fringes take three steps
-        if kinds[first] == "fringes" and end - first < 3:
-            kinds[first:end] = ["gray"] * (end - first)
+        if kinds[first] == "fringes":
+            steps = _without_stripes(borders, first, end, kinds) if end - first >= 3 else range(0)
+            kinds[first:end] = ["fringes" if k in steps else "gray" for k in range(first, end)]
     _name_references(level, kinds)
     return kinds
+
+
+def _borders(taken: FrameSample, lit: NDArray[np.bool_]) -> Array:
+    """(frames,) how often a lit pixel and one beside it lie on either side of the middle between dark and bright."""
+    above = [part[:, lit] > ((part.min(0) + part.max(0)) / 2)[lit] for part in (taken.here, taken.right, taken.below)]
+    return np.asarray((above[0] != above[1]).mean(1) + (above[0] != above[2]).mean(1))
+
+
+def _without_stripes(borders: Array, first: int, end: int, kinds: Sequence[Kind]) -> range:
+    """What is left of fringes when blurred stripes beside other stripes are taken off: frames to which no two others
+    are alike in borders, since a count has three steps and more, and a bit twice the borders of the one before.
+    """
+    own = borders[first:end]
+    alike = (own <= _AS_DENSE * own[:, None]) & (own[:, None] <= _AS_DENSE * own)
+    alone = (alike.sum(1) < 3) & (own > _MANY_BORDERS)
+    start, stop = 0, end - first
+    while first and kinds[first - 1] == "gray" and start < stop and alone[start]:
+        start += 1
+    while end < len(kinds) and kinds[end] == "gray" and start < stop and alone[stop - 1]:
+        stop -= 1
+    return range(first + start, first + stop if stop - start >= 3 else first + start)
 
 
 def _name_references(level: Array, kinds: list[Kind]) -> None:

@@ -21,7 +21,10 @@ Found = dict[str, Array]
 
 NAMES = ("M1", "D1", "M2", "D2", "R", "T", "M3", "D3", "R3", "T3", "size", "size2", "size3")
 # Of a file of one camera, or of a rectification: `storage.other_rigs.pose_of_both`.
-_OWN = ("posedR1", "posedT1", "posedR2", "posedT2", "placed1", "placed2", "rectified1", "rectified2", "projection2")
+_OWN = (
+    *(f"posed{role}{side}" for side in "123" for role in "RT"),
+    "placed1", "placed2", "rectified1", "rectified2", "projection2",
+)  # fmt: skip
 _RECTIFIED = {"R1": ("rectified1", (3, 3)), "R2": ("rectified2", (3, 3)), "P2": ("projection2", (3, 4))}
 # Names whose device or role their words do not tell.
 _EXACT = {
@@ -41,10 +44,11 @@ _ROLES = {
           "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
           "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
     "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
-          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec"),
+          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec",
+          "rotate"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
           "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
-          "transformationmatrix", "rt", "translationofcamera", "tvector"),
+          "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
     "size": ("imagesize", "imgsize", "imgshape", "imageshape", "resolution", "size", "shape", "imageresolution",
              "framesize", "frameshape", "imsize"),
 }  # fmt: skip
@@ -88,8 +92,8 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     ----------
     values : mapping
         Flat names to values.
-    file_side : 1 or 2, optional
-        The camera that the file as a whole is of, for names that tell none.
+    file_side : 1, 2 or 3, optional
+        The camera, or the projector, that the file as a whole is of, for names that tell none.
     """
     arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
     arrays |= _by_axes(arrays) | _by_parts(arrays)
@@ -342,13 +346,17 @@ def _side_of(text: str) -> int | None:
 
 
 def side_of_file(parts: Iterable[str], first: int = 0) -> int | None:
-    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one."""
-    for part in parts:
-        for word in re.findall(r"[A-Za-z]+", part):
-            if word.lower() in ("left", "l", "right", "r"):
-                return _SIDES[word.lower()]
-    number = _number_of(parts)
-    return None if number is None else {first: 1, first + 1: 2}.get(number)
+    """The camera that a file or its folder is named after: left.yaml, cam1/sensor.yaml; `first` is the left one. 3: the
+    projector, where the file's name has that word and none for a camera.
+    """
+    parts = list(parts)
+    words = [re.findall(r"[a-z]+", part.lower()) for part in parts]
+    for word in (word for part in words for word in part):
+        if word in ("left", "l", "right", "r"):
+            return _SIDES[word]
+    if (number := _number_of(parts)) is not None:
+        return {first: 1, first + 1: 2}.get(number)
+    return 3 if "projector" in words[0] and not {"cam", "camera"} & set(words[0]) else None
 
 
 def first_number(names: Iterable[Iterable[str]]) -> int:

@@ -246,7 +246,7 @@ def _euroc(values: Mapping[str, Any], path: Path) -> Found:
     """sensor.yaml of one camera of EuRoC's: `T_BS` is the camera's pose on the body; metres."""
     _check_lens(path.name, str(values.get("camera_model", "pinhole")), str(values.get("distortion_model", "none")))
     number = side_of_file([path.stem, path.parent.name])
-    if number is None:
+    if number not in (1, 2):
         raise RigError("found a sensor.yaml in a folder that names no camera, expected cam0 and cam1")
     fx, fy, cx, cy = np.ravel(values["intrinsics"])
     found = {
@@ -266,7 +266,23 @@ def _relative(R1: Array, t1: Array, R2: Array, t2: Array) -> Found:
 
 
 def pose_of_both(found: Mapping[str, Array]) -> Found:
-    """Where the right camera stands, from what files of one camera each say of their rectification or their place."""
+    """Where the right camera or the projector stands, from what files of one device each say of their rectification or
+    their place.
+    """
+    return _pose_of_right(found) | _pose_of_projector(found)
+
+
+def _pose_of_projector(found: Mapping[str, Array]) -> Found:
+    """From the left camera, of a projector that a file of its own says where it stands."""
+    if "R3" in found or not {"posedR3", "posedT3"} <= set(found):
+        return {}
+    R, t = _posed(found, "3")
+    if {"posedR1", "posedT1"} <= set(found):
+        R, t = _relative(*_posed(found, "1"), R, t).values()
+    return {"R3": R, "T3": t}
+
+
+def _pose_of_right(found: Mapping[str, Array]) -> Found:
     if "placed1" in found and "placed2" in found:
         left, right = (np.asarray(np.linalg.inv(found[f"placed{number}"]), float) for number in (1, 2))
         return _relative(left[:3, :3], left[:3, 3], right[:3, :3], right[:3, 3])

@@ -42,7 +42,7 @@ def from_projections(values: Mapping[str, Any], first: int) -> dict[str, Array]:
 def _side(name: str, first: int) -> int | None:
     """1 or 2: by a word or letter, a camera's number, or the last number, of which 1 is left."""
     if (side := side_of_file([name], first)) is not None:
-        return side
+        return side if side < 3 else None
     spelled = re.search(r"(left|right|(?<=[a-z])[LR](?![a-z]))", name)
     if spelled:
         return 1 if spelled[1].lower().startswith("l") else 2

@@ -59,6 +59,13 @@ def test_what_is_wrong_is_named(rng: np.random.Generator, arguments: dict[str, f
     assert verdict([found]) != "good"
 
 
+def test_clipped_frames_are_not_asked_for_more_light(rng: np.random.Generator) -> None:
+    noisy = state(rng, mean=170.0, amplitude=90.0, sigma=12.0)
+    assert noisy.clipped > 0.1
+    assert any("times the noise" in problem for problem in noisy.problems)
+    assert not any("more light" in problem for problem in noisy.problems)
+
+
 def test_stripes_alone_are_judged_too(rng: np.random.Generator) -> None:
     code = FringeCode("x", 0, (), GrayCode(64, True))
     lines = code.patterns(640, 1)[:, 0]

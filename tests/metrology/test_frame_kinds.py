@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from metrology.errors import SceneError
 from metrology.frame_kinds import runs_of, sample
@@ -57,6 +58,19 @@ def test_fringes_stripes_and_references_are_told_apart() -> None:
     assert told(shown(*inverse, "white", "black")) == [
         ("gray", "x", 12, (), True), ("gray", "y", 12, (), True), *both,
     ]  # fmt: skip
+
+
+def blurred(frames: list[NDArray[np.uint8]], px: float) -> list[NDArray[np.uint8]]:
+    return [np.rint(gaussian_filter(frame.astype(float), px)).astype(np.uint8) for frame in frames]
+
+
+@pytest.mark.parametrize("px", [0.8, 1.5])
+def test_the_finest_stripes_are_no_fringes_where_they_are_blurred(px: float) -> None:
+    """Three frames always make a sinusoid, and three bits are three frames."""
+    alone = FringeCode("x", 0, (), GrayCode(64))
+    assert told(blurred(shown(alone), px)) == [("gray", "x", 6, (), False)]
+    both = FringeCode("x", 4, (8,), GrayCode(64))
+    assert told(blurred(shown(both), px)) == [("gray", "x", 6, (), False), ("fringes", "x", 4, (4,), False)]
 
 
 def test_pictures_without_a_pattern_are_none() -> None:

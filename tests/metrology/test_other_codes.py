@@ -215,3 +215,21 @@ def test_offsets_are_no_better_told_than_the_pixels_agree() -> None:
     assert not rough.others
     assert smooth.code.phase_offsets_rad != ()
     assert rough.agreement < 0.92 < smooth.agreement
+
+
+def test_bits_of_gray_code_are_no_fringes_of_one_stripe_each() -> None:
+    """Of eight bits, the finest three taken for three steps of as many fringes as the coarse ones have stripes."""
+    bits = FringeCode("x", 0, (), GrayCode(256)).patterns(1024, 1).reshape(8, 1, -1)
+    frames = np.rint(20 + 200 * np.broadcast_to(bits, (8, 64, 1024))).astype(np.uint8)
+    taken = np.concatenate([frames[5:], frames[:5]])
+    with pytest.raises(SceneError, match="do not fit each other"):
+        guess_code(taken, FringeCode("x", 3, (32,), GrayCode(32)), 250)
+
+
+def test_white_and_black_that_are_exchanged_are_refused() -> None:
+    code = FringeCode("x", 0, (), GrayCode(32, False, True))
+    shown = np.broadcast_to(code.patterns(640, 1).reshape(7, 1, -1), (7, 64, 640))
+    frames = np.rint(20 + 200 * shown).astype(np.uint8)
+    assert guess_code(frames, code, 250).agreement == pytest.approx(1)
+    with pytest.raises(SceneError, match="darker than the all-black one"):
+        guess_code(frames[[0, 1, 2, 3, 4, 6, 5]], code, 250)

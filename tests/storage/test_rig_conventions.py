@@ -89,6 +89,25 @@ def test_a_convention_is_told_by_names(name: str, tmp_path: Path) -> None:
     same(load(path))
 
 
+@pytest.mark.parametrize("posed", [False, True])
+def test_a_file_named_after_the_projector_is_the_projectors(posed: bool, tmp_path: Path) -> None:
+    """Files of one device each, its place from the world by a rotation vector, and names that say no more."""
+    turn, shift = TO_LEFT if posed else (np.eye(3), np.zeros(3))
+    for name, device in (("camera", LEFT), ("projector", RIGHT)):
+        R, t = device.R @ turn, device.R @ shift + device.t
+        values = {
+            "image_size": [device.width, device.height], "intrinsic": device.K, "distortion": device.distortion,
+            "rotate": Rotation.from_matrix(R).as_rotvec(), "translate": t,
+        }  # fmt: skip
+        (tmp_path / f"{name}_calibration.json").write_text(json.dumps(values, default=lambda array: array.tolist()))
+    found = load(tmp_path / "camera_calibration.json", tmp_path / "projector_calibration.json")
+    assert found.right is None
+    assert found.projector is not None
+    np.testing.assert_allclose(found.projector.K, RIGHT.K, atol=1e-6)
+    np.testing.assert_allclose(found.projector.R, RIGHT.R, atol=1e-6)
+    np.testing.assert_allclose(found.projector.t, RIGHT.t, atol=1e-4)
+
+
 def test_matrices_of_a_rectification_are_not_the_cameras(tmp_path: Path) -> None:
     """OpenCV's sample writes two files, and P1 and P2 into the one without camera matrices."""
     turns = cv2.stereoRectify(
