@@ -12,6 +12,7 @@ import streamlit as st
 from dashboard.address import one_of, some_of
 from dashboard.data import Archive
 from dashboard.findings import PERIODS, Selection, start_of
+from dashboard.frame import plain
 from dashboard.words import _
 from storage.archive.views import NEWEST_TIME
 
@@ -33,6 +34,20 @@ def odd_serials(archive: Archive) -> list[str]:
     begins = Counter(re.split("[0-9]", serial)[0] for serial in names(archive, "aircraft_serial"))
     (__, n), *others = begins.most_common() or [("", 0)]
     return [f"{begin}*" for begin, count in others if begin and count < n][:_MOST_ODD]
+
+
+def ask_about_gauges(archive: Archive) -> None:
+    """Where the settings name no gauges: which serial numbers may be some, and how to name them."""
+    if odd := odd_serials(archive):
+        st.caption(
+            _("{names}: gauges?", names=plain(", ".join(odd))),
+            help=_(
+                "These serial numbers begin otherwise than most. If they are gauges or standard parts, name them "
+                "in the settings (dashboard.toml in the store): `not_aircraft = [{names}]`. Overview, review and "
+                "yield then leave them out.",
+                names=", ".join(f'"{name}"' for name in odd),
+            ),
+        )
 
 
 def newest_scan(archive: Archive) -> datetime | None:

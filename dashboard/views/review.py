@@ -12,7 +12,7 @@ import streamlit as st
 
 from dashboard.address import one_of, put, some_of
 from dashboard.deciding import ask_who, decide, say_outcome, say_signed
-from dashboard.filters import odd_serials, scene_filters
+from dashboard.filters import ask_about_gauges, scene_filters
 from dashboard.findings import (
     OPEN,
     STATES,
@@ -277,16 +277,8 @@ def _exports(context: PageContext, rows: pd.DataFrame, total: int, without: Sequ
         if without:
             found += " · " + _("without {names}", names=plain(", ".join(without)))
         st.caption(found, help=_("Click a row to look at it; tick several to decide on them at once."))
-        if not context.settings.not_aircraft and (odd := odd_serials(context.archive)):
-            st.caption(
-                _("{names}: gauges?", names=plain(", ".join(odd))),
-                help=_(
-                    "These serial numbers begin otherwise than most. If they are gauges or standard parts, name them "
-                    "in the settings (dashboard.toml in the store): `not_aircraft = [{names}]`. Overview, review and "
-                    "yield then leave them out.",
-                    names=", ".join(f'"{name}"' for name in odd),
-                ),
-            )
+        if not context.settings.not_aircraft:
+            ask_about_gauges(context.archive)
 
 
 def _several(context: PageContext, ticked: Sequence[Name]) -> None:
