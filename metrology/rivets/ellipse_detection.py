@@ -197,7 +197,8 @@ def _verified(
     if fit.coverage < _WHOLE:
         # From a start far off, the part of a ring that was seen first may hold the fit beside the rest.
         again = _fitted(image, fit.ellipse, shape, limits, settings)
-        fit = max([fit, again], key=lambda one: one.coverage) if again else fit
+        if again and again.coverage > fit.coverage and again.noise < fit.noise:
+            fit = again
     if shape is None and fit.coverage < settings.min_coverage_alone:
         return None
     if shape is not None and np.linalg.norm(log_shape(fit.ellipse) - log_shape(start)) > SHAPE_TOLERANCE:
