@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from functools import cache
 from pathlib import Path
 
 import streamlit
@@ -40,6 +41,7 @@ def script() -> str:
     return _SCRIPT.replace("NAMES", json.dumps(names)).replace("AFTER", str(_AFTER_MS)) if names else ""
 
 
+@cache
 def _names() -> list[str]:
     folder = Path(streamlit.__file__).parent / "static" / "static" / "js"
     return [path.name for part in _PARTS for path in sorted(folder.glob(f"{part}.*.js"))]

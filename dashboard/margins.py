@@ -12,7 +12,7 @@ from dashboard.data import Archive, Margin, Name
 from metrology.errors import FlushlineError
 from metrology.kinds import BY_NAME, Kind
 from metrology.requirements import Requirement, of_quantity, requirements
-from metrology.tolerance import Limit, PanelSpec, decisive
+from metrology.tolerance import PanelSpec, decisive
 from storage.archive.rows import result_of
 from storage.archive.schema import OF_KIND
 
@@ -113,11 +113,9 @@ def _of_row(kind: Kind, row: Any, spec: PanelSpec) -> Margin:
 
 
 def _worst(required: Sequence[Requirement]) -> tuple[float, str, float]:
-    margins = [_margin(r, r.limit) for r in required if r.limit is not None and r.value is not None]
+    margins = [
+        (r.limit.margin(r.value), r.unit, r.limit.margin_share(r.value))
+        for r in required
+        if r.limit is not None and r.value is not None
+    ]
     return min(margins, key=lambda margin: margin[2], default=(_NAN, "", _NAN))
-
-
-def _margin(required: Requirement, limit: Limit) -> tuple[float, str, float]:
-    margin = limit.margin(float(required.value or 0.0))
-    _, reach = limit.scaling or (0.0, 1.0)
-    return margin, required.unit, margin / reach

@@ -74,6 +74,11 @@ class Limit:
             sides.append(self.upper - value)
         return min(sides)
 
+    def margin_share(self, value: float) -> float:
+        """`margin` as a share of what the limits leave; itself where they have no width."""
+        _, reach = self.scaling or (0.0, 1.0)
+        return self.margin(value) / reach
+
     def severity(self, value: float) -> Severity:
         """The paper's colour for a value."""
         if self.margin(value) >= 0:

@@ -98,20 +98,12 @@ def decisive(kind: Kind, row: Feature, spec: PanelSpec) -> Quantity | None:
     """
     zone = spec.zone(row.zone)
     found = [
-        (_share(required), quantity)
+        (0.0 if required.value is None else required.limit.margin_share(required.value), quantity)
         for quantity in kind.quantities_of(row)
         for required in of_quantity(quantity, row, zone)
         if required.limit is not None and _judge(required).decision == row.decision
     ]
     return min(found, key=lambda each: each[0])[1] if found else None
-
-
-def _share(required: Requirement) -> float:
-    """Distance to the limit (negative: beyond it), as a share of what the limits leave."""
-    if required.limit is None or required.value is None:
-        return 0.0
-    __, reach = required.limit.scaling or (0.0, 1.0)
-    return required.limit.margin(required.value) / reach
 
 
 def as_measured(kind: Kind, row: Row) -> Row:

@@ -28,8 +28,7 @@ Line = dict[str, Any]
 
 def figure(locale: Locale, height: int, **layout: Any) -> go.Figure:
     """An empty figure."""
-    axes = {name: {**_AXIS, **layout.pop(name, {})} for name in ("xaxis", "yaxis")}
-    return go.Figure(layout={**_common(locale, height), **axes, **layout})
+    return go.Figure(layout=_layout(locale, height, {"xaxis": _AXIS, "yaxis": _AXIS}, layout))
 
 
 def stacked(locale: Locale, height: int, shares: Sequence[float], spacing: float, **options: Any) -> go.Figure:
@@ -69,8 +68,13 @@ def two_charts(locale: Locale, height: int, share: float, spacing: float, **layo
         "xaxis2": {**_AXIS, "anchor": "y2"},
         "yaxis2": {**_AXIS, "anchor": "x2", "domain": [0, 1 - share - spacing]},
     }
-    own = {name: {**axis, **layout.pop(name, {})} for name, axis in axes.items()}
-    return {**_common(locale, height), **own, **layout}
+    return _layout(locale, height, axes, layout)
+
+
+def _layout(locale: Locale, height: int, axes: dict[str, Line], more: dict[str, Any]) -> Line:
+    """What all figures have, with these axes; `more` adds to the axes that it names."""
+    own = {name: {**axis, **more.get(name, {})} for name, axis in axes.items()}
+    return {**_common(locale, height), **more, **own}
 
 
 def _common(locale: Locale, height: int) -> dict[str, Any]:

@@ -66,17 +66,18 @@ def control_figure(
 
 def _moving_ranges(times: pd.Series, chart: ControlChart) -> Line:
     return {
-        "type": "scatter",
-        "x": times,
-        "y": chart.moving_range,
-        "mode": "lines+markers",
-        "line": {"color": PURPLE, "width": 1.2},
+        **_in_time(times, chart.moving_range, PURPLE, 1.2),
         "marker": {"size": 4, "symbol": "square"},
         "hovertemplate": _("moving range") + " %{y:.3f}<extra></extra>",
-        "showlegend": False,
         "xaxis": "x2",
         "yaxis": "y2",
     }
+
+
+def _in_time(times: pd.Series, values: Any, colour: str, width: float) -> Line:
+    """Points joined by a line in the order of time."""
+    line = {"color": colour, "width": width}
+    return {"type": "scatter", "x": times, "y": values, "mode": "lines+markers", "line": line, "showlegend": False}
 
 
 def _chart_lines(chart: ControlChart, locale: Locale) -> tuple[list[Line], list[Line]]:
@@ -121,11 +122,7 @@ def _values(
         for i, r in enumerate(rows.itertuples())
     ]
     return {
-        "type": "scatter",
-        "x": times,
-        "y": chart.values,
-        "mode": "lines+markers",
-        "line": {"color": BLUE, "width": 1.5},
+        **_in_time(times, chart.values, BLUE, 1.5),
         "marker": {
             "size": [9 if i in broken else 6 for i in range(len(rows))],
             "color": [RED if i in broken else BLUE for i in range(len(rows))],
@@ -134,9 +131,6 @@ def _values(
         "text": text,
         "customdata": rows["scene_id"].astype(str),
         "hovertemplate": "%{text}<extra></extra>",
-        "showlegend": False,
-        "xaxis": "x",
-        "yaxis": "y",
     }
 
 

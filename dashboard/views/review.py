@@ -221,9 +221,10 @@ def _list(
     """The findings; a click looks at one. Returns those that are ticked."""
     _exports(context, rows, int(rows["total"].iloc[0]), without)
     shown = about_the_verdict(rows)
-    left_out = {"quantity": not mixed(rows), "disposition": rows["disposition"].isna().all()}
+    several = mixed(rows)
+    left_out = {"quantity": not several, "disposition": rows["disposition"].isna().all()}
     columns = {name: title for name, title in _columns().items() if not left_out.get(name)}
-    if mixed(rows):
+    if several:
         columns["value_mm"] = _("Value")
     # Which row is looked at is said in words: a mark of Streamlit's own would go with the row's number.
     shown["feature_id"] = [f"▸ {name[1].id}" if name == at else name[1].id for name in names]
