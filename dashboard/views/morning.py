@@ -15,6 +15,7 @@ from dashboard.filters import newest_scan
 from dashboard.findings import LAST_NIGHT, OPEN_WORK, PERIODS, Selection, Wanted, feature_parameter, findings, start_of
 from dashboard.frame import PageContext, go, link
 from dashboard.looks import Looks
+from dashboard.margins import about_the_verdict, mixed, with_margins
 from dashboard.news import Since, changes, drifts, due_rigs, new_scans, not_inspected
 from dashboard.tables import show_table
 from dashboard.words import N_, _
@@ -130,14 +131,27 @@ def _show(context: PageContext, name: str, rows: pd.DataFrame) -> None:
 def _changed(context: PageContext, name: str, rows: pd.DataFrame) -> None:
     columns = {
         "aircraft_serial": _("Aircraft"), "panel": _("Panel"), "station": _("Station"), "feature_id": _("Feature"),
-        "value_mm": _("Value, mm"), "before_mm": _("Before, mm"), "decision": _("Verdict"), "reason": _("Why"),
+        "quantity": _("Quantity"), "value_mm": _("Value, mm"), "before_mm": _("Before, mm"),
+        "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
     if name == CURED:
-        columns.pop("decision")
-        columns.pop("reason")
+        del columns["decision"], columns["reason"]
+    else:
+        rows = with_margins(context.archive, rows)
+    if name != CURED and mixed(rows):
+        columns["value_mm"] = _("Value")
+        rows = _about_the_verdict(rows)
+    else:
+        del columns["quantity"]
     names = [(str(row.scene_id), _address(row)) for row in rows.itertuples()]
     show_table(rows, columns, context.locale, f"news-{name}", 400, names, _open, above=550)
     st.caption(_("Select one for its picture."))
+
+
+def _about_the_verdict(rows: pd.DataFrame) -> pd.DataFrame:
+    """With the value that each verdict is about; of what scans are not compared by there is none from before."""
+    shown = about_the_verdict(rows)
+    return shown.assign(before_mm=shown["before_mm"].where(shown["value_mm"] == rows["value_mm"]))
 
 
 def _address(row: object) -> str:

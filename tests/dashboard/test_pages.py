@@ -312,6 +312,11 @@ def test_a_finding_is_listed_with_what_its_verdict_is_about(writable: Path, open
     found = findings(archive, Wanted(selection=Selection(aircraft=("MSN-0499",))))
     page = html_report(found, archive, Locale(), "Hall 7", "en").decode()
     assert re.search(r"tilt \+1\.[2-6]\d* °", page)
+    news = clean(open_page("overview", writable, since="any time", list="new")).dataframe[0].value
+    tilted = news[(news["Aircraft"] == "MSN-0499") & (news["Quantity"] == "tilt")]
+    assert len(tilted) >= 11
+    assert tilted["Value"].between(1.2, 1.6).all()
+    assert tilted["Before, mm"].isna().all()
     # All the others are about what their kind is listed by: no column more.
     assert "Quantity" not in clean(open_page("review", writable, aircraft="MSN-0425")).dataframe[0].value
 
