@@ -29,8 +29,8 @@ _DRIFTING, _REWORK, _DUE, _ASIDE = N_("drifting"), N_("open work"), N_("rigs due
 _HELP = {
     NEW: N_("Features and stretches of seams that do not simply pass, and passed before or were not scanned before"),
     WORSE: N_(
-        "They did not pass before either, and now have a graver verdict, or their height, step or depth is farther off "
-        "by more than the uncertainty"
+        "They did not pass before either, and now have a graver verdict, or their height, step, gap or depth is "
+        "farther off by more than the uncertainty"
     ),
     CURED: N_("They did not pass on the scan before, and do now"),
     _DRIFTING: N_("Places whose value moves from aircraft to aircraft by more than chance allows"),

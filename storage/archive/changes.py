@@ -2,8 +2,9 @@
 
 A finding is a feature that does not simply pass, or a stretch of a course as its run names it. A scan is compared with
 the one before it of the same aircraft, panel and station; features are the same by their names, positions of a course
-by where they lie along it. A scan whose panel was not recognised has names of its own, and so has a rivet that is in
-no pattern (X01): nothing there is compared.
+by where they lie along it. They are compared by the first quantity of their kind; along a course, where one
+specification judged both scans, also by how far the worst quantity lies beyond its limits. A scan whose panel was not
+recognised has names of its own, and so has a rivet that is in no pattern (X01): nothing there is compared.
 """
 
 from __future__ import annotations
@@ -32,11 +33,14 @@ def _rows(kind: Kind) -> str:
     """
     name, *position = kind.id_columns
     first = kind.quantities[0]
+    u95 = ", ".join(quantity.u95_column for quantity in kind.quantities)
+    beyond = f"beyond_mm, greatest({u95})" if kind.is_course else "NULL::DOUBLE AS beyond_mm, NULL::DOUBLE"
     return (
         f"SELECT now_id, now, '{kind.name}' AS feature_kind, {name} AS name, "
         f"{position[0] if position else '0.0'} AS position, {kind.id_sql} AS feature_id, {first.column} AS value_mm, "
         f"{first.u95_column} AS u95_mm, decision, severity, reason, {RANK_SQL} AS rank, {ATTENTION} AS bad, "
-        f"{_KEPT_NAME} AS kept_name, {'stretch' if position else 'NULL::VARCHAR AS stretch'} "
+        f"{_KEPT_NAME} AS kept_name, {'stretch' if position else 'NULL::VARCHAR AS stretch'}, "
+        f"{beyond} AS beyond_u95_mm, panel_spec "
         f"FROM {kind.table} JOIN scans USING (scene_id, captured_at)"
     )
 
@@ -57,25 +61,29 @@ def changes_sql(since: str) -> str:
     # Positions beside a finding are of another one, unless there is nothing else.
     beside = f"(o.position < f.from_mm - {_HALF_STEP_MM} OR o.position > f.to_mm + {_HALF_STEP_MM})"
     nearby = f"({beside}, o.rank, -coalesce(abs(o.value_mm), 0))"
+    alike = f"NOT {beside} AND o.panel_spec = f.panel_spec"
     return f"""WITH fresh AS (
     SELECT * FROM (SELECT *, {TAKEN_AT} AS taken_at FROM latest_scenes) WHERE {since}
 ), before AS (
-    SELECT f.scene_id AS now_id, s.scene_id, s.captured_at, s.registration, s.n_unlisted
+    SELECT f.scene_id AS now_id, s.scene_id, s.captured_at, s.registration, s.n_unlisted, s.panel_spec
     FROM fresh f JOIN scenes s USING (aircraft_serial, panel, station) WHERE s.captured_at < f.captured_at
     QUALIFY row_number() OVER (PARTITION BY f.scene_id ORDER BY s.captured_at DESC) = 1
 ), scans AS (
-    SELECT scene_id AS now_id, scene_id, captured_at, true AS now, registration, n_unlisted FROM fresh
-    UNION ALL SELECT now_id, scene_id, captured_at, false, registration, n_unlisted FROM before
+    SELECT scene_id AS now_id, scene_id, captured_at, true AS now, registration, n_unlisted, panel_spec FROM fresh
+    UNION ALL SELECT now_id, scene_id, captured_at, false, registration, n_unlisted, panel_spec FROM before
 ), rows AS MATERIALIZED ({" UNION ALL ".join(_rows(kind) for kind in KINDS)}
 ), found AS (
     SELECT now_id, now, feature_kind, name, coalesce(stretch, feature_id) AS feature_id, min(position) AS from_mm,
-        max(position) AS to_mm, count(*) AS positions, min(rank) AS rank, bool_and(kept_name) AS kept_name, {worst}
+        max(position) AS to_mm, count(*) AS positions, min(rank) AS rank, bool_and(kept_name) AS kept_name, {worst},
+        any_value(panel_spec) AS panel_spec, max(beyond_mm) AS beyond_mm,
+        arg_max(beyond_u95_mm, beyond_mm) AS beyond_u95_mm
     FROM (SELECT *, (rank, -coalesce(abs(value_mm), 0)) AS worse_first FROM rows) r WHERE bad
     GROUP BY now_id, now, feature_kind, name, coalesce(r.stretch, r.feature_id)
 ), other AS (
     SELECT f.now_id, f.now, f.feature_kind, f.name, f.from_mm, count(o.name) AS seen, bool_or(o.bad) AS bad,
         arg_min(o.rank, {nearby}) AS rank, arg_min(o.value_mm, {nearby}) AS value_mm,
-        arg_min(o.u95_mm, {nearby}) AS u95_mm
+        arg_min(o.u95_mm, {nearby}) AS u95_mm, max(o.beyond_mm) FILTER ({alike}) AS beyond_mm,
+        arg_max(o.beyond_u95_mm, o.beyond_mm) FILTER ({alike}) AS beyond_u95_mm
     FROM found f LEFT JOIN rows o ON o.now_id = f.now_id AND o.now <> f.now AND o.feature_kind = f.feature_kind
         AND o.name = f.name AND o.position BETWEEN f.from_mm - {_SLACK_MM} AND f.to_mm + {_SLACK_MM}
         AND o.kept_name AND f.kept_name
@@ -85,7 +93,7 @@ def changes_sql(since: str) -> str:
         CASE WHEN NOT f.now THEN CASE WHEN o.seen > 0 AND NOT o.bad THEN '{CURED}' END
             WHEN o.seen = 0 OR NOT o.bad THEN '{NEW}'
             WHEN f.rank < o.rank OR abs(f.value_mm) - abs(o.value_mm) > sqrt(f.u95_mm ** 2 + o.u95_mm ** 2)
-                THEN '{WORSE}'
+                OR f.beyond_mm - o.beyond_mm > sqrt(f.beyond_u95_mm ** 2 + o.beyond_u95_mm ** 2) THEN '{WORSE}'
             WHEN f.rank > o.rank OR abs(o.value_mm) - abs(f.value_mm) > sqrt(f.u95_mm ** 2 + o.u95_mm ** 2)
                 THEN '{BETTER}'
             ELSE '{SAME}' END AS change

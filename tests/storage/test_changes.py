@@ -57,6 +57,22 @@ def test_a_stretch_of_a_seam_is_one_finding(nights: Store) -> None:
     assert stretch["feature_id"].startswith("M1@")
 
 
+def gap_changes(root: Path, widths: tuple[float, float], revision: str | None = None) -> set[str]:
+    """What becomes of a seam whose gap is another on the second night, judged by another revision if one is given."""
+    store = Store(root)
+    for night, width in enumerate(widths):
+        result = synthetic_result(replace(scan(night, {}), width_mm=width))
+        other = {**result.panel_spec, "revision": revision} if revision and night else result.panel_spec
+        store.publish(replace(result, panel_spec=other))
+    return {row["change"] for row in asked(store, changes_sql("true")) if row["feature_kind"] == "seam station"}
+
+
+def test_a_gap_that_opens_further_beyond_its_limit_is_worse(tmp_path: Path) -> None:
+    assert gap_changes(tmp_path / "opens", (3.9, 4.4)) == {"worse"}
+    assert gap_changes(tmp_path / "stays", (3.9, 3.9)) == {"unchanged"}
+    assert gap_changes(tmp_path / "other limits", (3.9, 4.4), revision="2") == {"unchanged"}
+
+
 def test_only_the_scans_that_are_asked_for(nights: Store) -> None:
     assert asked(nights, changes_sql("captured_at > TIMESTAMPTZ '2026-11-16 00:00:00+00'")) == []
 
