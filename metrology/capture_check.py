@@ -1,8 +1,6 @@
 """Whether a camera's frames are fit to be measured: exposure, modulation, noise and the projector's linearity.
 
-What is seen is told by the frames' own fit. A projector with gamma g shows ``(½ + ½ cos φ)^g``, whose second harmonic
-is r = (g − 1)/(g + 2) of the first and in phase with it; averaged over the lit pixels it stands out of any noise. Three
-steps per count do not show it.
+What is seen is told by the frames' own fit.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 
 from metrology.decode import decode_phase
 from metrology.fringe import FringeCode
+from metrology.gamma import projector_gamma
 from metrology.reconstruct import usual_size
 from metrology.saturation import saturation_level
 
@@ -87,7 +86,7 @@ def check_capture(frames: NDArray, code: FringeCode) -> CaptureState:
         noise=noise,
         signal=amplitude / max(noise, 1e-9),
         sigma_px=float(np.median(view.sigma[good])) if good.any() else np.inf,
-        gamma=_gamma(fringes, code, lit & ~clipped),
+        gamma=projector_gamma(fringes[:, ::_STRIDE, ::_STRIDE][:, (lit & ~clipped)[::_STRIDE, ::_STRIDE]], code),
         problems=(),
     )
     return _judged(state, bool(code.counts))
@@ -123,30 +122,6 @@ def _judged(state: CaptureState, fringes: bool) -> CaptureState:
             "with it all the same, one camera or a fitted projector would not"
         )
     return CaptureState(**{**state.__dict__, "problems": tuple(problems)})
-
-
-def _gamma(fringes: NDArray, code: FringeCode, usable: NDArray[np.bool_]) -> float | None:
-    """The projector's gamma from the second harmonic of every count with more than three steps."""
-    product = square = 0.0
-    sample = np.s_[::_STRIDE, ::_STRIDE]
-    chosen = usable[sample]
-    first = 0
-    for steps in code.step_counts:
-        own = slice(first, first + steps)
-        first += steps
-        if steps < 4 or not chosen.any():
-            continue
-        levels = fringes[own][:, ::_STRIDE, ::_STRIDE][:, chosen].astype(np.float64)
-        delta = code.step_angles[own]
-        phasor = 2 / steps * np.exp(-1j * delta) @ levels
-        expected = np.abs(phasor) * np.cos(2 * (np.angle(phasor) + delta[:, None]))
-        rest = levels - levels.mean(0) - np.real(phasor * np.exp(1j * delta[:, None]))
-        product += float((rest * expected).sum())
-        square += float((expected**2).sum())
-    if square <= 0:
-        return None
-    r = float(np.clip(product / square, -0.4, 0.7))
-    return (1 + 2 * r) / (1 - r)
 
 
 def verdict(states: Sequence[CaptureState]) -> str:

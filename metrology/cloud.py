@@ -62,6 +62,8 @@ class DecodedView:
     stripe_px: float | None = None
     """Of Gray code alone: width of a stripe that is told apart, projector pixels; the coordinate runs straight between
     the stripes' borders."""
+    gamma: float | None = None
+    """The projector's, as the fringes show it; None where they do not tell."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from metrology.cloud import DecodedView
 from metrology.errors import SceneError
 from metrology.fringe import FringeCode
+from metrology.gamma import projector_gamma
 from metrology.gray import continue_orders, stripe_positions
 from metrology.gray_edges import decode_stripes
 from metrology.jit import over_rows
@@ -26,6 +27,7 @@ from metrology.unwrap import heterodyne_beats, largest_sigma, order_lattice
 # way to the next lattice point's cell; beyond the second share the order is a toss-up whatever the noise.
 _NOISE_EXPLAINS = 1e-6
 _SHARES_OF_CELL = (0.5, 0.9)
+_SPARSE = 16  # every so many rows and columns tell the projector's gamma
 
 
 def _noise(frames: NDArray, fringes: NDArray, code: FringeCode, saturation: float) -> NoiseModel:
@@ -72,6 +74,7 @@ def decode_phase(
         texture=np.empty((height, width), np.float32),
         flags=np.empty((height, width), np.uint16),
         noise=noise,
+        gamma=_gamma(fringes[np.argmin(exposures)], code, saturation),
     )
     out = (view.coordinate, view.sigma, view.modulation, view.texture, view.flags)
     coarse = np.empty((0, 0), np.float32)
@@ -99,6 +102,12 @@ def decode_phase(
     if code.gray:
         continue_orders(view.coordinate, min(code.counts), code.gray, projector_size)
     return view
+
+
+def _gamma(fringes: NDArray, code: FringeCode, saturation: float) -> float | None:
+    """The projector's gamma from some of the pixels without a clipped sample; the bright ones count most."""
+    some = fringes[:, ::_SPARSE, ::_SPARSE]
+    return projector_gamma(some[:, some.max(0) < saturation], code)
 
 
 def _mean_level(fringes: NDArray, exposures: Sequence[float], saturation: float) -> NDArray[np.float64]:

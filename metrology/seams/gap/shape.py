@@ -17,7 +17,7 @@ from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
 
 Indices = NDArray[np.int64]
 
-# So many stations, evenly spread, tell the shape; so few of them choose where to start from.
+# So many stations, evenly spread, tell the shape; so few that look like the rest choose where to start from.
 _SHAPE_STATIONS = 24
 _START_STATIONS = 6
 _START_CHAMFERS_MM = (0.05, 0.35, 0.7, 1.05)
@@ -30,7 +30,7 @@ _RESOLVED_PX = 2.0
 def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array, float]:
     """The most likely shape, borders to start from for all stations, and the standard deviation of the mean width."""
     some = profiles.at(_evenly(len(profiles.stations), _SHAPE_STATIONS))
-    few = some.at(_evenly(len(some.stations), _START_STATIONS))
+    few = some.at(_usual(some, _START_STATIONS))
     # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
     looks = [_first_look(few, floor) for floor in floors]
     look = min(looks, key=lambda look: _cost(look) - (PROOF if look.known.floor.sealed else 0.0))
@@ -52,7 +52,7 @@ def sealant_doubt(profiles: Profiles, found: State) -> float:
     width = float(np.median(found.widths))
     if width < _RESOLVED_PX / float(np.median(profiles.px_mm)):
         return width / COVERAGE_95
-    chosen = _evenly(len(profiles.stations), _START_STATIONS)
+    chosen = _usual(profiles, _START_STATIONS)
     some = profiles.at(chosen)
     sealed = fit_shape_from(some, found.borders[chosen], found.shared, found.known, _START_ITERATIONS)
     return doubt_of_sealant(sealed, some)
@@ -70,6 +70,26 @@ def _fit_some(
 
 def _evenly(n: int, most: int) -> Indices:
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
+
+
+def _usual(profiles: Profiles, most: int) -> Indices:
+    """So many stations, evenly spread over the half whose pictures depart least from the seam's usual one.
+
+    Letters or a sticker across the seam may lie on most of a few stations: from such a start the fit goes astray.
+    """
+    reach = float(np.abs(profiles.x).max())
+    places = np.linspace(-reach, reach, profiles.x.shape[2])
+    away = np.zeros(len(profiles.stations))
+    for camera, sizes in enumerate(profiles.sizes.T):
+        seen = np.flatnonzero(sizes)
+        pictures = [
+            np.interp(places, profiles.x[row, camera, : sizes[row]], profiles.grey[row, camera, : sizes[row]])
+            for row in seen
+        ]
+        if pictures:
+            away[seen] += np.abs(pictures - np.median(pictures, axis=0)).mean(axis=1)
+    half = np.sort(np.argsort(away, kind="stable")[: (len(away) + 1) // 2])
+    return half[_evenly(len(half), most)]
 
 
 def _first_look(few: Profiles, floor: Floor) -> State:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from metrology.arrays import Array
 from metrology.cloud import PixelFlag, Reconstruction
+from metrology.gamma import fringe_gain
 from metrology.rig import Device
 from metrology.seams.sampling import LocalMap, fit_maps, grid_offsets
 from metrology.seams.skins.sections import Section
@@ -26,8 +27,9 @@ class View:
     texture: NDArray[np.float32]
     """(h, w) float32: saturated pixels NaN."""
     ambient: float
-    """Share of the skin's brightness that does not follow the fringes, (A − B) / A: light from elsewhere, the sensor's
-    dark level, and what the projector's optics take from the fringes' contrast."""
+    """Share of the skin's brightness that does not follow the fringes, (A − B / gain) / A: light from elsewhere, the
+    sensor's dark level, and what the projector's optics take from the fringes' contrast. Fringes of a gamma above 1
+    change the light by more than its mean (`fringe_gain`): without that there would be hardly any other light."""
 
 
 def both_views(reconstruction: Reconstruction) -> tuple[View, View]:
@@ -38,7 +40,8 @@ def both_views(reconstruction: Reconstruction) -> tuple[View, View]:
         texture = np.where(saturated, np.float32(np.nan), decoded.texture) if saturated.any() else decoded.texture
         some = (slice(None, None, _SPARSE), slice(None, None, _SPARSE))
         usual = np.isfinite(decoded.coordinate[some])
-        share = 1.0 - decoded.modulation[some][usual] / decoded.texture[some][usual]
+        fringes = decoded.modulation[some][usual] / fringe_gain(decoded.gamma)
+        share = 1.0 - fringes / decoded.texture[some][usual]
         views.append(View(device, texture, float(np.clip(np.median(share), 0.02, 1.0)) if usual.any() else 1.0))
     return views[0], views[1]
 
