@@ -23,8 +23,9 @@ _INNERMOST = 0.3  # of the countersink's radius: no bore is smaller
 _SMOOTH_PX = 0.7  # of the derivative along a profile
 _STEEP = 0.06  # of the skin's brightness per pixel: an edge; grain is a third of it
 _TOGETHER_PX = 0.75  # within which edges are of one circle, before its own centre is known
+_APART = 2  # samples along a profile, at least, between two circles
 _AS_GOOD = 0.9  # of the best circle's directions: as well supported
-_SAME_CIRCLE = 0.7  # of them, all the way between: the same circle
+_WORTH = 0.5  # of them, about an axis that may lie off its own: worth a look
 _OFF_CONE_MM = 0.6  # by which a circle may seem to lie off the cone; a shadow's edge lies anywhere
 _ENOUGH = 0.3  # of all directions in which there must be an edge of it
 
@@ -67,30 +68,31 @@ def bore_circle(
     direction, radius = np.concatenate(which), np.concatenate(at)
     if len(radius) == 0:
         return None
-    near = np.abs(radius[:, None] - radii) < _TOGETHER_PX * pixel_mm
-    supported = [len(np.unique(direction[column])) for column in near.T]
-    best = _outermost(np.array(supported))
-    if supported[best] < _ENOUGH * DIRECTIONS:
-        return None
-    kept = near[:, best]
-    r, angle = radius[kept], turn[direction[kept]]
-    x, y = outer.x + r * np.cos(angle), outer.y + r * np.sin(angle)
-    blur_px = float(np.hypot(blur_px, _SMOOTH_PX))
-    edges = Edges(x, y, direction[kept], np.concatenate(lean)[kept], EDGE_SD_PX, blur_px)
-    bore = rim_circle(edges, pixel_mm)
+    angle, blur_px = turn[direction], float(np.hypot(blur_px, _SMOOTH_PX))
+    x, y = outer.x + radius * np.cos(angle), outer.y + radius * np.sin(angle)
+    edges = Edges(x, y, direction, np.concatenate(lean), EDGE_SD_PX, blur_px)
+    bore = _outermost(edges, radius, radii, pixel_mm)
     return None if bore is None or abs(bore.deeper) > _OFF_CONE_MM else bore
 
 
-def _outermost(supported: NDArray[np.int64]) -> int:
-    """The best supported radius, from the skin inwards, or that of a circle about it with as much of a support.
+def _outermost(edges: Edges, radius: Array, radii: Array, pixel_mm: float) -> RimCircle | None:
+    """The best supported circle, from the skin inwards, or one about it with as much of a support.
 
-    What lies inside a bore, a shadow on its ground or the ground's border, may be as good a circle.
+    What lies inside a bore, a shadow on its ground or the ground's border, may be as good a circle. The countersink's
+    axis may be a pixel off the bore's: how well a circle is supported is asked about its own centre.
     """
-    most = int(supported.max())
-    first = int(np.argmax(supported >= _AS_GOOD * most))
-    ends = np.flatnonzero(supported[first:] < _SAME_CIRCLE * most)
-    end = first + int(ends[0]) if len(ends) else len(supported)
-    return first + int(np.argmax(supported[first:end]))
+    together = _TOGETHER_PX * pixel_mm
+    near = np.abs(radius[:, None] - radii) < together
+    supported = np.array([len(np.unique(edges.direction[column])) for column in near.T])
+    highest = supported == maximum_filter1d(supported, 2 * _APART + 1)
+    circles, support = [], []
+    for k in np.flatnonzero(highest & (supported >= max(_WORTH * supported.max(), _ENOUGH * DIRECTIONS))):
+        circle = rim_circle(edges.at(near[:, k]), pixel_mm)
+        if circle is not None:
+            off = np.hypot(edges.x - circle.x, edges.y - circle.y) - circle.radius
+            circles.append(circle)
+            support.append(len(np.unique(edges.direction[np.abs(off) < together])))
+    return next((c for c, n in zip(circles, support, strict=True) if n >= _AS_GOOD * max(support)), None)
 
 
 def _steep_places(profiles: Array) -> tuple[NDArray[np.int64], Array]:

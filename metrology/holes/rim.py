@@ -57,6 +57,11 @@ class Edges:
     blur_px: float = 0.0
     """Standard deviation of the blur over which it was found: that of a curved line lies too far inside."""
 
+    def at(self, which: NDArray[np.bool_]) -> Edges:
+        """Some of them."""
+        some = {name: getattr(self, name)[which] for name in ("x", "y", "direction", "lean")}
+        return replace(self, **some)
+
     @property
     def directions(self) -> int:
         """Different directions in which there is one."""

@@ -54,6 +54,8 @@ _OF_PITCH = 0.03  # the same as a share of the row's pitch
 _NEAREST = 4  # neighbours that make a row
 _OTHER_VIEW = 0.2  # of a rim's contrast in the left camera that the right one must show
 _DIRECTIONS = 48
+# What speaks against a ring of which neither the surface nor other fasteners tell.
+UNTOLD = "a ring where too few points of the skin tell what it is"
 _FAR_OFF = 10.0  # standard deviations of a height that is no head's, where shadows leave little skin
 _SEEN = 0.7  # of a rim that the right camera must see to be asked
 
@@ -217,6 +219,8 @@ def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstructio
     if not _right_camera_shows(one, reconstruction):
         return "a ring that one camera shows and the other does not"
     if len(certain) < _FEW:
+        if one.step is None and not one.relief.significance >= _STEPS:
+            return UNTOLD
         broad = _broad(one, certain)
         return "a ring without a step, whose line is wider or darker than a fastener's gap" if broad else None
     if why := _unlike_gaps(one, certain, gaps):

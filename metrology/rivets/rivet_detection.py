@@ -9,7 +9,7 @@ import numpy as np
 from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection
-from metrology.rivets.confirm import confirm_rings, steps_up
+from metrology.rivets.confirm import UNTOLD, confirm_rings, steps_up
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import nearby_plane
@@ -19,8 +19,6 @@ from metrology.rivets.relief import Disc, on_skin, shows_in_texture
 from metrology.rivets.rim_step import rim_step
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
-
-_NO_SKIN = "a ring where too few points of the skin tell what it is"
 
 
 def detect_rivets(
@@ -51,7 +49,7 @@ def detect_rivets(
     texture = reconstruction.left.texture
     if ground is None:
         rings = [r for r in detect_ellipses(texture, settings) if r.quality >= settings.sure_quality]
-        return _in_reading_order([_detection(ring, reconstruction, _NO_SKIN) for ring in rings])
+        return _in_reading_order([_detection(ring, reconstruction, UNTOLD) for ring in rings])
     heads = ground.discs if settings.plain_heads else []
     rings = detect_ellipses(texture, settings, ground.shapes, ground.radii, [h.ellipse for h in heads])
     rings = [r for r in rings if all(not r.ellipse.meets(h) or is_recess(h, r.ellipse, reconstruction) for h in holes)]

@@ -112,10 +112,43 @@ def test_a_bore_below_a_broken_edge_is_narrower_by_up_to_twice_its_depth(rng: np
     assert 0.25 < hole.diameter_u95_mm < 0.5
 
 
-def test_a_circle_inside_a_bore_is_not_the_bore() -> None:
-    support = np.array([0, 12, 0, 40, 69, 50, 24, 30, 70, 60, 20])
-    assert outermost(support) == 4
-    assert outermost(np.array([0, 38, 31, 28, 39, 36, 5])) == 4  # one circle, blurred
+PIXEL_MM = 0.2
+
+
+def edges_of(circles: list[tuple[float, float, float, int]], rng: np.random.Generator) -> tuple[Edges, np.ndarray]:
+    """Edges of circles (x, y, radius, in so many directions of 72) as seen from the origin, and their radii there."""
+    turn, directions, radii = np.arange(72) * (2 * np.pi / 72), [], []
+    for x, y, radius, shown in circles:
+        some = np.sort(rng.permutation(72)[:shown])
+        along = x * np.cos(turn[some]) + y * np.sin(turn[some])
+        directions.append(some)
+        radii.append(along + np.sqrt(along**2 - x**2 - y**2 + radius**2) + rng.normal(0, 0.01, shown))
+    direction, radius = np.concatenate(directions), np.concatenate(radii)
+    x, y = radius * np.cos(turn[direction]), radius * np.sin(turn[direction])
+    return Edges(x, y, direction, np.zeros(len(x)), 0.08), radius
+
+
+@pytest.mark.parametrize(
+    ("circles", "expected"),
+    [
+        ([(0.0, 0.0, 2.0, 69), (0.0, 0.0, 1.5, 70)], 2.0),
+        ([(0.16, 0.12, 1.72, 60), (0.0, 0.0, 1.42, 64)], 1.72),  # the bore lies a pixel off the countersink's axis
+        ([(0.0, 0.0, 2.0, 40), (0.0, 0.0, 1.5, 70)], 1.5),  # a shadow's border on the cone
+    ],
+)
+def test_the_outermost_of_well_supported_circles_is_the_bore(
+    circles: list[tuple[float, float, float, int]], expected: float, rng: np.random.Generator
+) -> None:
+    edges, radius = edges_of(circles, rng)
+    radii = np.arange(2.8, 0.8, -0.25 * PIXEL_MM)
+    bore = outermost(edges, radius, radii, PIXEL_MM)
+    assert bore is not None
+    assert bore.radius == pytest.approx(expected, abs=0.02)
+
+
+def test_edges_of_no_circle_are_no_bore(rng: np.random.Generator) -> None:
+    edges, radius = edges_of([(0.0, 0.0, 1.5, 15)], rng)
+    assert outermost(edges, radius, np.arange(2.8, 0.8, -0.25 * PIXEL_MM), PIXEL_MM) is None
 
 
 def test_a_steep_cone_down_to_the_ground_is_a_bent_wall() -> None:

@@ -15,8 +15,9 @@ from metrology.kinds import RIVET
 from metrology.limits import Limit, PanelSpec
 from metrology.registration import enrol
 from metrology.rivets import detect_rivets, measure_rivets
-from metrology.rivets.confirm import _nothing_inside
+from metrology.rivets.confirm import _doubt, _nothing_inside
 from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.rim_light import GapLight
 from metrology.rivets.rim_step import rim_step
 from metrology.tolerance import judge
 from tests.support.reference_scans import reference_scan
@@ -102,6 +103,17 @@ def test_where_few_fasteners_tell_what_gaps_are_a_broad_ring_without_a_step_is_i
     detections = detect_rivets(painted(scan(skin, ROWS[:2], rng), letter, skin, width_mm))
     assert sum(d.doubt is not None for d in detections) == doubted
     assert len(detections) == 3
+
+
+@pytest.mark.parametrize(
+    ("step", "significance", "doubted"), [(None, 0.8, True), (None, 5.0, False), (object(), 0.8, False)]
+)
+def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(step: object, significance: float, doubted: bool) -> None:
+    """Strokes of a letter leave such a ring between them, ten pixels across: nothing is clear of it."""
+    relief = SimpleNamespace(significance=significance)
+    shown = SimpleNamespace(step=step, relief=relief, place=None, light=None)
+    doubt = _doubt(shown, [], GapLight.of([]), SimpleNamespace(right=None))
+    assert ("too few points" in (doubt or "")) == doubted
 
 
 @pytest.mark.parametrize(("inside_mm", "doubted"), [(-0.13, False), (0.02, True), (-0.02, True)])

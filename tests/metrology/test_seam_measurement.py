@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from metrology.errors import UsageError
 from metrology.seams import SeamSettings, detect_seams, measure_seams
 from metrology.seams.blur import EdgeResponse, PixelBlur, blurred_steps
-from metrology.seams.gap import floor, model, solver
+from metrology.seams.gap import floor, model, shape, solver
 from metrology.seams.gap.fit import fit_gap
 from metrology.seams.gap.floor import Floor, possible_floors
 from metrology.seams.gap.levels import courses
@@ -246,6 +246,29 @@ def test_gap_is_measured_from_its_pictures(gap, rng):
     assert np.abs(widths - gap.width_mm).mean() < 0.03
     assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.8
     assert np.median(u95) < 0.15
+
+
+@pytest.mark.parametrize(("gap", "seed"), [(Gap(0.08, 0.4, 0.05, 2.5), 2), (Gap(0.08, 0.3), 1)])
+def test_a_tight_gap_between_chamfers_that_looks_like_a_shallow_one_is_within_u95(gap, seed):
+    """Two pixels of a V: its ground may be the floor of a gap five times as wide."""
+    some = profiles(gap, 12, np.random.default_rng(seed), noise=0.03, lens_px=1.1)
+    fit = fit_gap(some, possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    u95 = 1.96 * np.hypot(fit.sigma_own_mm, fit.sigma_common_mm)
+    assert np.mean(np.abs(widths - gap.width_mm) < u95) > 0.8
+
+
+def test_paint_where_the_fit_starts_does_not_lead_it_astray(rng):
+    """Five of the six stations that the start is looked for at have paint on side A."""
+    gap = Gap(0.8, 0.5, 0.1)
+    some = profiles(gap, 24, rng)
+    starts = shape._evenly(24, 6)[:5]
+    grey = some.grey.copy()
+    grey[starts] *= np.where(some.x[starts] < -1.0, 0.2, 1.0)
+    fit = fit_gap(replace(some, grey=grey), possible_floors(None))
+    widths = fit.borders @ [-1.0, 1.0] - fit.chamfers_mm.sum()
+    assert np.median(np.abs(widths - gap.width_mm)) < 0.05
+    assert np.allclose(fit.chamfers_mm, 0.5, atol=0.05)
 
 
 @pytest.mark.parametrize("gap", [Gap(0.3, 0.0, sealed=True), Gap(0.06, 0.12)])

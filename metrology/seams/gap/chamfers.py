@@ -11,12 +11,14 @@ the pictures ask for a gap, so every open gap that they do not exclude goes into
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from metrology.arrays import Array
 from metrology.results import COVERAGE_95
 from metrology.seams.gap.floor import Floor
-from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
+from metrology.seams.gap.prior import DEPTH, SLOPE, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
 
@@ -32,6 +34,8 @@ _ITERATIONS = 12
 # Open gaps that are to look like sealant: edges broken up to here, a floor as deep as usual; their fit starts far off.
 _WIDEST_BROKEN_MM, _DEPTH_MM = 0.55, 2.0
 _RIVAL_ITERATIONS = 40
+# A floor that is less deep than so many times the chamfers may be their lower ends.
+_SHALLOW = 2.0
 # Share of what is likely that U95 is to cover.
 _COVERAGE = 0.95
 # An open gap is taken for real where sealant costs more than this in squared standard deviations: then its chamfers
@@ -55,7 +59,7 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
     expected = 0.5 * float(free.shared[WIDTH_A] + free.shared[WIDTH_B])
     square = _with_chamfers(free, some, 0.0)
     if square.cost(free.limit) - free.cost(free.limit) > _CERTAIN:
-        return free, 0.0
+        return free, _doubt_of_floor(free, some)
     states, costs = [square], [square.cost(free.limit)]
     tried = np.unique(np.append(np.arange(_STEP_MM, _WIDEST_MM, _STEP_MM), max(expected, 0.01)))
     for width in tried:
@@ -73,6 +77,32 @@ def weigh_chamfers(free: State, some: Profiles) -> tuple[State, float]:
     order = np.argsort(away)
     reached = min(int(np.searchsorted(np.cumsum(weights[order]), _COVERAGE)), len(order) - 1)
     return median, float(away[order[reached]]) / COVERAGE_95
+
+
+def _doubt_of_floor(free: State, some: Profiles) -> float:
+    """The standard uncertainty of the width by a gap that may be hidden between wider chamfers.
+
+    Where the floor seems to lie right below the chamfers and no points show it, a groove in the shape of a V looks like
+    a shallow gap as wide as its ground. Every wider chamfer that the pictures do not exclude leaves a narrower gap.
+    """
+    chamfer = 0.5 * float(free.shared[WIDTH_A] + free.shared[WIDTH_B])
+    shallow = free.shared[DEPTH] < _SHALLOW * chamfer * free.shared[SLOPE]
+    if free.known.floor.depth_mm is not None or not shallow:
+        return 0.0
+    found, rival, rivals = float(np.median(free.widths)), free, []
+    for wider in np.arange(chamfer, chamfer + 0.5 * found + _STEP_MM, _STEP_MM):
+        rival = _with_chamfers(rival, some, float(wider))
+        rivals += [rival, _above_deep_floor(free, some, float(wider))]
+    most = free.cost(free.limit) + PROOF * free.excess_misfit
+    away = [abs(float(np.median(r.widths)) - found) for r in rivals if r.cost(free.limit) < most]
+    return max(away, default=0.0) / COVERAGE_95
+
+
+def _above_deep_floor(found: State, some: Profiles, width_mm: float) -> State:
+    """Everything else fitted to chamfers of this width, from a floor as deep as usual and usual levels."""
+    shared, levels = found.shared.copy(), found.known.lenses.stop
+    shared[DEPTH], shared[levels:] = _DEPTH_MM, found.known.mean[levels:]
+    return _with_chamfers(replace(found, shared=shared), some, width_mm, _RIVAL_ITERATIONS)
 
 
 def doubt_of_sealant(sealed: State, some: Profiles) -> float:
