@@ -18,7 +18,7 @@ from metrology.frame_sample import sample_frames
 from metrology.fringe import FringeCode
 from metrology.noise import NoiseModel
 from metrology.saturation import code_saturation
-from storage.documents import utc_text
+from storage.documents import read_json, utc_text
 from storage.frame_pages import PAGES, write_pages
 from storage.frames import read_header, read_stack
 from storage.models import validate
@@ -121,6 +121,7 @@ def new_scene(
     guess: bool = True,
     exposures: Sequence[float] = (1.0,),
     labels: Sequence[str] = (),
+    replace: bool = False,
 ) -> list[str]:
     """Write scene.json; returns what is to be said about the code.
 
@@ -137,6 +138,8 @@ def new_scene(
         Their times.
     labels : sequence of str
         What the counts are called, where the names' order was taken for theirs.
+    replace : bool
+        Whether to write in place of another scene.json.
     """
     lines: list[str] = []
     fringe = shown.model_dump(mode="json", exclude_defaults=True)
@@ -176,8 +179,22 @@ def new_scene(
     model = validate(SceneModel, document, folder / MANIFEST, SceneError)
     document["captured_at"] = utc_text(model.captured_at)
     _refuse_contradictions(model, folder)
-    (folder / MANIFEST).write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
-    return lines
+    return [*lines, *_written(folder / MANIFEST, document, replace)]
+
+
+def _written(path: Path, document: Mapping[str, object], replace: bool) -> list[str]:
+    """Write scene.json unless it says something else; a line where it says the same already."""
+    if path.exists() and not replace:
+        there = read_json(path, SceneError)
+        if there == document:
+            return [f"{path}: says so already"]
+        differ = [key for key in {**document, **there} if there.get(key) != document.get(key)]
+        raise SceneError(
+            f"{path}: found another scene there already (other {', '.join(differ)}), expected none: "
+            "--replace writes it anew"
+        )
+    path.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
+    return []
 
 
 def _as_stepped(shown: FringeModel, listed: Listed) -> Listed:

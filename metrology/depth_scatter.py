@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from metrology.arrays import Float32
 from metrology.robust import MAD
-from metrology.stripe_scatter import BLOCK, by_block, third_differences
+from metrology.stripe_scatter import BLOCK, by_block, differences
 
 _APART = (6, 9)  # pixels: no farther than the match takes pixels together, plus one; and half as far again
 _BENT = (_APART[1] / _APART[0]) ** 6  # by which a bent surface's squares grow from one distance to the other
@@ -56,7 +56,7 @@ def _off(points: Float32, sigma_z: Float32, flags: NDArray[np.uint16], every: in
     # Of a plane it runs straight along the rows.
     near = np.where(good, 1 / np.where(good, points[::every, :, 2], 1), np.nan).astype(np.float32)
     deviation = np.where(good, sigma_z[::every] * near**2, np.nan).astype(np.float32)
-    return [third_differences(near, deviation, apart) for apart in _APART]
+    return [differences(near, deviation, apart) for apart in _APART]
 
 
 def _without_bending(short: ArrayLike, long: ArrayLike) -> Float32:

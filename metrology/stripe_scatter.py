@@ -3,6 +3,10 @@
 A border that the projector, or its scaling of the pattern, shows beside its place is seen by both cameras alike: it is
 an error of the coordinate, and none of the depth. What a camera's pixels make of a blurred border is an error of the
 depth, and does not show in the course of one camera's borders. So σ of depths follows from the depths themselves.
+
+Borders are found in every line of pixels by itself: lines a few pixels apart tell their scatter, however strong the
+relief. What all of them have in common shows only across stripes, many pixels apart, and is told where the surface is
+even over so many. Between borders a bent surface is taken for straight: how much it bends tells that error.
 """
 
 from __future__ import annotations
@@ -19,7 +23,17 @@ from metrology.robust import MAD
 # Stripes: places so far apart share no border. Several distances, since borders may err in turn: over one distance
 # alone, what recurs after twice as many stripes would count three times, and what recurs after as many not at all.
 _APART = (3, 4, 5)
-_WINDOW = 5  # pixels that the match takes together
+_LINES = (2, 3)  # pixels across the stripes' course: the match takes three lines of the right camera together
+_BENT = (_LINES[1] / _LINES[0]) ** 6  # by which a bent surface's squares grow from one distance to the other
+# Squared third differences over two lines are this share of those over three, of equal errors in both cameras: the
+# right one's windows share a line of their three, and so half of 1/3, beside the left one's 1.
+_SHARED = (1 + 1 / 6) / (1 + 1 / 3)
+_WINDOW = 5  # pixels along the stripes' course that the match takes together
+_EVEN = 2.0  # of the scatter between near lines: what far lines of an even surface scatter at most
+# Of the scatter along the stripes' course: what far lines scatter at least where relief does it, which runs in all
+# directions; errors of borders differ far less from line to line than from border to border.
+_ALIKE = 0.5
+_SECOND = (1.0, -2.0, 1.0)
 _THIRD = (1.0, -3.0, 3.0, -1.0)  # third differences, which no plane and no bent skin shows
 BLOCK = 64  # pixels
 _LEAST = 200  # differences in a block that tell its scatter
@@ -50,27 +64,54 @@ def scatter_ratio(left: DecodedView, points: Float32, sigma_z: Float32, flags: N
     gradient = gradient[np.isfinite(gradient) & (gradient > 0)]
     if gradient.size == 0:
         return np.ones_like(sigma_z)
-    stripe = left.stripe_px / float(np.median(gradient))
     if not along_rows:
         near, deviation = near.T, deviation.T
-    off = np.stack([third_differences(near, deviation, _WINDOW + int(np.ceil(stripes * stripe))) for stripes in _APART])
-    ratio = by_block(off)
+    stripe = left.stripe_px / float(np.median(gradient))
+    far = [_WINDOW + int(np.ceil(stripes * stripe)) for stripes in _APART]
+    across = by_block(np.stack([differences(near, deviation, apart) for apart in far]))
+    short, long, far_lines = (
+        by_block(differences(near.T, deviation.T, apart).T[None]) ** 2 for apart in (*_LINES, far[0])
+    )
+    between = _between_lines(short, long)
+    bent = by_block(differences(near, deviation, max(1, round(stripe)), _SECOND)[None]) ** 2
+    on_relief = np.minimum(across, np.sqrt(between + _interpolation(bent, between, stripe)))
+    bumpy = (far_lines > _EVEN**2 * between) & (far_lines > (_ALIKE * across) ** 2)
+    # Where most of the picture is relief, a part that runs one way only is relief as well.
+    mostly = np.median(bumpy[::8, ::8]) > 0
+    ratio = np.where(bumpy | mostly, on_relief, across).astype(np.float32)
     return ratio if along_rows else np.ascontiguousarray(ratio.T)
 
 
-def third_differences(near: Float32, deviation: Float32, apart: int) -> Float32:
-    """(h, w) sizes of third differences along rows in units of what `deviation` says of them; NaN where none."""
+def _between_lines(short: Float32, long: Float32) -> Float32:
+    """Squared scatter of lines, from squared third differences over both distances, without what a surface bends."""
+    return np.maximum((_BENT * short - long) / (_BENT * _SHARED - 1), 0)
+
+
+def _interpolation(bent: Float32, between: Float32, stripe: float) -> Float32:
+    """Squared error of a bent surface that is straight between borders and even within the match's window.
+
+    Over a stripe s the depth bends by c: second differences have c² beside the scatter of border and border, which
+    neighbours share. Straight lines between borders err by c t (1 − t)/2, 0 ≤ t ≤ 1; a plane through five pixels of
+    the right camera by c/s² at most, which is where the projector stands beside the left one.
+    """
+    c2 = np.maximum(6 * bent - 4 * between, 0)
+    return c2 * (1 / 120 + 1 / (6 * stripe**2) + 1 / stripe**4)
+
+
+def differences(near: Float32, deviation: Float32, apart: int, factors: tuple[float, ...] = _THIRD) -> Float32:
+    """(h, w) sizes of differences along rows in units of what `deviation` says of them; NaN where none."""
     height, width = near.shape
     off = np.full((height, width), np.nan, np.float32)
-    length = width - 3 * apart
+    span = (len(factors) - 1) * apart
+    length = width - span
     if length <= 0:
         return off
     bent, expected = np.zeros((height, length), np.float32), np.zeros((height, length), np.float32)
-    for k, factor in enumerate(_THIRD):
+    for k, factor in enumerate(factors):
         part = np.s_[:, k * apart : k * apart + length]
         bent += np.float32(factor) * near[part]
         expected += np.float32(factor**2) * deviation[part] ** 2
-    off[:, 3 * apart // 2 : 3 * apart // 2 + length] = np.abs(bent) / np.sqrt(expected)
+    off[:, span // 2 : span // 2 + length] = np.abs(bent) / np.sqrt(expected)
     return off
 
 

@@ -42,6 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser], co
     _add_key_options(new)
     new.add_argument("--axis", choices=("x", "y"), default="x", help="x: fringes change along columns (default)")
     new.add_argument("--as-declared", action="store_true", help="keep offsets, direction and borders as they are given")
+    new.add_argument("--replace", action="store_true", help="in place of another scene.json that is there already")
     new.add_argument("--sheet", type=Path, metavar="PNG", help="picture of what was understood; by default in FOLDER")
     add_code_options(new)
     new.set_defaults(run=run_new)
@@ -141,7 +142,8 @@ def run_new(options: argparse.Namespace) -> int:
     key = (options.aircraft, options.panel, options.station, captured)
     times = exposure_times(options)
     labels = untold_labels(options, shown.code)
-    made = new_scene(options.folder, key, options.rig, shown, listed, not options.as_declared, times, labels)
+    guess = not options.as_declared
+    made = new_scene(options.folder, key, options.rig, shown, listed, guess, times, labels, options.replace)
     for line in [*dict.fromkeys(notes), *made]:
         print(line)
     for line in describe_scene(options.folder, options.sheet or options.folder / SHEET):

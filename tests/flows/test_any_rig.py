@@ -273,12 +273,26 @@ def test_what_one_camera_cannot_tell_of_the_steps_is_asked_for(
     inspect = ("inspect", folder, "--rig", tmp_path / "one.json", "--store", tmp_path / "store")
     assert run(*inspect) == 2
     assert "most likely the steps were shown backward" in capsys.readouterr().err
-    assert run("scene", "new", folder, *arguments, "--offset", "0.3", "--direction", "-1") == 0
+    assert run("scene", "new", folder, *arguments, "--offset", "0.3", "--direction", "-1", "--replace") == 0
     assert json.loads((folder / "scene.json").read_text())["fringe"]["direction"] == -1
     scene, rig = load_scene(folder), load_rig(tmp_path / "one.json")
     cloud = triangulate_one(decode(scene.frames("left"), scene.code, 320), rig, scene.code, 320)
     off = (cloud.points @ PLANE_NORMAL - PLANE_DISTANCE)[cloud.flags == 0]
     assert abs(np.median(off)) < 0.1
+
+
+def test_another_scene_json_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = save(tmp_path / "scan", scan(FringeCode("x", 4, (7, 6, 5))), COUNTS)
+    pattern = ("--pattern", "{camera}/f{count}_{step}.png", "--counts", "7", "6", "5")
+    assert run("scene", "new", folder, *pattern, "--rig", "small") == 0
+    kept = (folder / "scene.json").read_bytes()
+    assert run("scene", "new", folder, *pattern, "--rig", "small") == 0
+    assert "scene.json: says so already" in capsys.readouterr().out
+    assert run("scene", "new", folder, *pattern, "--rig", "large") == 2
+    assert "found another scene there already (other rig), expected none: --replace" in capsys.readouterr().err
+    assert (folder / "scene.json").read_bytes() == kept
+    assert run("scene", "new", folder, *pattern, "--rig", "large", "--replace") == 0
+    assert json.loads((folder / "scene.json").read_text(encoding="utf-8"))["rig"] == "large"
 
 
 def test_one_camera_and_its_projector_inspect_by_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

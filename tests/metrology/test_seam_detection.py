@@ -13,6 +13,7 @@ from metrology.cloud import PixelFlag
 from metrology.errors import UsageError
 from metrology.results import RivetDetection
 from metrology.seams import ImageLine, LineSettings, SeamSettings, detect_lines, detect_seams
+from metrology.seams.finding import segments
 from metrology.seams.finding.relief import examine_relief
 from metrology.seams.finding.segments import join_pieces, straight_pieces
 from metrology.seams.finding.shade import projected_share
@@ -199,6 +200,26 @@ def test_pieces_are_straight_and_joined_across_a_gap(rng):
     assert len(joined[0]) == 320
     aside = line[230:] + np.array([0, 12, 0])
     assert len(join_pieces([line[:150], aside], 100.0, 2.0, np.deg2rad(6))) == 2
+
+
+def test_a_join_compares_the_ends_of_what_it_joined_alone(monkeypatch):
+    """On relief there are a thousand pieces and hundreds of joins: each anew with all others took a minute."""
+    along = np.arange(0.0, 20.0)
+    pieces = [
+        np.column_stack([along + 24.0 * k, np.full(20, 30.0 * row) + 1e-3 * (k * 7 % 5) * along])
+        for row in range(5)
+        for k in range(20)
+    ]
+    compared = []
+    prices = segments._prices
+
+    def counted(here, there, limits):
+        compared.append(len(here) * len(there))
+        return prices(here, there, limits)
+
+    monkeypatch.setattr(segments, "_prices", counted)
+    assert sorted(len(line) for line in join_pieces(pieces, 6.0, 2.0, np.deg2rad(6))) == [400] * 5
+    assert sum(compared) < 200**2 + 95 * 4 * 200
 
 
 SEAM = Band((450, 350), 70, 9.0, 70.0, bow_px=3.0)

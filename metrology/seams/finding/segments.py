@@ -91,50 +91,54 @@ def join_pieces(pieces: Sequence[Array], max_gap: float, tolerance: float, max_b
         Angle between the ends, radians.
     """
     lines = [np.asarray(piece) for piece in pieces]
-    ends = [(_end(line, 0), _end(line, 1)) for line in lines]
-    while True:
-        match = _best_joint(ends, max_gap, tolerance, max_bend)
-        if match is None:
-            return lines
-        i, end_i, j, end_j = match
-        head = lines[i] if end_i == 1 else lines[i][::-1]
-        tail = lines[j] if end_j == 0 else lines[j][::-1]
+    ends = [_end(line, end) for line in lines for end in (0, 1)]
+    limits = (max_gap, tolerance, max_bend)
+    prices = _prices(ends, ends, limits)
+    while prices.size and np.isfinite(prices.flat[best := int(prices.argmin())]):
+        a, b = divmod(best, len(ends))
+        head = lines[a // 2] if a % 2 == 1 else lines[a // 2][::-1]
+        tail = lines[b // 2] if b % 2 == 0 else lines[b // 2][::-1]
         joined = _spliced(head, tail)
-        kept = [k for k in range(len(lines)) if k not in (i, j)]
+        kept = [k for k in range(len(lines)) if k not in (a // 2, b // 2)]
+        stay = np.repeat(2 * np.array(kept, int), 2) + np.tile((0, 1), len(kept))
         lines = [lines[k] for k in kept] + [joined]
-        ends = [ends[k] for k in kept] + [(_end(joined, 0), _end(joined, 1))]
+        old, new = [ends[k] for k in stay], [_end(joined, 0), _end(joined, 1)]
+        ends = old + new
+        prices = np.block(
+            [
+                [prices[np.ix_(stay, stay)], _prices(old, new, limits)],
+                [_prices(new, old, limits), np.full((2, 2), np.inf)],
+            ]
+        )
+    return lines
 
 
-def _best_joint(
-    ends: Sequence[tuple[_End, _End]], max_gap: float, tolerance: float, max_bend: float
-) -> tuple[int, int, int, int] | None:
-    """(line, end, line, end) of the two ends that continue each other best; end 0 is the first point, 1 the last."""
-    if len(ends) < 2:
-        return None
-    flat = [end for pair in ends for end in pair]
-    owner = np.arange(len(flat)) // 2
-    place = np.array([end.place for end in flat])
-    outward = np.array([end.outward for end in flat])
-    length = np.array([end.length for end in flat])
-    gap_vector = place[None] - place[:, None]
-    gap = np.einsum("ijk,ik->ij", gap_vector, outward)
-    offset_here = np.abs(gap_vector[..., 0] * outward[:, None, 1] - gap_vector[..., 1] * outward[:, None, 0])
-    offset_there = np.abs(gap_vector[..., 0] * outward[None, :, 1] - gap_vector[..., 1] * outward[None, :, 0])
-    offset = np.maximum(offset_here, offset_there)
-    facing = -(outward @ outward.T)
+def _prices(here: Sequence[_End], there: Sequence[_End], limits: tuple[float, float, float]) -> Array:
+    """(n, m) what it costs to continue from an end here to one there; infinite where they do not continue each other.
+
+    Of the same ends on both sides, two to a line, a line's own do not.
+    """
+    max_gap, tolerance, max_bend = limits
+    if not here or not there:
+        return np.empty((len(here), len(there)))
+    place, other_place = (np.array([end.place for end in ends]) for ends in (here, there))
+    (out_u, out_v), (other_u, other_v) = (np.array([end.outward for end in ends]).T for ends in (here, there))
+    out_u, out_v = out_u[:, None], out_v[:, None]
+    length, other_length = (np.array([end.length for end in ends]) for ends in (here, there))
+    gap_u, gap_v = (other_place[None, :, k] - place[:, None, k] for k in (0, 1))
+    gap = gap_u * out_u + gap_v * out_v
+    offset = np.maximum(np.abs(gap_u * out_v - gap_v * out_u), np.abs(gap_u * other_v - gap_v * other_u))
+    facing = -(out_u * other_u + out_v * other_v)
     allowed = (
-        (owner[:, None] != owner[None])
-        & (gap > -_OVERLAP_PX)
-        & (gap < max_gap + 0.5 * np.minimum(length[:, None], length[None]))
+        (gap > -_OVERLAP_PX)
+        & (gap < max_gap + 0.5 * np.minimum(length[:, None], other_length))
         & (facing > np.cos(max_bend))
         & (offset < tolerance + _OFFSET_PER_GAP * np.abs(gap))
     )
-    price = np.where(allowed, np.abs(gap) + 5 * offset, np.inf)
-    k = int(price.argmin())
-    if not np.isfinite(price.flat[k]):
-        return None
-    a, b = divmod(k, len(flat))
-    return a // 2, a % 2, b // 2, b % 2
+    if here is there:
+        owner = np.arange(len(here)) // 2
+        allowed &= owner[:, None] != owner
+    return np.where(allowed, np.abs(gap) + 5 * offset, np.inf)
 
 
 def _end(line: Array, end: int) -> _End:
