@@ -50,7 +50,7 @@ def _compare(scene: Path, options: argparse.Namespace, work: Path) -> int:
     ply, picture = _export(store, said, work)
     made = work / f"{scene.name}-cloud"
     key = [f"--{name.replace('_', '-')}={said[name]}" for name in ("panel", "station", "captured_at")]
-    run("flushline", "scene", "from-cloud", ply, "--picture", picture, "--out", made,
+    run("flushline", "scene", "from-cloud", ply, "--picture", picture, "--out", made, "--replace",
          "--aircraft", said["aircraft_serial"], *key)  # fmt: skip
     run("flushline", "inspect", made, "--store", clouds)
     own, cloud = (score(where, scene) for where in (store, clouds))

@@ -90,6 +90,7 @@ def _add_from_cloud(
     parser.add_argument("--unit", help="mm, m, or so many mm; by default m for E57, else mm")
     parser.add_argument("--sigma", type=float, metavar="MM", help="standard deviation of the depths, where it is known")
     parser.add_argument("--operator")
+    parser.add_argument("--replace", action="store_true", help="in place of a scene that is there already")
     _add_key_options(parser)
     parser.set_defaults(run=run_from_cloud)
 
@@ -101,7 +102,11 @@ def run_from_cloud(options: argparse.Namespace) -> int:
     from metrology.moments import moment_of
     from metrology.results import SceneKey
     from storage.documents import check_regular_file
+    from storage.scene_models import MANIFEST
 
+    manifest = options.out / MANIFEST
+    if manifest.exists() and not options.replace:
+        raise SceneError(f"{manifest}: found a scene there already, expected none: --replace writes it anew")
     units = {"mm": 1.0, "m": 1000.0, "in": 25.4, None: None}
     try:
         mm = units[options.unit] if options.unit in units else float(options.unit)

@@ -91,6 +91,23 @@ def test_a_cloud_that_lacks_something_is_one_line(
     assert not (tmp_path / "scene" / "scene.json").exists()
 
 
+def test_a_scene_that_is_there_already_is_kept(
+    exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(exported)
+    command = ("scene", "from-cloud", "cloud.ply", "--picture", "picture.png", "--out", tmp_path / "scene")
+    assert run(*command, "--station", "S1") == 0
+    manifest = tmp_path / "scene" / "scene.json"
+    before = manifest.read_bytes()
+    capsys.readouterr()
+    assert run(*command, "--station", "S2") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "found a scene there already" in line
+    assert manifest.read_bytes() == before
+    assert run(*command, "--station", "S2", "--replace") == 0
+    assert json.loads(manifest.read_text())["station"] == "S2"
+
+
 def test_an_inbox_takes_a_cloud_scene_with_its_own_rig(
     exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
