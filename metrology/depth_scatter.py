@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from metrology.arrays import Float32
 from metrology.robust import MAD
-from metrology.stripe_scatter import BLOCK, by_block, differences
+from metrology.stripe_scatter import BLOCK, by_block, differences, without_bending
 
 _APART = (6, 9)  # pixels: no farther than the match takes pixels together, plus one; and half as far again
-_BENT = (_APART[1] / _APART[0]) ** 6  # by which a bent surface's squares grow from one distance to the other
 _EVERY = 4  # rows that tell it
 _FIRST_LOOK = 16  # rows that tell whether there is anything to be told
 _LEAST_SEEN = 0.68  # of the values in a block (700 of 1024): fewer would tell its scatter to worse than a tenth
@@ -42,10 +41,10 @@ def raised_sigma(points: Float32, sigma_z: Float32, flags: NDArray[np.uint16], a
         return np.ascontiguousarray(raised_sigma(points.transpose(1, 0, 2), sigma_z.T, flags.T, True).T)
     told = [off[np.isfinite(off)] for off in _off(points, sigma_z, flags, _FIRST_LOOK)]
     # A dent or a joint alone bends more than the model of bending takes off.
-    if not all(off.size for off in told) or _without_bending(*(MAD * np.median(off) for off in told)) < _LEAST:
+    if not all(off.size for off in told) or _scatter(*(MAD * np.median(off) for off in told)) < _LEAST:
         return sigma_z
     least = int(_LEAST_SEEN * BLOCK**2 / _EVERY)
-    ratio = _without_bending(*(by_block(off[None], _EVERY, least) for off in _off(points, sigma_z, flags, _EVERY)))
+    ratio = _scatter(*(by_block(off[None], _EVERY, least) for off in _off(points, sigma_z, flags, _EVERY)))
     raised = np.where(ratio >= _LEAST, ratio, 1).astype(np.float32).repeat(_EVERY, axis=0)
     return sigma_z * raised[: len(sigma_z)]
 
@@ -59,7 +58,6 @@ def _off(points: Float32, sigma_z: Float32, flags: NDArray[np.uint16], every: in
     return [differences(near, deviation, apart) for apart in _APART]
 
 
-def _without_bending(short: ArrayLike, long: ArrayLike) -> Float32:
+def _scatter(short: ArrayLike, long: ArrayLike) -> Float32:
     """What depths scatter, in units of their σ, from what third differences over both distances do."""
-    squared = (_BENT * np.square(short) - np.square(long)) / (_BENT - 1)
-    return np.asarray(np.sqrt(np.maximum(squared, 0)), np.float32)
+    return np.asarray(np.sqrt(without_bending(np.square(short), np.square(long))), np.float32)

@@ -24,7 +24,6 @@ from metrology.robust import MAD
 # alone, what recurs after twice as many stripes would count three times, and what recurs after as many not at all.
 _APART = (3, 4, 5)
 _LINES = (2, 3)  # pixels across the stripes' course: the match takes three lines of the right camera together
-_BENT = (_LINES[1] / _LINES[0]) ** 6  # by which a bent surface's squares grow from one distance to the other
 # Squared third differences over two lines are this share of those over three, of equal errors in both cameras: the
 # right one's windows share a line of their three, and so half of 1/3, beside the left one's 1.
 _SHARED = (1 + 1 / 6) / (1 + 1 / 3)
@@ -35,6 +34,7 @@ _EVEN = 2.0  # of the scatter between near lines: what far lines of an even surf
 _ALIKE = 0.5
 _SECOND = (1.0, -2.0, 1.0)
 _THIRD = (1.0, -3.0, 3.0, -1.0)  # third differences, which no plane and no bent skin shows
+_BENT = 1.5**6  # by which a bent surface's squares grow from one distance to half as far again
 BLOCK = 64  # pixels
 _LEAST = 200  # differences in a block that tell its scatter
 
@@ -72,7 +72,7 @@ def scatter_ratio(left: DecodedView, points: Float32, sigma_z: Float32, flags: N
     short, long, far_lines = (
         by_block(differences(near.T, deviation.T, apart).T[None]) ** 2 for apart in (*_LINES, far[0])
     )
-    between = _between_lines(short, long)
+    between = without_bending(short, long, _SHARED)
     bent = by_block(differences(near, deviation, max(1, round(stripe)), _SECOND)[None]) ** 2
     on_relief = np.minimum(across, np.sqrt(between + _interpolation(bent, between, stripe)))
     bumpy = (far_lines > _EVEN**2 * between) & (far_lines > (_ALIKE * across) ** 2)
@@ -82,9 +82,15 @@ def scatter_ratio(left: DecodedView, points: Float32, sigma_z: Float32, flags: N
     return ratio if along_rows else np.ascontiguousarray(ratio.T)
 
 
-def _between_lines(short: Float32, long: Float32) -> Float32:
-    """Squared scatter of lines, from squared third differences over both distances, without what a surface bends."""
-    return np.maximum((_BENT * short - long) / (_BENT * _SHARED - 1), 0)
+def without_bending(short: Float32, long: Float32, shared: float = 1.0) -> Float32:
+    """Squared scatter, without what a surface bends, from squared third differences over a distance and 1.5 times it.
+
+    Parameters
+    ----------
+    shared : float
+        Share of the scatter over the longer distance that there is over the shorter one.
+    """
+    return np.maximum((_BENT * short - long) / (_BENT * shared - 1), 0)
 
 
 def _interpolation(bent: Float32, between: Float32, stripe: float) -> Float32:

@@ -136,12 +136,10 @@ def _changed(context: PageContext, name: str, rows: pd.DataFrame) -> None:
         "decision": _("Verdict"), "reason": _("Why"),
     }  # fmt: skip
     if name == CURED:
-        del columns["decision"], columns["reason"]
-    else:
-        rows = with_margins(context.archive, rows)
-    if name != CURED and mixed(rows):
+        del columns["quantity"], columns["decision"], columns["reason"]
+    elif mixed(judged := with_margins(context.archive, rows)):
         columns["value_mm"] = _("Value")
-        rows = _about_the_verdict(rows)
+        rows = _about_the_verdict(judged)
     else:
         del columns["quantity"]
     names = [(str(row.scene_id), _address(row)) for row in rows.itertuples()]
