@@ -11,7 +11,6 @@ from metrology.arrays import Array
 from metrology.results import COVERAGE_95
 from metrology.seams.gap.chamfers import PROOF, doubt_of_sealant, weigh_chamfers
 from metrology.seams.gap.floor import Floor
-from metrology.seams.gap.model import CHAMFER_A, CHAMFER_B, LEVELS
 from metrology.seams.gap.prior import DEPTH, WIDTH_A, WIDTH_B, Prior
 from metrology.seams.gap.profiles import Profiles
 from metrology.seams.gap.solver import ACROSS, State, fit_shape_from
@@ -35,21 +34,14 @@ def fit_shape(profiles: Profiles, floors: Sequence[Floor]) -> tuple[State, Array
     # Sealant has neither chamfers nor walls: an open gap must earn its parameters.
     looks = [_first_look(few, floor) for floor in floors]
     look = min(looks, key=lambda look: _cost(look) - (PROOF if look.known.floor.sealed else 0.0))
-    free = fit_shape_from(some, _like(look, few, some), look.shared, look.known, _ITERATIONS)
-    if not free.known.floor.sealed:
-        # Along one valley costs hardly differ, and widths do: only another one is worth a change.
-        other = _from_usual_chamfers(free, some)
-        free = other if _cost(other) < _cost(free) - PROOF else free
-    return _of_all(free, some, profiles)
+    return _fit_some(some, profiles, _like(look, few, some), look.shared, look.known)
 
 
 def fit_shape_again(profiles: Profiles, found: State) -> tuple[State, Array, float]:
     """The same from what was found for all stations with other variances or levels' courses."""
     chosen = _evenly(len(profiles.stations), _SHAPE_STATIONS)
     known = Prior(profiles, found.known.floor)
-    some = profiles.at(chosen)
-    free = fit_shape_from(some, found.borders[chosen], found.shared, known, _ITERATIONS)
-    return _of_all(free, some, profiles)
+    return _fit_some(profiles.at(chosen), profiles, found.borders[chosen], found.shared, known)
 
 
 def sealant_doubt(profiles: Profiles, found: State) -> float:
@@ -66,27 +58,11 @@ def sealant_doubt(profiles: Profiles, found: State) -> float:
     return doubt_of_sealant(sealed, some)
 
 
-def _from_usual_chamfers(found: State, some: Profiles) -> State:
-    """The fit from what was found, but for chamfers as they usually are.
-
-    A few stations may take chamfers of half the skin's brightness for more blur and chamfers that hardly show. Out of
-    there no way goes downhill.
-    """
-    shared, mean = found.shared.copy(), found.known.mean
-    shared[[WIDTH_A, WIDTH_B]] = mean[[WIDTH_A, WIDTH_B]]
-    levels, usual = (each[found.known.lenses.stop :].reshape(-1, LEVELS) for each in (shared, mean))
-    levels[:, [CHAMFER_A, CHAMFER_B]] = usual[:, [CHAMFER_A, CHAMFER_B]]
-    return fit_shape_from(some, _expected_borders(some, float(mean[WIDTH_A])), shared, found.known, _ITERATIONS)
-
-
-def _expected_borders(some: Profiles, chamfer_mm: float) -> Array:
-    """(n, 2) borders to start from: what is detected as the band's border lies on the chamfer."""
-    return np.outer(some.half_widths + 0.4 * chamfer_mm, ACROSS)
-
-
-def _of_all(free: State, some: Profiles, profiles: Profiles) -> tuple[State, Array, float]:
-    """What follows for all stations from the best fit of some."""
-    known = free.known
+def _fit_some(
+    some: Profiles, profiles: Profiles, borders: Array, shared: Array, known: Prior
+) -> tuple[State, Array, float]:
+    """Some of the stations fitted from a start; what follows for all of them."""
+    free = fit_shape_from(some, borders, shared, known, _ITERATIONS)
     shape, doubt = (free, 0.0) if known.floor.sealed else weigh_chamfers(free, some)
     sigma = known.strain(shape.shared) * shape.mean_width_sigma
     return shape, _like(shape, some, profiles), float(np.hypot(sigma, doubt))
@@ -126,7 +102,8 @@ def _first_look(few: Profiles, floor: Floor) -> State:
         for depth in depths:
             shared = known.mean.copy()
             shared[[WIDTH_A, WIDTH_B, DEPTH]] = chamfer, chamfer, depth
-            borders = _expected_borders(few, chamfer)
+            # What is detected as the band's border lies on the chamfer.
+            borders = np.outer(few.half_widths + 0.4 * chamfer, ACROSS)
             starts.append(fit_shape_from(few, borders, shared, known.of_usual_cameras(), _START_ITERATIONS))
         best = min(starts, key=_cost)
         for freer in (known.of_square_walls(), known):
