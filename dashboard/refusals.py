@@ -43,6 +43,8 @@ REFUSALS = (
     "steps, as scene.json says",
     "{place}: found that rig {rig} does not fit the scan ({cause}), expected the rig that took it",
     "{place}: found that the frames fit rig {rig} when {found}, expected {expected}",
+    "{place}: found rims in the left camera's pictures that are not in the right one's (correlation {found}, expected "
+    "at least {least}), expected frames of one scan: those of one camera are another scan's",
     "{place}: found fringes that contradict each other in {share} of the lit pixels of the {camera} camera, expected "
     "hardly any: frames taken one after the other while nothing moved, in the order and with the fringe counts and "
     "steps that scene.json says",

@@ -59,6 +59,23 @@ def measure_offsets(
     affine_rms_px : float
         Patches that depart farther from an affine map are left out.
     """
+    centres, across, sigma, correlation = _registered(reconstruction, centres, affine_rms_px)
+    good = (correlation > _LEAST_CORRELATION) & (sigma < _WORST_SIGMA_PX) & (np.abs(across) < _SEARCH_PX)
+    return TextureOffsets(centres[good].astype(float), across[good], sigma[good])
+
+
+def correlations(reconstruction: Reconstruction, centres: NDArray[np.int64]) -> Array:
+    """(m,) how alike both cameras see the patches about left pixels (n, 2), each where it is registered best.
+
+    Those without enough points are left out.
+    """
+    return _registered(reconstruction, centres, AFFINE_RMS_PX)[3]
+
+
+def _registered(
+    reconstruction: Reconstruction, centres: NDArray[np.int64], affine_rms_px: float
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Centres that could be registered, how far across the epipolar line and its standard deviation, correlation."""
     left = _smooth(reconstruction.left.texture)
     right = _smooth(reconstruction.with_right().texture)
     height, width = left.shape
@@ -70,7 +87,7 @@ def measure_offsets(
     sparse = offset[((offset + _HALF_PX) % _SPARSE == 0).all(axis=1)]
     centres, origin, matrix, direction = _right_geometry(reconstruction, centres, sparse, affine_rms_px)
     if len(centres) == 0:
-        return TextureOffsets(np.empty((0, 2)), np.empty(0), np.empty(0))
+        return centres, np.empty(0), np.empty(0), np.empty(0)
     # Across the line, carried into the left patch's frame, in which the shifts are counted.
     across = np.stack([-direction[:, 1], direction[:, 0]], -1)
     across *= np.where(across[:, 1:] < 0, -1.0, 1.0)
@@ -94,9 +111,7 @@ def measure_offsets(
     moved = np.einsum("nij,nj->ni", matrix, shift)
     forward = np.einsum("ni,nij->nj", across, matrix)
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", forward, covariance, forward))
-    good = (correlation > _LEAST_CORRELATION) & (sigma < _WORST_SIGMA_PX)
-    good &= np.abs(np.einsum("ni,ni->n", moved, across)) < _SEARCH_PX
-    return TextureOffsets(centres[good].astype(float), np.einsum("ni,ni->n", moved, across)[good], sigma[good])
+    return centres, np.einsum("ni,ni->n", moved, across), sigma, correlation
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metrology.cloud import PixelFlag, Reconstruction
+from metrology.common_sight import LEAST_ALIKE, rims_alike
 from metrology.errors import FlushlineError, RigError, SceneError
 from metrology.gray import runs_along_rows
 from metrology.mix_ups import find_mix_up
 from metrology.reconstruct import coordinate_size, reconstruct
+from metrology.results import RivetDetection
 from metrology.rig import Rig
 from metrology.rig_health import HealthSettings, RigHealth, epipolar_health
 from storage.scene import Scene, load_scene
@@ -56,6 +59,18 @@ def mixed_up(scene: Scene, reconstruction: Reconstruction, settings: HealthSetti
         return None
     return SceneError(
         f"{scene.folder}: found that the frames fit rig {rig.id!r} when {found.when}, expected {found.expected}"
+    )
+
+
+def other_skin(scene: Scene, reconstruction: Reconstruction, detections: Sequence[RivetDetection]) -> SceneError | None:
+    """What is to be said where the right camera does not see the rims that the left one sees."""
+    alike = rims_alike(reconstruction, detections)
+    if alike is None or alike >= LEAST_ALIKE:
+        return None
+    return SceneError(
+        f"{scene.folder}: found rims in the left camera's pictures that are not in the right one's (correlation "
+        f"{alike:.2f}, expected at least {LEAST_ALIKE:g}), expected frames of one scan: those of one camera are "
+        "another scan's"
     )
 
 

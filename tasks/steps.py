@@ -41,7 +41,7 @@ from tasks.clock import clock_warnings
 from tasks.cloud_scan import cloud_of
 from tasks.frame_doubts import bent_light, frame_doubts, veiled, widened, without_unevenness
 from tasks.loaded import LoadedScene
-from tasks.rig_check import doubtful, mixed_up, unmatched
+from tasks.rig_check import doubtful, mixed_up, other_skin, unmatched
 from tasks.rig_evidence import evidence_warnings
 from tasks.scan_checks import CAUSES, CheckedFrames, check_frames, refuse_wrong_frames
 from tasks.settings import InspectionSettings, SceneChecks, VerificationSettings
@@ -160,6 +160,8 @@ def check_rig(
     else:
         health = rig_health.epipolar_health(reconstruction, detections, scene.code.axis, settings.rig_health)
         if doubtful(health) and (problem := mixed_up(scene, reconstruction, settings.rig_health)):
+            raise problem
+        if health.verdict in ("warning", "unjudged") and (problem := other_skin(scene, reconstruction, detections)):
             raise problem
     if health.reason and (reconstruction.doubts or reconstruction.remarks):
         health = replace(health, reason=health.reason.replace(rig_health.CALIBRATE, _SCAN_AGAIN))

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from metrology.common_sight import LEAST_ALIKE, rims_alike
 from metrology.errors import SceneError
 from storage.archive import Store
 from storage.rig import load_rig
@@ -220,3 +221,33 @@ def test_another_rig_under_a_stored_id_is_warned_of(shared: Path, tmp_path: Path
     assert steps.load(scene, sound, store).warnings == ()
     (said,) = steps.load(scene, path, store).warnings
     assert "other values than the store has for that id" in said
+
+
+def test_pictures_of_another_scan_beside_this_one_s_are_refused(shared: Path, tmp_path: Path) -> None:
+    """Skins of the same grain, other heads on them: the rig fits within a third of a pixel."""
+    scenes = shared / "scenes"
+    folder = tmp_path / "scene"
+    document = json.loads((scenes / "skin-worn" / "scene.json").read_text())
+    other = json.loads((scenes / "skin" / "scene.json").read_text())
+    for camera, source, names in (("left", "skin", other), ("right", "skin-worn", document)):
+        (folder / camera).mkdir(parents=True)
+        document["frames"][camera] = names["frames"][camera]
+        for name in names["frames"][camera][0]:
+            os.symlink(scenes / source / name, folder / name)
+    (folder / "scene.json").write_text(json.dumps(document))
+    loaded = steps.load(folder, scenes / "rig.json", Store(tmp_path / "store"))
+    settings = InspectionSettings()
+    seen = steps.reconstruct_scene(loaded, settings)
+    detections = steps.detect_rivets(seen, settings).rivets
+    said = "rims in the left camera's pictures that are not in the right one's .* expected frames of one scan"
+    with pytest.raises(SceneError, match=said):
+        steps.check_rig(loaded, seen, detections, settings)
+
+
+def test_a_sheen_that_each_camera_sees_otherwise_is_no_other_scan(shared: Path, tmp_path: Path) -> None:
+    loaded = steps.load(shared / "scenes" / "skin-shiny", shared / "scenes" / "rig.json", Store(tmp_path / "store"))
+    settings = InspectionSettings()
+    seen = steps.reconstruct_scene(loaded, settings)
+    alike = rims_alike(seen, steps.detect_rivets(seen, settings).rivets)
+    assert alike is not None
+    assert alike > LEAST_ALIKE + 0.2
