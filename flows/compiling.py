@@ -19,7 +19,8 @@ from typing import Any
 
 from numba import types
 
-from metrology.jit import cores, is_compiled
+from metrology.jit import cores
+from metrology.kernel_cache import is_compiled
 
 LIST = Path(__file__).with_name("kernels.json")
 # Fewer are compiled before a helper has started.

@@ -6,7 +6,7 @@ from typing import Any
 
 from numba import njit
 
-from metrology.jit import cached
+from metrology.kernel_cache import keep
 
 # IEEE arithmetic in the order written. No kernel allocates: without numba's runtime arrays are passed without counting
 # references, which otherwise takes more time than the geometry.
@@ -19,5 +19,5 @@ def kernel(function: Any) -> Any:
 
 
 def entry(function: Any) -> Any:
-    """A kernel that Python calls, cached on disk."""
-    return cached(njit(cache=True, **_OPTIONS), function)
+    """A kernel that Python calls, kept on disk."""
+    return keep(njit(**_OPTIONS)(function))

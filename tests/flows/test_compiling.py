@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from flows import compiling
-from metrology.jit import is_compiled
+from metrology.kernel_cache import is_compiled
 from metrology.phase.exposures import StepTables
 
 _QUICK = "metrology.seams.finding.segments:_longest_run"
 _IN_A_NEW_CACHE = """
 from flows import compiling
-from metrology.jit import is_compiled
+from metrology.kernel_cache import is_compiled
 lines = [line for line in compiling.listed() if line[0] == {name!r}]
 kernel = compiling.kernel_of({name!r})
 print(compiling.missing(lines), is_compiled(kernel))
