@@ -14,6 +14,8 @@ SENTENCES = (
     "judged by the specification of panel {panel}, though the scene is of {other}",
     "outside the projector's field, at least in part: {names}",
     "inspected with rig {rig} though the scene names {other}",
+    "the same frames are stored as {names} and {n} more: one of these names at most is right",
+    "the same frames are stored as {names}: one of these names at most is right",
     "overexposed: {share} of the skin is saturated in every exposure of the right camera; rivets and seams there are "
     "not found or not measured; take a shorter exposure as well",
     "overexposed: {share} of the skin is saturated in every exposure; rivets and seams there are not found or not "
@@ -137,6 +139,7 @@ CLAUSES = (
     "calibrate the rig again",
     "scan again first, as these frames are odd, and calibrate the rig again only where that stays so",
     "fringes of the {camera} camera blurred by {blur} px",
+    "its frames are stored under another name",
     "fringes of the {camera} camera of {n} grey levels, whose rounding may look like it",
     "pictures of the {camera} camera with waves or stripes that change from frame to frame",
     "pictures of the {camera} camera smoothed, scaled or compressed",

@@ -155,6 +155,7 @@ def _measure(job: Job, run: _Run) -> _Measured:
             return helpers.submit(copy_context().run, function)
 
         encoding = beside(partial(encode, reconstruction))
+        named = beside(partial(steps.with_same_frames, loaded, reconstruction, job.store))
         fasteners = run.step(steps.detect_rivets, reconstruction, settings)
         detections = fasteners.rivets
         checking = beside(partial(run.step, steps.check_rig, loaded, reconstruction, detections, settings))
@@ -173,14 +174,14 @@ def _measure(job: Job, run: _Run) -> _Measured:
                     load(kind.measure), sighted, getattr(settings, kind.settings or kind.table, None)
                 )
         believed = without_doubtful(features, reconstruction.doubts)
-        return _Measured(loaded, reconstruction, health, believed, encoding.result(), spec)
+        return _Measured(named.result(), reconstruction, health, believed, encoding.result(), spec)
 
 
 def _conclude(job: Job, run: _Run, measured: _Measured) -> Inspected:
     """Recognise the panel, judge, draw and publish."""
     loaded, reconstruction, settings = measured.loaded, measured.reconstruction, job.settings
     spec = measured.spec
-    doubts = steps.doubts(reconstruction, measured.health)
+    doubts = steps.doubts(loaded, reconstruction, measured.health)
     registered = run.step(steps.register, measured.features, reconstruction, loaded, spec, job.store, settings, doubts)
     judged = run.step(steps.judge, registered.features, spec)
     drawn = run.step(steps.draw_overlay, judged, loaded, reconstruction, settings)

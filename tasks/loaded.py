@@ -19,3 +19,5 @@ class LoadedScene:
     warnings: tuple[str, ...] = ()
     known: KnownScene | None = None
     """What the store has of the scene already."""
+    same_frames: tuple[str, ...] = ()
+    """Other scenes of the store that have the same frames."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -26,6 +26,7 @@ from tasks.loaded import LoadedScene
 from tasks.scan_checks import contradiction_warnings, unseen_warnings
 from tasks.settings import InspectionSettings, SceneChecks
 
+_NAMED = 3  # of other names of a scan
 _WITHOUT_PROJECTOR = (
     ", gaps' edges and heads' rims come from points and rings alone, and neither a small yaw between the cameras nor a "
     "wrong scale of all lengths would be noticed (flushline measure)"
@@ -64,6 +65,7 @@ def assemble(
     key = loaded.scene.key
     warnings = [
         *loaded.warnings,
+        *_same_frames_warnings(loaded.same_frames),
         *overexposure_warnings(reconstruction, settings.checks),
         *(doubt.warning for doubt in reconstruction.doubts),
         *reconstruction.remarks,
@@ -161,6 +163,16 @@ def versions() -> dict[str, str]:
 def _versions() -> dict[str, str]:
     packages = ("flushline", "numpy", "scipy", "numba", "opencv-python-headless", "pyarrow", "duckdb")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def _same_frames_warnings(scenes: Sequence[str]) -> list[str]:
+    """That a scan is stored under other names, too."""
+    if not scenes:
+        return []
+    names = ", ".join(scenes[:_NAMED])
+    if more := len(scenes[_NAMED:]):
+        return [f"the same frames are stored as {names} and {more} more: one of these names at most is right"]
+    return [f"the same frames are stored as {names}: one of these names at most is right"]
 
 
 def overexposure_warnings(reconstruction: Reconstruction, checks: SceneChecks) -> list[str]:

@@ -140,6 +140,12 @@ def _read(scene: Scene, camera: Camera, readers: Executor) -> FrameStack:
     return stack
 
 
+def with_same_frames(loaded: LoadedScene, reconstruction: Reconstruction, store: Store) -> LoadedScene:
+    """A scene with the names under which its frames are stored already."""
+    found = store.scenes_of_frames(reconstruction.frames_digest, loaded.scene.key)
+    return replace(loaded, same_frames=found)
+
+
 def detect_rivets(reconstruction: Reconstruction, settings: InspectionSettings) -> Fasteners:
     """Rivet heads in the left image, and open holes without one."""
     return detect_fasteners(reconstruction, settings.rivets)
@@ -255,12 +261,13 @@ def _nominal(spec: PanelSpecification, key: SceneKey) -> PanelLayout | None:
     return spec.layout if spec.limits.panel == key.panel and not spec.layout.empty else None
 
 
-def doubts(reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]:
+def doubts(loaded: LoadedScene, reconstruction: Reconstruction, health: RigHealth) -> tuple[str, ...]:
     """Why a scan may not become its station's pattern."""
+    copied = ("its frames are stored under another name",) if loaded.same_frames else ()
     flags = {name: view.flags for name, (_, view) in reconstruction.cameras.items()}
     # Of one camera nothing ever tells whether its rig fits, so that a doubt of every scan is none of this one.
     found = registration.enrolment_doubts(flags, health.verdict if reconstruction.right else None)
-    return (*(doubt.clause for doubt in reconstruction.doubts), *found)
+    return (*copied, *(doubt.clause for doubt in reconstruction.doubts), *found)
 
 
 def judge(features: Features, spec: PanelSpecification) -> Features:

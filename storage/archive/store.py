@@ -335,6 +335,12 @@ class Store:
 
         return known_scene(self.layout, self.layout.scene(key))
 
+    def scenes_of_frames(self, frames_digest: str | None, but: SceneKey) -> tuple[str, ...]:
+        """Ids of other scenes than one that have the same frames."""
+        from storage.archive.copies import scenes_of_frames
+
+        return scenes_of_frames(self.layout, frames_digest, but.scene_id)
+
     def known_scenes(self) -> dict[str, KnownScene]:
         """Every scene of the published index, by its id."""
         from storage.archive.known import known_scenes

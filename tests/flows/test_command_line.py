@@ -145,6 +145,24 @@ def test_another_rig_than_the_scene_names_is_a_warning(
     assert "the scene names 'rig-z'" in row["warnings"][0]
 
 
+def test_frames_that_are_stored_under_another_name_are_a_warning(
+    scenes: list[Path], rig_file: Path, tmp_path: Path, fake_metrology: list[str]
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(scenes[0], other)
+    manifest = other / "scene.json"
+    document = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps(document | {"aircraft_serial": "MSN-2", "panel": "RH-F12"}))
+    store = tmp_path / "store"
+    for folder in (scenes[0], other):
+        assert main(["inspect", str(folder), "--rig", str(rig_file), "--store", str(store)]) == 0
+    said = dict(Store(store).query("SELECT scene_id, warnings FROM scenes").to_pandas().to_numpy().tolist())
+    [first, second] = (said[name] for name in sorted(said))
+    assert not any("same frames" in warning for warning in first)
+    assert any(f"the same frames are stored as {min(said)}: one of" in warning for warning in second)
+    assert any("not enrolled as the panel's pattern, since its frames are stored" in warning for warning in second)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -144,3 +144,14 @@ def test_the_state_of_files_changes_with_every_file(scene_folder: Path) -> None:
         after = load_scene(scene_folder).files_state
         assert after != before
         before = after
+
+
+def test_frames_under_another_name_are_found(store: Store) -> None:
+    keys = [replace(small_key(), aircraft_serial=serial) for serial in ("MSN-1", "MSN-2", "MSN-3")]
+    assert store.scenes_of_frames("a", keys[0]) == ()  # nothing is stored
+    for key, digest in zip(keys, ("a", "a", None), strict=True):
+        store.publish(scan(digest, key))
+    assert store.scenes_of_frames("a", keys[0]) == (keys[1].scene_id,)
+    assert set(store.scenes_of_frames("a", keys[2])) == {keys[0].scene_id, keys[1].scene_id}
+    assert store.scenes_of_frames("b", keys[2]) == ()
+    assert store.scenes_of_frames(None, keys[0]) == ()

@@ -114,7 +114,7 @@ def contradicting(reconstruction: Reconstruction, camera: str, share: float) -> 
 @pytest.mark.parametrize("camera", ["left", "right"])
 def test_a_scan_with_contradictory_fringes_enrols_nothing(loaded: LoadedScene, store: Store, camera: str) -> None:
     result = small_result()
-    doubts = steps.doubts(contradicting(result.reconstruction, camera, 0.25), health("ok"))
+    doubts = steps.doubts(loaded, contradicting(result.reconstruction, camera, 0.25), health("ok"))
     assert doubts == (f"25% of the {camera} camera's fringes contradict each other",)
     registered = steps.register(
         {"rivet": result.features["rivet"]},
@@ -131,9 +131,9 @@ def test_a_scan_with_contradictory_fringes_enrols_nothing(loaded: LoadedScene, s
 
 
 @pytest.mark.parametrize(("verdict", "count"), [("ok", 0), ("warning", 0), ("unjudged", 1)])
-def test_a_scan_that_cannot_judge_its_rig_enrols_nothing(verdict: str, count: int) -> None:
+def test_a_scan_that_cannot_judge_its_rig_enrols_nothing(loaded: LoadedScene, verdict: str, count: int) -> None:
     reconstruction = contradicting(small_result().reconstruction, "left", 0.0)
-    assert len(steps.doubts(reconstruction, health(verdict))) == count
+    assert len(steps.doubts(loaded, reconstruction, health(verdict))) == count
 
 
 def test_the_example_gives_way_to_what_is_in_force(store: Store, tmp_path: Path) -> None:
