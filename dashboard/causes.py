@@ -5,6 +5,7 @@ CAUSES = (
     "perhaps a wrong fastener: {diameter} mm, expected {expected}",
     "wrong fastener: {diameter} mm, expected {expected}",
     "head: {n} usable points, at least {least} needed",
+    "head: {share} of it is saturated; take a shorter exposure as well",
     "head: what is clear of its recesses leans by {angle}°, as a recess's wall does",
     "it bulges, and its border is no gap: a drop may lie there",
     "a ring that hardly steps, whose line is unlike the fasteners' gaps here",

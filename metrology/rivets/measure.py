@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import Reconstruction
+from metrology.cloud import PixelFlag, Reconstruction
 from metrology.fits import FittedRivet, HeadFit
 from metrology.plausibility import plausible_rivet
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
@@ -27,6 +28,9 @@ from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
 
 _DIRECTIONS = 12
+# Of a head that is too bright, points are left where it is darkest: in its recess. From this share of it on they are
+# not taken for the head.
+_MOST_SATURATED = 0.5
 
 
 def measure_rivets(
@@ -57,6 +61,8 @@ def measure_rivets(
     on_seam = seam_pixels(seams, blocked.shape, settings.seam_margin_px)
 
     def fit(detection: RivetDetection, others: Sequence[RivetDetection], bare: bool = False) -> Fits | str:
+        if not bare and (share := _saturated_share(detection, reconstruction)) > _MOST_SATURATED:
+            return f"head: {share:.0%} of it is saturated; take a shorter exposure as well"
         patch = cut_patch(detection, others, reconstruction, blocked, on_seam, settings)
         return patch if isinstance(patch, str) else _fit(patch, bare, settings, generator)
 
@@ -69,6 +75,15 @@ def measure_rivets(
         plausible_rivet(_row(name, detection, outcome, reconstruction, inflation, settings, generator))
         for name, detection, outcome in zip(_names(detections), detections, outcomes, strict=True)
     ]
+
+
+def _saturated_share(detection: RivetDetection, reconstruction: Reconstruction) -> float:
+    """Share of a head's pixels that are saturated in every exposure."""
+    head = np.zeros(reconstruction.flags.shape, np.uint8)
+    axes = (detection.major_px, detection.minor_px)
+    cv2.ellipse(head, ((detection.u_px, detection.v_px), axes, detection.angle_deg), 1, -1)
+    flags = reconstruction.flags[head > 0]
+    return float(((flags & np.uint16(PixelFlag.SATURATED)) != 0).mean()) if flags.size else 0.0
 
 
 def _names(detections: Sequence[RivetDetection]) -> list[str]:

@@ -63,6 +63,22 @@ def test_moving_the_rig_changes_nothing(rng: np.random.Generator) -> None:
             assert rivet.tilt_deg == pytest.approx(head.tilt_deg, abs=0.02)
 
 
+def test_a_head_that_is_mostly_saturated_is_not_measured_by_what_is_left_of_it() -> None:
+    """What is left is its darkest part, such as the floor of a recess."""
+    reconstruction = scan(CURVED, HEADS, None)
+    detections = [truth_detection(reconstruction, CURVED, head) for head in HEADS]
+    v, u = np.indices(reconstruction.flags.shape)
+    for head, from_row in ((detections[0], -0.1), (detections[1], 0.15)):  # of its height, from its centre down
+        lost = np.hypot(u - head.u_px, v - head.v_px) < 0.52 * head.major_px
+        lost &= v > head.v_px + from_row * head.major_px
+        reconstruction.flags[lost] |= np.uint16(PixelFlag.SATURATED)
+        reconstruction.points[lost] = np.nan
+    said = measure_rivets(detections, reconstruction)
+    assert (said[0].height_mean_mm, said[0].decision) == (None, "not measured")
+    assert "of it is saturated; take a shorter exposure as well" in str(said[0].reason)
+    assert said[1].height_mean_mm == pytest.approx(HEADS[1].height, abs=2e-3)
+
+
 @pytest.mark.parametrize("correlated_px", [0.0, 1.5])
 def test_u95_covers_the_errors(correlated_px: float) -> None:
     skin = replace(CURVED, correlated_px=correlated_px)
