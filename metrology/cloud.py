@@ -62,6 +62,8 @@ class DecodedView:
     stripe_px: float | None = None
     """Of Gray code alone: width of a stripe that is told apart, projector pixels; the coordinate runs straight between
     the stripes' borders."""
+    borders_cross: bool = False
+    """Of Gray code alone: whether borders lie where bits cross their inverses, so that no level moves them in turn."""
     gamma: float | None = None
     """The projector's, as the fringes show it; None where they do not tell."""
 

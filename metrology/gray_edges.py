@@ -66,7 +66,8 @@ def decode_stripes(
     stripe = projector_size / code.gray.stripes * merged
     coordinate = place * np.float32(stripe) + np.float32(code.gray.shift * stripe / merged - 0.5)
     deviation = np.where(np.isfinite(coordinate), np.maximum(scatter * stripe, 1e-4), np.nan).astype(np.float32)
-    return DecodedView(coordinate.astype(np.float32), deviation, half, texture, flags, noise, stripe)
+    cross = code.gray.inverse
+    return DecodedView(coordinate.astype(np.float32), deviation, half, texture, flags, noise, stripe, cross)
 
 
 def _one_exposure(frames: NDArray, exposures: Sequence[float], saturation: float) -> tuple[Float32, NDArray[np.bool_]]:

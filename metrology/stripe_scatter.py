@@ -30,8 +30,9 @@ _SHARED = (1 + 1 / 6) / (1 + 1 / 3)
 _WINDOW = 5  # pixels along the stripes' course that the match takes together
 _EVEN = 2.0  # of the scatter between near lines: what far lines of an even surface scatter at most
 # Of the scatter along the stripes' course: what far lines scatter at least where relief does it, which runs in all
-# directions; errors of borders differ far less from line to line than from border to border.
-_ALIKE = 0.5
+# directions; errors of borders differ far less from line to line than from border to border. Where bits cross their
+# inverses no level moves borders in turn; what the projector's own columns displace has 0.12 to 0.3.
+_ALIKE, _ALIKE_CROSSING = 0.5, 1 / 3
 _SECOND = (1.0, -2.0, 1.0)
 _THIRD = (1.0, -3.0, 3.0, -1.0)  # third differences, which no plane and no bent skin shows
 _BENT = 1.5**6  # by which a bent surface's squares grow from one distance to half as far again
@@ -75,7 +76,8 @@ def scatter_ratio(left: DecodedView, points: Float32, sigma_z: Float32, flags: N
     between = without_bending(short, long, _SHARED)
     bent = by_block(differences(near, deviation, max(1, round(stripe)), _SECOND)[None]) ** 2
     on_relief = np.minimum(across, np.sqrt(between + _interpolation(bent, between, stripe)))
-    bumpy = (far_lines > _EVEN**2 * between) & (far_lines > (_ALIKE * across) ** 2)
+    alike = _ALIKE_CROSSING if left.borders_cross else _ALIKE
+    bumpy = (far_lines > _EVEN**2 * between) & (far_lines > (alike * across) ** 2)
     # Where most of the picture is relief, a part that runs one way only is relief as well.
     mostly = np.median(bumpy[::8, ::8]) > 0
     ratio = np.where(bumpy | mostly, on_relief, across).astype(np.float32)

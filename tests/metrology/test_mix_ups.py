@@ -29,7 +29,7 @@ def views() -> Views:
 
 
 def turn(view: DecodedView, rows: int, columns: int) -> DecodedView:
-    images = {f.name: getattr(view, f.name) for f in fields(view) if f.name not in ("noise", "stripe_px", "gamma")}
+    images = {f.name: getattr(view, f.name) for f in fields(view) if isinstance(getattr(view, f.name), np.ndarray)}
     return replace(view, **{name: np.ascontiguousarray(image[::rows, ::columns]) for name, image in images.items()})
 
 

@@ -90,3 +90,16 @@ def test_relief_does_not_count_as_scatter(
     """Depths five stripes apart differ by a hundred times their errors."""
     normal = errors_in_sigmas(relief(rng, wave_mm, height_mm), gray, noise, rng)
     assert MAD * np.median(np.abs(normal)) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("gray", "least"), [(GrayCode(240, True), 0.8), (GrayCode(960, True), 0.5)], ids=str)
+def test_gentle_waves_do_not_count_as_scatter_where_bits_cross_their_inverses(
+    gray: GrayCode, least: float, rng: np.random.Generator
+) -> None:
+    """Waves of 60 and 70 mm: far lines scatter less than far stripes, and both a hundred times as far as depths err."""
+
+    def waves(x: NDArray, y: NDArray) -> NDArray:
+        return np.asarray(700 + 0.1 * x + 4 * np.sin(2 * np.pi * x / 60) * np.cos(2 * np.pi * y / 70))
+
+    normal = errors_in_sigmas(waves, gray, 0.5, rng)
+    assert least < MAD * np.median(np.abs(normal)) < 1.2
