@@ -135,13 +135,16 @@ class Matcher:
         return starts
 
     def _seam_starts(self, prior: Placement) -> list[Placement]:
-        """The nominal placement shifted so that a found seam lies on a nominal one."""
-        starts = []
+        """The nominal placement shifted so that a found seam lies on a nominal one, as far as the rig may be."""
+        shifts: list[Array] = []
+        most = self._limits().max_shift_mm + self.settings.seam_tolerance_mm
         for stations in self.scan.seams.values():
             for seam in self.layout.seams:
-                foot = foot_on(seam.course, prior.to_panel(stations))
-                starts.append(Placement(prior.R, prior.t - np.median(foot.offset, axis=0)))
-        return starts
+                shift = np.median(foot_on(seam.course, prior.to_panel(stations)).offset, axis=0)
+                known = any(np.linalg.norm(shift - other) < self.settings.tolerance_mm for other in shifts)
+                if np.linalg.norm(shift) <= most and not known:
+                    shifts.append(shift)
+        return [Placement(prior.R, prior.t - shift) for shift in shifts]
 
     def _reachable(self, hypothesis: Hypothesis) -> bool:
         if self.prior is None:

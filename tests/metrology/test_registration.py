@@ -15,6 +15,7 @@ from metrology.errors import SpecError
 from metrology.kinds import RIVET
 from metrology.panel import NominalRivet, NominalSeam, PanelLayout, Placement, course_length, foot_on, points_along
 from metrology.registration import Registration, enrol, register
+from metrology.registration.hypothesis import Matcher
 from metrology.results import Rivet, SeamStation
 from metrology.rig import Device, Rig
 from metrology.tolerance import PanelSpec, judge
@@ -375,6 +376,20 @@ def test_a_lone_seam_is_recognised_by_its_course() -> None:
     assert result.status == "recognised"
     middle = [np.median([s.x_panel_mm for s in result.stations if s.seam_id == name]) for name in ("S01", "S02")]
     np.testing.assert_allclose(middle, [-40, 30], atol=0.5)
+
+
+def test_of_many_seams_only_placements_within_the_rig_s_reach_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten seams on ten nominal ones are a hundred shifts, of which each seam's own is within reach, all alike."""
+    rng = np.random.default_rng(8)
+    courses = tuple(np.array([[x, -160.0], [x, 160.0]]) for x in np.linspace(-135, 135, 10))
+    panel = Panel(np.empty((0, 2)), np.empty(0), courses)
+    placement = moved(NOMINAL, rng, shift=6.0, turn=1.0)
+    seen = scan(panel, placement, rng)
+    tried = []
+    refined = Matcher._refined
+    monkeypatch.setattr(Matcher, "_refined", lambda self, start: tried.append(start) or refined(self, start))
+    assert run(panel, panel.layout({"S1": NOMINAL}), placement, seen).status == "recognised"
+    assert 1 < len(tried) < 10
 
 
 def test_a_seam_not_found_in_view_has_rows_that_say_so() -> None:
