@@ -21,6 +21,7 @@ _PAIRS = (
     ("left", "right"), ("l", "r"), ("lt", "rt"), ("lft", "rgt"), ("master", "slave"), ("a", "b"), ("cama", "camb"),
     ("lcam", "rcam"), ("caml", "camr"), ("imgl", "imgr"), ("iml", "imr"), ("cameral", "camerar"), ("左", "右"),
     ("links", "rechts"), ("gauche", "droite"), ("main", "sub"), ("primary", "secondary"),
+    ("top", "bottom"), ("upper", "lower"), ("up", "down"), ("first", "second"),
 )  # fmt: skip
 _CAMERA_WORDS = ("cam", "camera", "c", "view", "cameras", "frames", "sensor", "dev")
 _LEAST_FRAMES = 3
