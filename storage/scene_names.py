@@ -17,7 +17,8 @@ SHEET = "contact-sheet.png"
 """The picture that `scene new` draws beside the frames."""
 PICTURES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".pgm")
 _GREY_ALONE = (".pgm",)
-_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a", "左", "gauche")
+_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a", "左", "gauche", "top", "upper",
+         "up", "main", "primary", "master")  # fmt: skip
 
 Values = dict[str, str]
 

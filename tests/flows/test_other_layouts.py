@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from flows.cli import main
+from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
+from storage.frames import FrameHeader, read_frame
 from tests.support.other_programs import measured, save, scan
 
 Views = dict[str, NDArray[np.uint8]]
@@ -218,3 +220,21 @@ def test_pictures_that_are_to_be_turned_are_refused(tmp_path: Path, capsys: pyte
     assert main(["scene", "new", str(tmp_path), *command]) == 2
     assert "00.jpg: found an orientation in its Exif data" in capsys.readouterr().err
     assert not (tmp_path / "scene.json").exists()
+
+
+def test_a_guess_reads_each_frame_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One camera, of whose frames the guess first asks whether they are of two, and then tries three counts."""
+    views = scan(FringeCode("x", 4, (16,), GrayCode(32)))
+    save(tmp_path, {"left": np.concatenate([views["left"], views["left"][:1]])}, [f"{k}.png" for k in range(10)])
+    read: list[Path] = []
+
+    def counting(path: Path, header: FrameHeader, error: type[SceneError]) -> NDArray:
+        read.append(path)
+        return read_frame(path, header, error)
+
+    monkeypatch.setattr("flows.folder_guess.read_frame", counting)
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    assert "frames 1 to 4: fringes along x" in capsys.readouterr().out
+    assert sorted(read) == sorted(tmp_path.glob("*.png"))
