@@ -259,12 +259,10 @@ def _device(name: str, size: Size, K: Array, distortion: Array, R: Array, t: Arr
 
 
 def _terms(value: Array) -> Array:
-    """OpenCV writes up to 14 terms; those beyond the rational model must be zero."""
+    """OpenCV writes up to 14 terms; those of a tilted sensor must be zero."""
     terms = value.ravel()
     if terms[MAX_DISTORTION_TERMS:].any():
-        raise RigError(
-            f"distortion: found {terms.size} terms with prism or tilt, expected at most {MAX_DISTORTION_TERMS}"
-        )
+        raise RigError(f"distortion: found {terms.size} terms with tilt, expected at most {MAX_DISTORTION_TERMS}")
     if terms.size == 4 and value.shape[0] == 4 and np.abs(terms[2:]).max() > _FISHEYE_TERM:
         raise RigError(
             f"distortion: found a column of four terms, {', '.join(f'{term:g}' for term in terms)}, as OpenCV writes "

@@ -43,7 +43,7 @@ def same(found: Rig, lens: bool = True) -> None:
     for device, true in ((found.left, LEFT), (found.with_right(), RIGHT)):
         assert (device.width, device.height) == SIZE
         np.testing.assert_allclose(device.K, true.K, atol=1e-4)
-        np.testing.assert_allclose(device.distortion8, true.distortion8 * lens, atol=1e-6)
+        np.testing.assert_allclose(device.lens, true.lens * lens, atol=1e-6)
         np.testing.assert_allclose(device.R, true.R, atol=1e-5)
         np.testing.assert_allclose(device.t, true.t, atol=1e-2)
 
@@ -91,7 +91,7 @@ def as_metashape(folder: Path) -> list[Path]:
 
 def as_mrcal(folder: Path) -> list[Path]:
     for name, device, (R, t) in (("cam-left", LEFT, PLACES[0]), ("cam-right", RIGHT, PLACES[1])):
-        lens = [device.K[0, 0], device.K[1, 1], *device.K[:2, 2], *device.distortion8]
+        lens = [device.K[0, 0], device.K[1, 1], *device.K[:2, 2], *device.lens[:8]]
         pose = [*Rotation.from_matrix(R).as_rotvec(), *t]
         (folder / f"{name}.cameramodel").write_text(
             "# generated\n{\n    'lensmodel':  'LENSMODEL_OPENCV8',\n    # fx,fy,cx,cy,distortion0,...\n"
