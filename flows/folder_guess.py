@@ -21,7 +21,16 @@ from metrology.saturation import code_saturation
 from storage.frame_pages import write_pages
 from storage.frame_patterns import NamePattern, joint_patterns, name_patterns
 from storage.frames import can_be_turned, read_as_grey, read_frame, read_header
-from storage.scene_names import Values, by_number, cameras_of, matching, natural, runs_through, shared_sequence
+from storage.scene_names import (
+    Values,
+    by_number,
+    cameras_of,
+    matching,
+    natural,
+    runs_through,
+    shared_sequence,
+    without_others,
+)
 
 _PER_STRIPE = (1, 2, 4)  # stripes per fringe that codes have
 _MOST_PATTERNS = 4
@@ -179,10 +188,14 @@ def _look_at(folder: _Folder, named: NamePattern, shared: str = "") -> _Look:
     found = matching(folder.path, named.pattern)
     if shared:
         found = shared_sequence(found, shared)
+    found, aside = without_others(found)
     cameras = cameras_of(found, None) if shared or "{camera}" in named.pattern else {"left": ""}
     frames = {side: _in_order(found, name) for side, name in cameras.items()}
     called = ", ".join(f"{side} {name!r}" for side, name in cameras.items() if name) or "one camera"
-    lines = [f"{len(found)} pictures fit --pattern '{named.pattern}': {called}"]
+    lines = [f"{len(found)} pictures fit --pattern '{named.pattern}': {called}", *(f"  {note}" for note in aside)]
+    if len({len(paths) for paths in frames.values()}) > 1:
+        counted = ", ".join(f"{len(paths)} of the {side} camera" for side, paths in frames.items())
+        return _Look(named, (*lines, f"  found {counted}, expected as many of either"))
     try:
         runs = runs_of(sample(folder.frames(frames["left"])))
     except SceneError as problem:

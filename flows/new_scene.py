@@ -36,6 +36,7 @@ from storage.scene_names import (
     matching,
     runs_through,
     shared_sequence,
+    without_others,
 )
 
 _MOST_CONTRADICTORY = 0.03
@@ -55,10 +56,10 @@ def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Liste
     found = matching(options.folder, options.pattern)
     if options.cameras:
         found = shared_sequence(found, options.cameras)
+    found, notes = without_others(found)
     both = options.cameras or "{camera}" in options.pattern
     named: dict[Camera, str] = cameras_of(found, options.left) if both else {"left": ""}
     listed: Listed = {}
-    notes: list[str] = []
     for camera, name in named.items():
         listed[camera] = []
         for exposure in exposure_names(found):

@@ -63,6 +63,23 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
     return found
 
 
+def without_others(found: Mapping[Path, Values]) -> tuple[dict[Path, Values], list[str]]:
+    """The frames without pictures that one camera alone has, and whose name has no number (texture.png); and notes."""
+    field = next((name for name in ("frame", "path") if any(name in values for values in found.values())), "")
+    named: dict[str, set[str]] = {}
+    for values in found.values():
+        named.setdefault(values.get("camera", ""), set()).add(values.get(field, ""))
+    if len(named) != 2:
+        return dict(found), []
+    first, second = named.values()
+    others = (
+        {name for name in first ^ second if not re.search(r"\d", name)} if first < second or second < first else set()
+    )
+    aside = [path for path, values in found.items() if values.get(field) in others]
+    notes = [f"note: {path.name} is left aside: one camera alone has a picture of this name" for path in aside]
+    return {path: values for path, values in found.items() if path not in aside}, notes
+
+
 def cameras_of(found: Mapping[Path, Values], left: str | None) -> dict[Camera, str]:
     """Which value of {camera} is left and which right."""
     names = sorted({values["camera"] for values in found.values() if "camera" in values}, key=natural)

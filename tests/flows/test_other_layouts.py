@@ -222,6 +222,22 @@ def test_pictures_that_are_to_be_turned_are_refused(tmp_path: Path, capsys: pyte
     assert not (tmp_path / "scene.json").exists()
 
 
+def test_a_picture_that_one_camera_has_is_left_aside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    views = scan(BOTH)
+    save(tmp_path, views, numbered(9))
+    cv2.imwrite(str(tmp_path / "L" / "texture.png"), views["left"][0])
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "note: texture.png is left aside: one camera alone has a picture of this name" in said
+    command = next(line.strip() for line in said.splitlines() if line.strip().startswith("flushline scene new"))
+    assert main([*shlex.split(command.replace("--rig ID", "--rig small"))[1:]]) == 0
+    assert len(measured(tmp_path)) > 0.25 * 320 * 240
+    (tmp_path / "scene.json").unlink()
+    cv2.imwrite(str(tmp_path / "L" / "99.png"), views["left"][0])
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    assert "found 10 of the left camera, 9 of the right camera, expected as many of either" in capsys.readouterr().out
+
+
 def test_a_guess_reads_each_frame_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
