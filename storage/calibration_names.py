@@ -33,7 +33,8 @@ _EXACT = {
     "stereo_R": "R", "stereo_T": "T", "R_l2r": "R", "T_l2r": "T", "t_l2r": "T", "R_01": "R", "T_01": "T", "t_01": "T",
     "MLS": "M1", "dLS": "D1", "MRS": "M2", "dRS": "D2",
     "R_lr": "R", "T_lr": "T", "R_LR": "R", "T_LR": "T", "t_LR": "T", "t_lr": "T", "R12": "R", "T12": "T", "t12": "T",
-    "R_12": "R", "T_12": "T", "t_12": "T",
+    "R_0_1": "R", "T_0_1": "T", "t_0_1": "T", "R_rel": "R", "T_rel": "T", "t_rel": "T", "RL2R": "R", "TL2R": "T",
+    "tlr": "T", "R_12": "R", "T_12": "T", "t_12": "T",
     "S": "size", "roration": "R", "R3": "R3", "T3": "T3",
 }  # fmt: skip
 _ROLES = {
@@ -43,13 +44,13 @@ _ROLES = {
     "D": ("d", "kc", "dist", "distortion", "distcoeff", "distcoeffs", "distcoef", "distcoefs", "coeffs", "discoeff",
           "distortioncoefficients", "distortioncoefficient", "distortioncoeffs", "distortionparameters", "distvec",
           "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
-          "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
-    "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
-          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec",
-          "rotate"),
+          "distortcoeffs", "distortcoef", "distortioncoeff", "dc", "distparams", "lensdistortion", "distortparams"),
+    "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "rotationmat", "om", "rvec",
+          "rotationvector", "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q",
+          "orientation", "qvec", "rotate"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
-          "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
-          "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
+          "tstereo", "transvec", "translationvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform",
+          "transformation", "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
     "size": ("imagesize", "imgsize", "imgshape", "imageshape", "resolution", "size", "shape", "imageresolution",
              "framesize", "frameshape", "imsize"),
 }  # fmt: skip
@@ -92,10 +93,15 @@ _HIGH = {
     "nx": "ny", "resx": "resy", "resolutionx": "resolutiony",
 }  # fmt: skip
 """What a height is called beside a width."""
-_LETTERED = (
-    (re.compile(r"(?i:cam|camera)_?A(?![a-zA-Z])"), "left"),
-    (re.compile(r"(?i:cam|camera)_?B(?![a-zA-Z])"), "right"),
-)
+_OTHER_PAIRS = tuple(
+    (re.compile(rf"{first}(?![a-zA-Z])"), re.compile(rf"{second}(?![a-zA-Z])"))
+    for first, second in (
+        ("(?:[Cc]am|[Cc]amera)_?A", "(?:[Cc]am|[Cc]amera)_?B"), ("(?<![a-zA-Z])main", "(?<![a-zA-Z])sub"),
+        ("(?<![a-zA-Z])top", "(?<![a-zA-Z])bottom"), ("(?<![a-zA-Z])upper", "(?<![a-zA-Z])lower"),
+        ("(?<![a-zA-Z])primary", "(?<![a-zA-Z])secondary"), ("(?<![a-zA-Z])ir_?1", "(?<![a-zA-Z])ir_?2"),
+    )
+)  # fmt: skip
+"""Words that stand for left and right where both are there."""
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 
@@ -122,9 +128,9 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
             told += [(world[0], _side_of(world[1]), name)] * (array.size in (12, 16))
             continue
         if (towards := between(name)) and not exact:
-            read = _role_and_side(towards[1])
-            if read and read[0] in "RT" and _fits(read[0], array):
-                (found if towards[0] else backward)[read[0]] = turned(array) if read[0] == "R" else array
+            role = (_role_and_side(towards[1]) or ("T" * (array.size in (12, 16)), None))[0]
+            if role in ("R", "T") and _fits(role, array):
+                (found if towards[0] else backward)[role] = turned(array) if role == "R" else array
             continue
         if exact is not None:
             found[exact] = array
@@ -160,12 +166,12 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
 
 
 def _plainly_named(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Cameras A and B as left and right; lengths by their names without units."""
+    """Cameras A and B, top and bottom and the like as left and right; lengths by their names without units."""
     values = {without_unit(name): value for name, value in values.items()}
-    if not all(any(pattern.search(name) for name in values) for pattern, _ in _LETTERED):
-        return values
-    (first, left), (second, right) = _LETTERED
-    return {second.sub(right, first.sub(left, name)): value for name, value in values.items()}
+    for first, second in _OTHER_PAIRS:
+        if all(any(pattern.search(name) for name in values) for pattern in (first, second)):
+            values = {second.sub("right", first.sub("left", name)): value for name, value in values.items()}
+    return dict(values)
 
 
 def _by_elements(arrays: Mapping[str, Array]) -> Found:

@@ -25,14 +25,18 @@ _FROM_WORLD = re.compile(
 _NAME = r"left|right|l|r|master|slave|(?:cam|camera|c)_?[012ab]"
 _BETWEEN = re.compile(rf"(?i)(?<![a-z])({_NAME})_?(?:to|2)_?({_NAME})(?![a-z\d])")
 _NUMBERED = re.compile(r"(?<![A-Za-z\d])([012])_?to_?([012])(?!\d)|(?<=[RTt]_)([A])_?([B])(?![A-Za-z])")
-_INTO = re.compile(r"(?i)(?<=[rt]_)(right|cam_?1|c_?1)_(left|cam_?0|c_?0)(?![a-z\d])")
+_INTO = re.compile(
+    r"(?i)(?<=[rt]_)(?:right|cam_?1|c_?1)_(?:left|cam_?0|c_?0)(?![a-z\d])|"
+    r"(?<=right_)from_left(?![a-z])|(?<![a-z])cam_?1_(?=[rt]_cam_?0(?!\d))"
+)
 _FIRST = ("left", "l", "master")
 _SURE_W = 0.7  # of a unit quaternion: cameras turned by less than 90° to each other have more
 
 
 def between(name: str) -> tuple[bool, str] | None:
     """Whether a pose leads from the left camera to the right one (or back), and the rest of its name."""
-    if match := _INTO.search(name):  # T_target_source
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+    if match := _INTO.search(name):  # T_target_source, T_target_from_source, target_T_source
         return True, _INTO.sub("", name)
     match = _BETWEEN.search(name) or _NUMBERED.search(name)
     if match is None:

@@ -202,6 +202,13 @@ WRITERS: dict[str, Callable[[Path], list[Path]]] = {
         {"left": "cam1", "right": "cam2"}, {"R_cam1_to_cam2": RIGHT.R, "T_cam1_to_cam2": RIGHT.t}
     ),
     "and back": document({"left": "cam1", "right": "cam2"}, {"T_cam2_to_cam1": four(RIGHT.R.T, -RIGHT.R.T @ RIGHT.t)}),
+    "target from source": document(PLAIN, {"T_right_from_left": four(RIGHT.R, RIGHT.t)}),
+    "a frame between names": document({"left": "cam0", "right": "cam1"}, {"cam1_T_cam0": four(RIGHT.R, RIGHT.t)}),
+    "words run together": document(PLAIN, {"RotationLeftToRight": RIGHT.R, "TranslationLeftToRight": RIGHT.t}),
+    "nothing but a direction": document(PLAIN, {"left_to_right": four(RIGHT.R, RIGHT.t)}),
+    "top and bottom": document({"left": "top", "right": "bottom"}, {"R": RIGHT.R, "T": RIGHT.t}),
+    "main and sub": document({"left": "main", "right": "sub"}, {"R_rel": RIGHT.R, "t_rel": RIGHT.t}),
+    "infrared": document({"left": "ir1", "right": "ir2"}, {"R_0_1": RIGHT.R, "T_0_1": RIGHT.t}),
     "R12": document(PLAIN, {"R12": RIGHT.R, "t12": RIGHT.t}),
     "a unit": document(PLAIN, {"R": RIGHT.R, "T": RIGHT.t / 1000, "units": "meters"}),
     "a unit in a name": document(PLAIN, {"R": RIGHT.R, "T_m": RIGHT.t / 1000}),
