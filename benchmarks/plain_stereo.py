@@ -96,9 +96,9 @@ def plain_depths(scene: Scene, rig: Rig) -> Array:
     wide = (2 * size[0], 2 * size[1])  # so that nothing is cut off
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         left.K,
-        left.distortion8,
+        left.lens,
         right.K,
-        right.distortion8,
+        right.lens,
         size,
         right.R,
         right.t[:, None],
@@ -106,7 +106,7 @@ def plain_depths(scene: Scene, rig: Rig) -> Array:
         newImageSize=wide,
     )
     maps = [
-        cv2.initUndistortRectifyMap(device.K, device.distortion8, R, P, wide, cv2.CV_32FC1)
+        cv2.initUndistortRectifyMap(device.K, device.lens, R, P, wide, cv2.CV_32FC1)
         for device, R, P in ((left, R1, P1), (right, R2, P2))
     ]
     views = []
@@ -124,7 +124,7 @@ def plain_depths(scene: Scene, rig: Rig) -> Array:
     # To raw pixels: where each of them lies in the rectified picture.
     v, u = np.mgrid[: left.height, : left.width].astype(float)
     pixels = np.stack([u, v], -1).reshape(-1, 1, 2)
-    at = cv2.undistortPoints(pixels, left.K, left.distortion8, R=R1, P=P1).reshape(*u.shape, 2).astype(np.float32)
+    at = cv2.undistortPoints(pixels, left.K, left.lens, R=R1, P=P1).reshape(*u.shape, 2).astype(np.float32)
     return np.asarray(cv2.remap(raw[..., 2].astype(np.float32), at, None, cv2.INTER_LINEAR, borderValue=np.nan), float)
 
 

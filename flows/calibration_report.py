@@ -208,7 +208,7 @@ def _parameter_table(calibration: Calibration) -> Markup:
     sigma = dict(zip(adjusted.names, np.sqrt(np.diag(adjusted.covariance)), strict=True))
     rows = []
     for name, device in _devices(calibration).items():
-        lens = (device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2], *device.distortion8[:5])
+        lens = (device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2], *device.lens[:5])
         for term, value in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"), lens, strict=True):
             u95 = sigma.get(f"{name}.{term}")
             rows.append((f"{name} {term}", f"{value:.6g}", "not estimated" if u95 is None else f"± {2 * u95:.2g}"))

@@ -15,6 +15,8 @@ from metrology.reconstruct import coordinate_size, decode, triangulate
 from metrology.rig import PROJECTOR_FIT, PROJECTOR_OF, Device, Rig
 from storage.scene import Scene, load_scene
 
+_SQUARE = 0.02  # by which the sides of a projector's pixels may differ without being told
+
 
 def fit_to_scenes(
     rig: Rig, folders: Sequence[Path], size: tuple[int, int] | None, rig_id: str | None
@@ -101,5 +103,12 @@ def describe_fit(fitted: FittedProjector) -> list[str]:
             f"  warning: no scan has fringes along {missing}: the projector's {fitted.assumed} are assumed (square "
             f"pixels, light over all that was seen) to ±{fitted.assumed_u95_px:.1f} px (95 %); it watches "
             "over the rig, and overlays are not drawn for it"
+        )
+    ratio = device.K[0, 0] / device.K[1, 1]
+    if not fitted.assumed and abs(ratio - 1) > _SQUARE:
+        lines.append(
+            f"  warning: its pixels are {ratio:.3f} times as high as wide: where a code runs over more pixels than the "
+            "projector has, as Gray code of rows mostly does, its scene needs them (--over, --periods); or the "
+            "projector's pixels are no squares"
         )
     return lines

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from shlex import quote
 
@@ -20,12 +21,22 @@ from metrology.saturation import code_saturation
 from storage.frame_pages import write_pages
 from storage.frame_patterns import NamePattern, joint_patterns, name_patterns
 from storage.frames import can_be_turned, read_as_grey, read_frame, read_header
-from storage.scene_names import Values, by_number, cameras_of, matching, natural, runs_through, shared_sequence
+from storage.scene_names import (
+    Values,
+    by_number,
+    cameras_of,
+    matching,
+    natural,
+    runs_through,
+    shared_sequence,
+    without_others,
+)
 
 _PER_STRIPE = (1, 2, 4)  # stripes per fringe that codes have
 _MOST_PATTERNS = 4
 _LEAST_FRAMES = 3
 _LEAST_BITS, _MOST_BITS = 3, 14
+_MOST_KEPT_BYTES = 2**30
 _ONE_VIEW = 0.8  # correlation of what changes from frame to frame
 _COUNTS = (
     "How many fringes the projector showed across, the frames do not tell. Periods in projector pixels do as well: "
@@ -47,6 +58,43 @@ class _Command:
     """Which frames each number that is left open is of."""
 
 
+@dataclass(frozen=True)
+class _Folder:
+    """A folder of frames. Each is read once, as many as fit into a part of the memory, and each code tried once."""
+
+    path: Path
+    kept: dict[Path, NDArray] = field(default_factory=dict)
+    told: dict[tuple[tuple[Path, ...], FringeCode], CodeGuess | SceneError] = field(default_factory=dict)
+
+    def frames(self, paths: Sequence[Path]) -> Iterator[NDArray]:
+        """Frames of one camera, in grey."""
+        shape = None
+        for path in paths:
+            frame = self.kept.get(path)
+            if frame is None:
+                frame = read_as_grey(path, SceneError) if can_be_turned(path) else _frame(path)
+            if frame is None or shape not in (None, frame.shape):
+                raise SceneError(f"{path}: found no picture of one size with the others, expected frames of one camera")
+            if (len(self.kept) + 1) * frame.nbytes < _MOST_KEPT_BYTES:
+                self.kept[path] = frame
+            shape = frame.shape
+            yield frame
+
+    def guess(self, paths: Sequence[Path], code: FringeCode) -> CodeGuess:
+        """What frames say of a code; SceneError where they contradict it."""
+        key = (tuple(paths), code)
+        if key not in self.told:
+            try:
+                levels = np.stack(list(self.frames(paths)))
+                self.told[key] = guess_code(levels, code, code_saturation(levels[None], code))
+            except SceneError as problem:
+                self.told[key] = problem
+        found = self.told[key]
+        if isinstance(found, SceneError):
+            raise SceneError(str(found)) from None
+        return found
+
+
 def guess_folder(folder: Path) -> list[str]:
     """Lines that say which pictures there are, what they show, and what to call.
 
@@ -62,10 +110,11 @@ def guess_folder(folder: Path) -> list[str]:
         named = name_patterns(folder)
     except SceneError as problem:
         raise SceneError(". ".join([str(problem), *lines])) from None
-    patterns = [_looked(folder, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
+    read = _Folder(folder)
+    patterns = [_looked(read, one) for one in _without_parts(folder, named) if len(one.paths) >= _LEAST_FRAMES]
     for joint in joint_patterns(folder, named):
         parts = [one for one in patterns if set(one.named.paths) <= set(joint.paths)]
-        together = _look_at(folder, joint) if len(joint.paths) >= _LEAST_FRAMES else None
+        together = _look_at(read, joint) if len(joint.paths) >= _LEAST_FRAMES else None
         if together and together.sound and (together.known or not any(one.known for one in parts)):
             patterns = [together, *(one for one in patterns if one not in parts)]
     shown = sorted(patterns[:_MOST_PATTERNS], key=lambda one: not one.across)
@@ -107,22 +156,22 @@ class _Look:
         return 0 < len(shown) == len(set(shown)) and all(run.steps for run in self.runs if run.kind == "fringes")
 
 
-def _looked(folder: Path, named: NamePattern) -> _Look:
+def _looked(folder: _Folder, named: NamePattern) -> _Look:
     """What one camera shows, or both where one number runs through the frames of both."""
     look = _look_at(folder, named)
-    found = matching(folder, named.pattern)
+    found = matching(folder.path, named.pattern)
     if (look.known and look.sound) or "{camera}" in named.pattern or not runs_through(named.pattern) or len(found) % 2:
         return look
-    shared = [_look_at(folder, named, way) for way in ("turns", "halves") if _two_views(found, way)]
+    shared = [_look_at(folder, named, way) for way in ("turns", "halves") if _two_views(folder, found, way)]
     fitting = [both for both in shared if both.sound and (both.known or not look.sound)]
     return max(fitting, key=lambda both: both.known, default=look)
 
 
-def _two_views(found: Mapping[Path, Values], way: str) -> bool:
+def _two_views(folder: _Folder, found: Mapping[Path, Values], way: str) -> bool:
     """Whether frames that are shared out among two cameras show the same code, and from two places."""
     told = shared_sequence(found, way)
     try:
-        first, second = (sample(_pictures(by_number(told, name))) for name in ("first", "second"))
+        first, second = (sample(folder.frames(by_number(told, name))) for name in ("first", "second"))
         return not _alike(first, second) and runs_of(first) == runs_of(second)
     except SceneError:
         return False
@@ -134,17 +183,21 @@ def _alike(first: FrameSample, second: FrameSample) -> bool:
     return first.here.shape == second.here.shape and float(np.corrcoef(*swings)[0, 1]) > _ONE_VIEW
 
 
-def _look_at(folder: Path, named: NamePattern, shared: str = "") -> _Look:
+def _look_at(folder: _Folder, named: NamePattern, shared: str = "") -> _Look:
     """`shared`: the way in which both cameras' frames share one number, where they do."""
-    found = matching(folder, named.pattern)
+    found = matching(folder.path, named.pattern)
     if shared:
         found = shared_sequence(found, shared)
+    found, aside = without_others(found)
     cameras = cameras_of(found, None) if shared or "{camera}" in named.pattern else {"left": ""}
     frames = {side: _in_order(found, name) for side, name in cameras.items()}
     called = ", ".join(f"{side} {name!r}" for side, name in cameras.items() if name) or "one camera"
-    lines = [f"{len(found)} pictures fit --pattern '{named.pattern}': {called}"]
+    lines = [f"{len(found)} pictures fit --pattern '{named.pattern}': {called}", *(f"  {note}" for note in aside)]
+    if len({len(paths) for paths in frames.values()}) > 1:
+        counted = ", ".join(f"{len(paths)} of the {side} camera" for side, paths in frames.items())
+        return _Look(named, (*lines, f"  found {counted}, expected as many of either"))
     try:
-        runs = runs_of(sample(_pictures(frames["left"])))
+        runs = runs_of(sample(folder.frames(frames["left"])))
     except SceneError as problem:
         return _Look(named, (*lines, f"  {problem}"))
     names = sorted({values.get("count", "") for values in found.values()}, key=natural)
@@ -152,7 +205,7 @@ def _look_at(folder: Path, named: NamePattern, shared: str = "") -> _Look:
         if len(runs) == 1 and runs[0].by_step:  # what stands first in the names is the step
             turned = named.pattern.replace("{count}", "{}").replace("{step}", "{count}").replace("{}", "{step}")
             return _look_at(folder, NamePattern(turned, named.paths))
-        return _Look(named, (*lines, f"  {_several(folder, named)}"))
+        return _Look(named, (*lines, f"  {_several(folder.path, named)}"))
     lines += [f"  {_told(run, first)}" for run, first in zip(runs, _firsts(runs), strict=True)]
     look = _Look(named, (), tuple(runs))
     known = []
@@ -160,7 +213,7 @@ def _look_at(folder: Path, named: NamePattern, shared: str = "") -> _Look:
         command = _command(folder, named.pattern, runs, axis, frames["left"], names, shared)
         if command is not None:
             try:
-                said = _agreement(command, frames)
+                said = _agreement(folder, command, frames)
             except SceneError as problem:
                 known.append(False)
                 lines.append(f"  along {axis}: {problem}")
@@ -193,16 +246,6 @@ def _in_order(found: dict[Path, dict[str, str]], camera: str) -> list[Path]:
     return sorted(mine, key=lambda path: (natural(found[path]["count"]), natural(found[path]["step"])))
 
 
-def _pictures(paths: Sequence[Path]) -> Iterator[NDArray]:
-    shape = None
-    for path in paths:
-        frame = read_as_grey(path, SceneError) if can_be_turned(path) else _frame(path)
-        if frame is None or shape not in (None, frame.shape):
-            raise SceneError(f"{path}: found no picture of one size with the others, expected frames of one camera")
-        shape = frame.shape
-        yield frame
-
-
 def _frame(path: Path) -> NDArray:
     return read_frame(path, read_header(path, SceneError), SceneError)
 
@@ -228,7 +271,7 @@ def _told(run: Run, first: int) -> str:
 
 
 def _command(
-    folder: Path,
+    folder: _Folder,
     pattern: str,
     runs: Sequence[Run],
     axis: Axis,
@@ -250,9 +293,9 @@ def _command(
     references = gray is not None and not inverse and {"white", "black"} <= set(kinds)
     own += [firsts[kinds.index(kind)] for kind in ("white", "black") if references]
     shown = GrayCode(stripes, inverse, references) if stripes else None
-    code = _code(axis, steps, shown, [paths[k] for k in own], names)
+    code = _code(folder, axis, steps, shown, [paths[k] for k in own], names)
     counts = code.counts if code else [f"COUNT{k + 1}" for k in range(len(steps))]
-    words = [f"flushline scene new {quote(str(folder))} --pattern '{pattern}'"]
+    words = [f"flushline scene new {quote(str(folder.path))} --pattern '{pattern}'"]
     words += [f"--cameras {shared}"] * bool(shared) + ["--axis y"] * (axis == "y")
     if code and code.size_px:
         words += ["--periods " + " ".join(str(code.size_px // count) for count in code.counts)]
@@ -267,13 +310,22 @@ def _command(
         if gray is not None and runs[gray].apart:
             used[gray] = "gray inverse"
         uniform = {k: run.kind for k, run in enumerate(runs) if run.kind in ("white", "black") and run.frames == 1}
-        tokens = [used.get(k) or uniform.get(k) or f"skip:{run.frames}" for k, run in enumerate(runs)]
-        words.append(f"--sequence {' '.join(tokens)}")
+        tokens = [used.get(k) or uniform.get(k) or "" for k in range(len(runs))]
+        words.append(f"--sequence {' '.join(_skipping(tokens, runs))}")
     ends = np.cumsum([0, *steps])
-    inside = [paths[k].relative_to(folder).with_suffix("").as_posix() for k in own]
+    inside = [paths[k].relative_to(folder.path).with_suffix("").as_posix() for k in own]
     shown_by = [(inside[ends[k]], inside[ends[k + 1] - 1]) for k in range(len(steps))]
     left_open = "; ".join(f"COUNT{k + 1}: {first} to {last}" for k, (first, last) in enumerate(shown_by))
     return _Command(" ".join([*words, "--rig ID"]), code, tuple(own), f"{left_open}. ")
+
+
+def _skipping(tokens: Sequence[str], runs: Sequence[Run]) -> Iterator[str]:
+    """What the frames run through; those that have no name are passed over together."""
+    for skipped, group in groupby(zip(tokens, runs, strict=True), key=lambda each: not each[0]):
+        if skipped:
+            yield f"skip:{sum(run.frames for _, run in group)}"
+        else:
+            yield from (token for token, _ in group)
 
 
 def _own_order(run: Run) -> list[int]:
@@ -291,7 +343,12 @@ def _bits(run: Run) -> int:
 
 
 def _code(
-    axis: Axis, steps: tuple[int, ...], gray: GrayCode | None, paths: Sequence[Path], names: Sequence[str]
+    folder: _Folder,
+    axis: Axis,
+    steps: tuple[int, ...],
+    gray: GrayCode | None,
+    paths: Sequence[Path],
+    names: Sequence[str],
 ) -> FringeCode | None:
     """The code whose counts the frames bear out: one tried against the stripes, several as they are named; None where
     they are not told.
@@ -306,12 +363,11 @@ def _code(
         size = math.lcm(*said)
         if said != tuple(range(1, len(names) + 1)):  # which merely number the counts
             tried = [(said, None), (tuple(size // period for period in said), size)]
-    frames = np.stack(list(_pictures(paths))) if tried else np.empty(0)
     best: tuple[float, FringeCode] | None = None
     for told, size_px in tried:
         try:
             code = FringeCode(axis, steps, told, gray, size_px=size_px)
-            agreement = guess_code(frames, code, code_saturation(frames[None], code)).agreement
+            agreement = folder.guess(paths, code).agreement
         except SceneError:
             continue
         if best is None or agreement > best[0] + 0.02:
@@ -319,15 +375,14 @@ def _code(
     return best[1] if best else None
 
 
-def _agreement(command: _Command, frames: dict[str, list[Path]]) -> list[str]:
+def _agreement(folder: _Folder, command: _Command, frames: dict[str, list[Path]]) -> list[str]:
     """What the frames say of the code, where it is known; SceneError where they contradict it."""
     if command.code is None:
         return [command.open + _COUNTS]
     found: dict[str, CodeGuess] = {}
     for side, paths in frames.items():
         try:
-            levels = np.stack(list(_pictures([paths[k] for k in command.frames])))
-            found[side] = guess_code(levels, command.code, code_saturation(levels[None], command.code))
+            found[side] = folder.guess([paths[k] for k in command.frames], command.code)
         except (SceneError, IndexError) as problem:
             raise SceneError(f"{side} camera: {problem}") from None
     return guess_lines(found)

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from storage.scene_names import (
     matching,
     runs_through,
     shared_sequence,
+    without_others,
 )
 
 _MOST_CONTRADICTORY = 0.03
@@ -54,10 +56,10 @@ def frames_by_name(options: argparse.Namespace, code: FringeCode) -> tuple[Liste
     found = matching(options.folder, options.pattern)
     if options.cameras:
         found = shared_sequence(found, options.cameras)
+    found, notes = without_others(found)
     both = options.cameras or "{camera}" in options.pattern
     named: dict[Camera, str] = cameras_of(found, options.left) if both else {"left": ""}
     listed: Listed = {}
-    notes: list[str] = []
     for camera, name in named.items():
         listed[camera] = []
         for exposure in exposure_names(found):
@@ -143,28 +145,6 @@ def new_scene(
     """
     lines: list[str] = []
     fringe = shown.model_dump(mode="json", exclude_defaults=True)
-    if guess:
-        told = shown.direction < 0 and shown.gray is None  # without Gray code only the user knows
-        found = guesses(shown.code, _as_stepped(shown, listed) if told else listed, labels)
-        lines = guess_lines(found)
-        best = _common(found)
-        if len(found) == 1 and best.others:
-            offsets = ", ".join(
-                f"{psi:.3f}" for psi in sorted((best.code.phase_offsets_rad or (0.0,))[:1] + best.others)
-            )
-            raise SceneError(
-                f"{folder}: found that counts {', '.join(map(str, shown.code.counts))} agree with the phase offsets "
-                f"{offsets} rad alike, expected the one of the patterns, which one camera must know: "
-                "--offset RAD (-1.571: sine; cosine: --offset 0 --as-declared)"
-            )
-        fringe = fringe_document(best.code)
-        fringe |= {"direction": -1} if best.direction < 0 or told else {}
-        if best.lsb_first and "gray" in fringe:
-            fringe["gray"] |= {"first": "lsb"}
-        if best.inverse_first and "gray" in fringe:
-            fringe["gray"] |= {"inverse_first": True}
-        if best.binary and "gray" in fringe:
-            fringe["gray"] |= {"binary": True}
     document = {
         "format": FORMAT,
         **dict(zip(("aircraft_serial", "panel", "station", "captured_at"), key, strict=True)),
@@ -178,8 +158,66 @@ def new_scene(
     }
     model = validate(SceneModel, document, folder / MANIFEST, SceneError)
     document["captured_at"] = utc_text(model.captured_at)
+    if not replace:
+        _refuse_another(folder / MANIFEST, document, shown)
+    if guess:
+        lines, document["fringe"] = _told_by_frames(folder, shown, listed, labels)
+        model = validate(SceneModel, document, folder / MANIFEST, SceneError)
     _refuse_contradictions(model, folder)
     return [*lines, *_written(folder / MANIFEST, document, replace)]
+
+
+def _told_by_frames(
+    folder: Path, shown: FringeModel, listed: Listed, labels: Sequence[str]
+) -> tuple[list[str], dict[str, Any]]:
+    """What the frames say of the code, in words and as scene.json has it."""
+    backward = shown.direction < 0 and shown.gray is None  # without Gray code only the user knows
+    found = guesses(shown.code, _as_stepped(shown, listed) if backward else listed, labels)
+    best = _common(found)
+    if len(found) == 1 and best.others:
+        offsets = ", ".join(f"{psi:.3f}" for psi in sorted((best.code.phase_offsets_rad or (0.0,))[:1] + best.others))
+        raise SceneError(
+            f"{folder}: found that counts {', '.join(map(str, shown.code.counts))} agree with the phase offsets "
+            f"{offsets} rad alike, expected the one of the patterns, which one camera must know: "
+            "--offset RAD (-1.571: sine; cosine: --offset 0 --as-declared)"
+        )
+    fringe = fringe_document(best.code)
+    fringe |= {"direction": -1} if best.direction < 0 or backward else {}
+    if best.lsb_first and "gray" in fringe:
+        fringe["gray"] |= {"first": "lsb"}
+    if best.inverse_first and "gray" in fringe:
+        fringe["gray"] |= {"inverse_first": True}
+    if best.binary and "gray" in fringe:
+        fringe["gray"] |= {"binary": True}
+    return guess_lines(found), fringe
+
+
+def _refuse_another(path: Path, document: Mapping[str, object], shown: FringeModel) -> None:
+    """SceneError where scene.json is there and says something else than what is known before frames are read."""
+    if not path.exists():
+        return
+    there = read_json(path, SceneError)
+    differ = [key for key in document if key != "fringe" and there.get(key) != document[key]]
+    try:
+        same = _declared(validate(FringeModel, there.get("fringe") or {}, path, SceneError).code) == _declared(
+            shown.code
+        )
+    except SceneError:
+        same = False
+    if differ or not same:
+        raise _another(path, [*differ, *["fringe"] * (not same)])
+
+
+def _declared(code: FringeCode) -> tuple[object, ...]:
+    """What of a code no frames tell."""
+    gray = code.gray and (code.gray.stripes, code.gray.inverse, code.gray.references)
+    return code.axis, code.step_counts, code.counts, code.size_px, gray
+
+
+def _another(path: Path, keys: Sequence[str]) -> SceneError:
+    return SceneError(
+        f"{path}: found another scene there already (other {', '.join(keys)}), expected none: --replace writes it anew"
+    )
 
 
 def _written(path: Path, document: Mapping[str, object], replace: bool) -> list[str]:
@@ -189,10 +227,7 @@ def _written(path: Path, document: Mapping[str, object], replace: bool) -> list[
         if there == document:
             return [f"{path}: says so already"]
         differ = [key for key in {**document, **there} if there.get(key) != document.get(key)]
-        raise SceneError(
-            f"{path}: found another scene there already (other {', '.join(differ)}), expected none: "
-            "--replace writes it anew"
-        )
+        raise _another(path, differ)
     path.write_text(json.dumps(document, indent=1, ensure_ascii=False), encoding="utf-8")
     return []
 

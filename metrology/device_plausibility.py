@@ -95,7 +95,7 @@ def _check_principal_point(device: Device, beyond: float) -> None:
 
 def check_distortion(device: Device) -> None:
     """Refuse distortion that no lens has, or that is not one-to-one over the image; RigError."""
-    terms = device.distortion8
+    terms = device.lens
     p1, p2 = terms[2:4]
     if device.distortion.size == 4 and max(abs(p1), abs(p2)) > _FISHEYE_TERM:
         raise RigError(
@@ -109,6 +109,12 @@ def check_distortion(device: Device) -> None:
         raise RigError(
             f"distortion: found p1, p2 of {p1:g}, {p2:g}, which move the image's corner by {tangential:.0%}, expected "
             f"at most {_LARGEST_TANGENTIAL:.0%}: the terms are in another order (k1, k2, p1, p2, k3), or a fisheye's"
+        )
+    prism = float(np.abs(terms[8:] * corner ** np.array([1, 3, 1, 3])).max())
+    if prism > _LARGEST_TANGENTIAL:
+        raise RigError(
+            f"distortion: found a thin prism's terms {_numbers(terms[8:])}, which move the image's corner by "
+            f"{prism:.0%}, expected at most {_LARGEST_TANGENTIAL:.0%}"
         )
     stretched = float(_distorted(np.array(corner), terms)) / corner
     if stretched > _LARGEST_STRETCH:
@@ -136,7 +142,7 @@ def _turning_radius(terms: Array, corner: float) -> float:
 def _distorted(radius: Array, terms: Array) -> Array:
     """r (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), in focal lengths; NaN beyond a pole."""
     square = radius**2
-    k1, k2, _, _, k3, k4, k5, k6 = terms
+    k1, k2, _, _, k3, k4, k5, k6 = terms[:8]
     below = 1 + square * (k4 + square * (k5 + square * k6))
     above = radius * (1 + square * (k1 + square * (k2 + square * k3)))
     return np.asarray(np.where(below > 0, above / below, np.nan))

@@ -118,7 +118,7 @@ class _Hidden:
 
 def _bytes(device: Device) -> bytes:
     size = np.array([device.width, device.height], float)
-    return b"".join(a.tobytes() for a in (size, device.K, device.distortion8, device.R, device.t))
+    return b"".join(a.tobytes() for a in (size, device.K, device.lens, device.R, device.t))
 
 
 @lru_cache(maxsize=2)
@@ -184,7 +184,7 @@ def trying_rigs() -> Iterator[None]:
 def _undistorted(device: Device) -> NDArray[np.float64]:
     """(h, w, 2) x/z, y/z of every pixel of a camera; not to be written to."""
     kept = _tried.get()
-    lens = np.array([device.width, device.height], float), device.K, device.distortion8
+    lens = np.array([device.width, device.height], float), device.K, device.lens
     key = b"".join(part.tobytes() for part in lens)
     if kept is not None and key in kept:
         return kept[key]

@@ -53,6 +53,9 @@ _FRINGES_PER_BAND = 1.2
 _PART_SEEN = 0.5
 _LEAST_COUNT = 8
 _LEAST_PIXELS = 30
+# Of one: the mean of unit vectors along a band's phases, once, twice and three times round. A fringe and a fifth leave
+# 0.16, half a fringe 0.6.
+_MOST_UNEVEN = 0.25
 _SURE = 2.0  # standard deviations
 # Pixels with more clipped samples than one are left out: a frame brighter than the others clips alone.
 _CLIPPED_SAMPLES = 1
@@ -185,6 +188,7 @@ def _oddities(
     counted = _per_band(lit, rows, bands)
     enough = counted >= _LEAST_PIXELS
     deviation = largest_deviation(fit, sample.code, lit, rows, bands, sure)
+    deviation[~_all_phases(fit, sample.code, lit, rows, bands)] = 0
     share = _per_band(contradictory, rows, bands) / np.maximum(counted, 1)
     whole = largest_deviation(fit, sample.code, lit, rows, np.array([0]), sure)
     odd_band = enough & ((deviation > 1) | (share > _BAND_CONTRADICTORY))
@@ -194,6 +198,21 @@ def _oddities(
         in_blocks, odd_rows, odd_columns = _odd_blocks(fit, sample, lit, per_band, sure)
         return max(largest, in_blocks), odd_rows, odd_columns
     return largest, odd_rows, everywhere
+
+
+def _all_phases(
+    fit: SinusoidFit, code: FringeCode, lit: NDArray[np.bool_], rows: int, bands: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """(b,) whether a band's pixels have all phases of the widest fringes alike, so that gamma averages out: not so
+    where light, or the picture, ends within a fringe along y.
+    """
+    wide = [index for index, k in enumerate(fit.used) if code.counts[k] >= _LEAST_COUNT]
+    if code.axis == "x" or not wide:  # along x all fringes cross a band
+        return np.ones(len(bands), bool)
+    phasor = fit.phasors[min(wide, key=lambda index: code.counts[fit.used[index]])]
+    along = np.where(lit, phasor / np.maximum(np.abs(phasor), 1e-6), 0)
+    uneven = np.max([np.abs(_per_band(along**turns, rows, bands)) for turns in (1, 2, 3)], axis=0)
+    return np.asarray(uneven <= _MOST_UNEVEN * np.maximum(_per_band(lit, rows, bands), 1))
 
 
 def _odd_blocks(
@@ -213,6 +232,7 @@ def _odd_blocks(
         bands = np.arange(0, rows, tall)
         deviation = frame_deviations(own, sample.code, lit[at], rows, bands, sure=sure).max(0)
         deviation[_per_band(lit[at], rows, bands) < _LEAST_PIXELS] = 0
+        deviation[~_all_phases(own, sample.code, lit[at], rows, bands)] = 0
         largest = max(largest, float(deviation.max()))
         odd |= np.repeat(deviation > 1, tall)[:rows, None] & inside
     odd_columns = odd.any(0) if odd.any() else np.ones(columns, bool)

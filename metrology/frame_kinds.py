@@ -158,10 +158,11 @@ def _axes(taken: FrameSample, lit: NDArray[np.bool_], kinds: Sequence[Kind]) -> 
     """Along which image axis the frames change: x where stripes stand upright.
 
     A run of one kind runs along one axis, or along one and then the other. Coarse stripes change at few pixels, and
-    weigh by them.
+    weigh by them. Each pixel counts between its own dark and bright: what is printed on the object changes from pixel
+    to pixel too, more than coarse stripes do.
     """
-    along = np.abs(taken.right - taken.here)[:, lit].mean(1)
-    down = np.abs(taken.below - taken.here)[:, lit].mean(1)
+    here, right, below = (_shares(part[:, lit]) for part in (taken.here, taken.right, taken.below))
+    along, down = np.abs(right - here).mean(1), np.abs(below - here).mean(1)
     axes: list[Axis | None] = [None] * len(kinds)
     for first, end in _stretches(kinds):
         if kinds[first] in ("white", "black"):
@@ -179,6 +180,12 @@ def _axes(taken: FrameSample, lit: NDArray[np.bool_], kinds: Sequence[Kind]) -> 
         other: Axis = "y" if start == "x" else "x"
         axes[first:end] = [start] * k + [other] * (end - first - k)
     return axes
+
+
+def _shares(frames: Array) -> Array:
+    """(frames, n) where between its darkest and its brightest level each pixel is."""
+    dark = frames.min(0)
+    return np.asarray((frames - dark) / np.maximum(frames.max(0) - dark, 1.0))
 
 
 def _stretches(labels: Sequence[object]) -> list[tuple[int, int]]:

@@ -36,6 +36,8 @@ _MOST_READ_NOISE, _MOST_GAIN = 0.01, 5e-4
 _CONTRADICTION = 0.5
 # … if noise does not explain it; a pixel is judged where these many deviations stay below this share.
 _NOISE_SIGMAS, _JUDGED = 4.0, 0.9
+# Turns of the phase: of the unlit pixels, whose fringes are noise alone, one in 200 000 has fringes as sure (5 σ).
+_SURE_PHASE = 1 / (10 * np.pi)
 # A count without fringes where the others have some: less than this share of the largest amplitude.
 FAINT_COUNT = 0.1
 # Gray code: farther than this from the middle of the stripe (stripes) and from the fringe it tells (fringes).
@@ -213,13 +215,13 @@ def agreement(fit: SinusoidFit, code: FringeCode, noise: NoiseModel, coarse: Flo
     counts = tuple(code.counts[k] for k in fit.used)
     drift, missed = 0.0, None
     if coarse is not None and code.gray is not None:
-        judged = _NOISE_SIGMAS * sigma < _OFF_FRINGE
+        judged = sigma < min(_OFF_FRINGE / _NOISE_SIGMAS, _SURE_PHASE)
         position, off = _from_stripes(turns, counts, coarse, code.gray.stripes)
         far = off > 1
     else:
         lattice = order_lattice(tuple(c // int(np.gcd.reduce(counts)) for c in counts))
         half = lattice.shortest / 2
-        judged = _NOISE_SIGMAS * sigma < _JUDGED * half
+        judged = sigma < min(_JUDGED * half / _NOISE_SIGMAS, _SURE_PHASE)
         position, missed = nearest_lattice_point(turns, lattice)
         far = np.sqrt((missed**2).sum(0)) > np.maximum(_CONTRADICTION * half, _NOISE_SIGMAS * sigma)
         if len(counts) > 1 and judged.any():

@@ -212,7 +212,7 @@ def _undistorted(names: tuple[str, ...], share: float | None) -> Callable[[_Scan
         K = device.K
         if share is not None:
             size = (device.width, device.height)
-            K = np.asarray(cv2.getOptimalNewCameraMatrix(K, device.distortion8, size, share)[0], float)
+            K = np.asarray(cv2.getOptimalNewCameraMatrix(K, device.lens, size, share)[0], float)
         return replace(device, K=K, distortion=np.zeros(5))
 
     def undo(scan: _Scan, _: int) -> _Scan:
@@ -228,7 +228,7 @@ def _rectified(flags: int, share: float) -> Callable[[_Scan, int], _Scan]:
 
     def undo(scan: _Scan, _: int) -> _Scan:
         left, right, projector = scan.rig.left, scan.rig.with_right(), scan.rig.projector
-        lenses = (left.K, left.distortion8, right.K, right.distortion8)
+        lenses = (left.K, left.lens, right.K, right.lens)
         size = (left.width, left.height)
         found = cv2.stereoRectify(*lenses, size, right.R, right.t.reshape(3, 1), flags=flags, alpha=share)
         turn, first, second = (np.asarray(found[k], dtype=float) for k in (0, 2, 3))

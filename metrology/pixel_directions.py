@@ -23,7 +23,7 @@ def pixel_directions(device: Device) -> Array:
     focal = np.array([device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2]])
 
     def solve(start: int, end: int) -> None:
-        _solve_rows(first, focal, device.distortion8, start, end, directions, missed)
+        _solve_rows(first, focal, device.lens, start, end, directions, missed)
 
     over_rows(solve, device.height)
     # Where the lens's polynomials turn back there is no answer, or two: OpenCV's is taken.
@@ -35,7 +35,7 @@ def pixel_directions(device: Device) -> Array:
 @kernel
 def _solve_rows(first, focal, distortion, start, end, directions, missed):  # type: ignore[no-untyped-def]
     """Fill rows `start` to `end`: x such that the lens takes it to the pixel; or mark the row as missed."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = distortion
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = distortion
     fx, fy, cx, cy = focal
     for v in range(start, end):
         x, y = first[v]
@@ -54,16 +54,19 @@ def _solve_rows(first, focal, distortion, start, end, directions, missed):  # ty
                 radial = up / down
                 # By r²; a derivative of r² by x is 2 x.
                 slope = (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / down
-                off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - to_x
-                off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - to_y
-                xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-                xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-                yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-                determinant = xx * yy - xy * xy
+                off_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2) - to_x
+                off_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + r2 * (s3 + r2 * s4) - to_y
+                prism_x, prism_y = 2.0 * (s1 + 2.0 * r2 * s2), 2.0 * (s3 + 2.0 * r2 * s4)
+                mixed = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+                xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x + prism_x * x
+                xy = mixed + prism_x * y
+                yx = mixed + prism_y * x
+                yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x + prism_y * y
+                determinant = xx * yy - xy * yx
                 if not (determinant > 0.0 and xx > 0.0 and down > 0.0):
                     break
                 step_x = (yy * off_x - xy * off_y) / determinant
-                step_y = (xx * off_y - xy * off_x) / determinant
+                step_y = (xx * off_y - yx * off_x) / determinant
                 x -= step_x
                 y -= step_y
                 if abs(step_x) + abs(step_y) < _CLOSE:

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from metrology.arrays import Array
 from metrology.errors import RigError
 
-# Radial and tangential terms plus the rational denominator; OpenCV's prism and tilt terms are refused.
-MAX_DISTORTION_TERMS = 8
+# Radial and tangential terms, the rational denominator, and a thin prism's; OpenCV's tilt terms are refused.
+MAX_DISTORTION_TERMS = 12
+_TERMS = (0, 4, 5, 8, 12)
 # Keys of a rig's `extra`: whose projector was taken over, and how one was fitted to scans.
 PROJECTOR_OF, PROJECTOR_FIT = "projector_of", "projector_fit"
 _LARGEST = 1e12  # beyond any pixel or millimetre, and far from overflowing
@@ -38,7 +39,7 @@ class Device:
     K: Array
     """(3, 3): intrinsic matrix in pixels."""
     distortion: Array
-    """(n,): k1, k2, p1, p2, k3 … in OpenCV's order, n in {0, 4, 5, 8}."""
+    """(n,): k1, k2, p1, p2, k3 … in OpenCV's order, n in {0, 4, 5, 8, 12}."""
     R: Array
     t: Array
     """R, t: (3, 3) and (3,): pose: a point x of the rig frame is at R x + t in the device's own frame, t in mm."""
@@ -50,8 +51,8 @@ class Device:
                 raise RigError(f"{name}: found shape {value.shape}, expected {shape}")
             object.__setattr__(self, name, value)
         object.__setattr__(self, "distortion", np.ascontiguousarray(self.distortion, float).ravel())
-        if self.distortion.size not in (0, 4, 5, 8):
-            raise RigError(f"distortion: found {self.distortion.size} terms, expected 0, 4, 5 or 8")
+        if self.distortion.size not in _TERMS:
+            raise RigError(f"distortion: found {self.distortion.size} terms, expected 0, 4, 5, 8 or 12")
         if not all(np.isfinite(getattr(self, n)).all() for n in ("K", "distortion", "R", "t")):
             raise RigError("found a value that is not finite, expected numbers throughout K, distortion, R and t")
         if (largest := max(np.abs(getattr(self, n)).max(initial=0) for n in ("K", "distortion", "R", "t"))) > _LARGEST:
@@ -83,8 +84,8 @@ class Device:
         return -self.R.T @ self.t
 
     @cached_property
-    def distortion8(self) -> Array:
-        """(8,) distortion padded with zeros: k1, k2, p1, p2, k3, k4, k5, k6."""
+    def lens(self) -> Array:
+        """(12,) distortion padded with zeros: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4."""
         padded = np.zeros(MAX_DISTORTION_TERMS)
         padded[: self.distortion.size] = self.distortion
         return padded
@@ -126,7 +127,7 @@ class Device:
         """OpenCV's own, which works out derivatives with each pixel: many points take it thirty times as long."""
         if not len(points):
             return np.empty((0, 2))
-        pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), self._turn, self.t, self.K, self.distortion8)
+        pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), self._turn, self.t, self.K, self.lens)
         return np.asarray(pixels, float).reshape(-1, 2)
 
     def _project_many(self, points: Array) -> Array:
@@ -138,14 +139,17 @@ class Device:
 
     def through_lens(self, x: Array, y: Array) -> Array:
         """(..., 2) raw pixels of undistorted image coordinates x/z, y/z in the device's own frame."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.distortion8.tolist()
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.lens.tolist()
         xx, yy, xy = x * x, y * y, 2 * x * y
         r2 = xx + yy
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         if k4 or k5 or k6:
             radial /= 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        u = self.K[0, 0] * (x * radial + p1 * xy + p2 * (r2 + 2 * xx)) + self.K[0, 2]
-        v = self.K[1, 1] * (y * radial + p1 * (r2 + 2 * yy) + p2 * xy) + self.K[1, 2]
+        xd = x * radial + p1 * xy + p2 * (r2 + 2 * xx)
+        yd = y * radial + p1 * (r2 + 2 * yy) + p2 * xy
+        if s1 or s2 or s3 or s4:
+            xd, yd = xd + r2 * (s1 + r2 * s2), yd + r2 * (s3 + r2 * s4)
+        u, v = self.K[0, 0] * xd + self.K[0, 2], self.K[1, 1] * yd + self.K[1, 2]
         return np.stack([u, v], axis=-1)
 
     def normalized(self, pixels: ArrayLike) -> Array:
@@ -154,7 +158,7 @@ class Device:
         if pixels.size == 0:
             return np.empty(pixels.shape)
         flat = np.ascontiguousarray(pixels.reshape(-1, 1, 2))
-        undistorted = cv2.undistortPoints(flat, self.K, self.distortion8, criteria=_UNDISTORT_CRITERIA)
+        undistorted = cv2.undistortPoints(flat, self.K, self.lens, criteria=_UNDISTORT_CRITERIA)
         return np.asarray(undistorted, float).reshape(pixels.shape)
 
     def rays(self, pixels: ArrayLike) -> Array:

@@ -72,7 +72,7 @@ def match(
     planes = window.planes(right, settings.threads)
     grid = (np.float32(lowest), np.float32(1 / bin_size))
     limits = (float(settings.min_slope), *(float(z) for z in settings.depth_range_mm))
-    camera = (rig.with_right().K, rig.with_right().distortion8, geometry.R, geometry.t)
+    camera = (rig.with_right().K, rig.with_right().lens, geometry.R, geometry.t)
     views = (left.coordinate, left.sigma, left.flags, right.coordinate, right.sigma, right.flags)
     maps = (geometry.left.xy, geometry.left.row, geometry.right.xy, geometry.right.row)
 
@@ -177,10 +177,11 @@ def _step_towards(m, w, t, focal):  # type: ignore[no-untyped-def]
 def _solve(m, w, t, K, k):  # type: ignore[no-untyped-def]
     """Newton's step for the inverse depth with the exact projection; pixel relative to the window's centre.
 
-    The point is at a + rho t in the right camera's frame, up to scale; k are OpenCV's eight distortion terms. The steps
-    before leave half a pixel at most, over which the projection bends by less than 1e-4 pixels.
+    The point is at a + rho t in the right camera's frame, up to scale; k are OpenCV's distortion terms, twelve. The
+    steps before leave half a pixel at most, over which the projection bends by less than 1e-4 pixels.
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
+    s1, s2, s3, s4 = k[8], k[9], k[10], k[11]
     fx, skew, cx, fy, cy = K[0, 0], K[0, 1], K[0, 2], K[1, 1], K[1, 2]
     for i in range(m):
         rho = w[_RHO + i]
@@ -196,10 +197,10 @@ def _solve(m, w, t, K, k):  # type: ignore[no-untyped-def]
         radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) * bottom
         dradial = ((k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)) * dr2 - radial * dbottom) * bottom
         cross = 2.0 * (dx * y + x * dy)
-        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-        dxd = dx * radial + x * dradial + p1 * cross + p2 * (dr2 + 4.0 * x * dx)
-        dyd = dy * radial + y * dradial + p1 * (dr2 + 4.0 * y * dy) + p2 * cross
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2)
+        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + r2 * (s3 + r2 * s4)
+        dxd = dx * radial + x * dradial + p1 * cross + p2 * (dr2 + 4.0 * x * dx) + dr2 * (s1 + 2.0 * r2 * s2)
+        dyd = dy * radial + y * dradial + p1 * (dr2 + 4.0 * y * dy) + p2 * cross + dr2 * (s3 + 2.0 * r2 * s4)
         du = fx * dxd + skew * dyd
         dv = fy * dyd
         u = fx * xd + skew * yd + cx - w[_CENTRE_U + i]

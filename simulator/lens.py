@@ -7,14 +7,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from metrology.errors import RigError
 from metrology.rig import Device
 from simulator.compiled import kernel
 from simulator.relief import Floats
 
+_LENS_TERMS = 8
+
 
 def pack_device(device: Device) -> Floats:
-    """A device as one array for the kernels."""
-    return np.concatenate([device.K.ravel(), device.distortion8, device.R.ravel(), device.t])
+    """A device as one array for the kernels; RigError where its lens has a thin prism, which is not simulated."""
+    if device.lens[_LENS_TERMS:].any():
+        raise RigError("distortion: found terms of a thin prism, expected at most k1 to k6, p1 and p2 in a simulation")
+    return np.concatenate([device.K.ravel(), device.lens[:_LENS_TERMS], device.R.ravel(), device.t])
 
 
 def moved(device: Device, rotation: Floats, translation: Floats) -> Device:

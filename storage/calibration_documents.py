@@ -1,8 +1,8 @@
 """Calibration files of any program as nested tables of names and values, whatever their format.
 
-OpenCV's FileStorage (XML, YAML, JSON), plain JSON, YAML, TOML and INI, NPZ, MAT, HDF5, pickles of arrays; text of
-`name: numbers` or `name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it, or of headings over rows of
-numbers; and a matrix in a file of its own (text, CSV, NPY), whose name is the file's.
+OpenCV's FileStorage (XML, YAML, JSON), other XML, plain JSON, YAML, TOML and INI, NPZ, MAT, HDF5, pickles of arrays;
+text of `name: numbers` or `name = [numbers]` as KITTI, Middlebury and MATLAB scripts have it, or of headings over rows
+of numbers; and a matrix in a file of its own (text, CSV, NPY), whose name is the file's.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import re
 import tomllib
 import zipfile
 from collections.abc import Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,9 @@ _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)\s*[=:]\s*\[([^\]]*)\]")
 _PRINTED = re.compile(  # by Python
     r"([A-Za-z_][\w.]*)\s*[=:]\s*(?:np\.|numpy\.)?array\(\s*(\[.*?\])\s*(?:,\s*dtype=[\w.]+\s*)?\)", re.DOTALL
 )
-_LINE = re.compile(r"^\s*([A-Za-z_][\w.]*)\s*[=:]\s*([-+\d.eE,;\s]+)$")
+_LINE = re.compile(r"^\s*([A-Za-z_][\w.]*(?: [\w.]+){0,3})\s*[=:]\s*\(?([-+\d.eE,;\s]+)\)?;?\s*$")
 _SECTION = re.compile(r"^\[[^\[\]=,;]*[A-Za-z][^\[\]=,;]*\]\s*$", re.MULTILINE)
+_ASSIGNMENT = re.compile(r"^\s*[\w. ]+[=:]", re.MULTILINE)
 _COMMENT = re.compile(r"\s*(?:#|%|//).*$", re.MULTILINE)
 
 
@@ -88,6 +90,8 @@ def _document(path: Path) -> Any:
         return _hdf5(path)
     if suffix == ".mat":
         return _mat(path)
+    if head.lstrip().startswith(b"<") and b"<opencv_storage" not in head:
+        return _elements(path.read_bytes())
     if b"opencv" in head or head.lstrip().startswith((b"%YAML", b"<")):
         return _file_storage(path)
     text = path.read_text(encoding="utf-8-sig", errors="replace")
@@ -117,10 +121,13 @@ def _hdf5(path: Path) -> dict[str, Any]:
 
     def tables(group: Any) -> dict[str, Any]:
         return {
-            name: tables(item) if isinstance(item, h5py.Group) else np.asarray(item)
+            name: tables(item) if isinstance(item, h5py.Group) else array(item)
             for name, item in group.items()
             if not name.startswith("#")
         }
+
+    def array(item: Any) -> Any:
+        return np.asarray(item).T if "MATLAB_class" in item.attrs else np.asarray(item)  # MATLAB stores columns first
 
     with h5py.File(path, "r") as file:
         document = tables(file)
@@ -150,12 +157,40 @@ def _node(node: cv2.FileNode) -> Any:
     return node.real()
 
 
+def _elements(data: bytes) -> dict[str, Any]:
+    """XML of other programs: elements by their names, those that stand several times as a list; attributes as well."""
+    from xml.etree import ElementTree
+
+    if b"<!ENTITY" in data:
+        raise RigError("XML with entities")
+
+    def table(element: ElementTree.Element) -> Any:
+        found: dict[str, Any] = {key: _value(text) for key, text in element.attrib.items()}
+        for child in element:
+            value = table(child)
+            if child.tag in found:
+                before = found[child.tag]
+                found[child.tag] = [*(before if isinstance(before, list) else [before]), value]
+            else:
+                found[child.tag] = value
+        return found or _value(element.text or "")
+
+    root = ElementTree.fromstring(data)
+    return {root.tag: table(root)}
+
+
+def _value(text: str) -> Any:
+    """A number, a row of numbers, or text as it stands."""
+    row = _row(text)
+    return text.strip() if row is None else row if row.size > 1 else float(row[0])
+
+
 def _plain_text(text: str, name: str) -> dict[str, Any]:
     """Whatever kind of text holds numbers: sections, names and values, headings over rows, or one matrix alone."""
     if _SECTION.search(text):
-        return _sections(text)
+        return _sections(text) if _ASSIGNMENT.search(text) else _headed_sections(text)
     if printed := {name: numbers(_list_of(inside)) for name, inside in _PRINTED.findall(text)}:
-        return {name: value for name, value in printed.items() if value is not None}
+        return _text(text) | {name: value for name, value in printed.items() if value is not None}
     return _headed(text, name) | _text(text)
 
 
@@ -178,6 +213,20 @@ def _sections(text: str) -> dict[str, Any]:
     return found
 
 
+def _headed_sections(text: str) -> dict[str, Any]:
+    """`[section]` over headings over rows, as ROS prints a calibration: tables of the sections' names, left or right
+    where they have that word.
+    """
+    found: dict[str, Any] = {}
+    parts = _SECTION.split(text)[1:]
+    for heading, rows in zip(_SECTION.findall(text), parts, strict=True):
+        name = heading.strip().strip("[]")
+        side = re.search(r"left|right", name.lower())
+        own = {key.replace(" ", "_"): value for key, value in _headed(rows, name).items()}
+        found.setdefault(side[0] if side else name, {}).update(own)
+    return found
+
+
 def _headed(text: str, name: str) -> dict[str, Any]:
     """Rows of numbers under the line of words above them; without such a line they are what the file is called."""
     rows: dict[str, list[Array]] = {}
@@ -187,8 +236,14 @@ def _headed(text: str, name: str) -> dict[str, Any]:
             rows.setdefault(heading, []).append(row)
         elif line.strip():
             heading = line.strip().rstrip(":").strip()
-    matrices = {key: numbers([row.tolist() for row in value]) for key, value in rows.items()}
+    matrices = {key: numbers(_longest_block([row.tolist() for row in value])) for key, value in rows.items()}
     return {key: value for key, value in matrices.items() if value is not None}
+
+
+def _longest_block(rows: list[list[float]]) -> list[list[float]]:
+    """Of rows of several lengths, those in succession that make the largest matrix."""
+    blocks = [list(block) for _, block in groupby(rows, key=len)]
+    return max(blocks, key=lambda block: len(block) * len(block[0]))
 
 
 def _row(line: str) -> Array | None:

@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 
 from metrology.arrays import Array
-from metrology.errors import RigError
 from storage.calibration_documents import numbers
+from storage.length_units import without_unit
+from storage.pose_names import apart, between, is_row, relative_poses, square, turned, turned_back, world_pose
 
 Found = dict[str, Array]
 
@@ -32,7 +32,9 @@ _EXACT = {
     "projector_size": "size3", "M4": "M3", "D4": "D3", "Rlp": "R3", "Tlp": "T3", "Rlr": "R", "Tlr": "T",
     "stereo_R": "R", "stereo_T": "T", "R_l2r": "R", "T_l2r": "T", "t_l2r": "T", "R_01": "R", "T_01": "T", "t_01": "T",
     "MLS": "M1", "dLS": "D1", "MRS": "M2", "dRS": "D2",
-    "R_lr": "R", "T_lr": "T", "R_LR": "R", "T_LR": "T", "t_LR": "T", "t_lr": "T", "R12": "R", "T12": "T",
+    "R_lr": "R", "T_lr": "T", "R_LR": "R", "T_LR": "T", "t_LR": "T", "t_lr": "T", "R12": "R", "T12": "T", "t12": "T",
+    "R_0_1": "R", "T_0_1": "T", "t_0_1": "T", "R_rel": "R", "T_rel": "T", "t_rel": "T", "RL2R": "R", "TL2R": "T",
+    "tlr": "T", "R_12": "R", "T_12": "T", "t_12": "T",
     "S": "size", "roration": "R", "R3": "R3", "T3": "T3",
 }  # fmt: skip
 _ROLES = {
@@ -42,13 +44,13 @@ _ROLES = {
     "D": ("d", "kc", "dist", "distortion", "distcoeff", "distcoeffs", "distcoef", "distcoefs", "coeffs", "discoeff",
           "distortioncoefficients", "distortioncoefficient", "distortioncoeffs", "distortionparameters", "distvec",
           "distortioncoefs", "distvector", "cd", "distortionvector", "coef", "distortions", "distort", "distortcoeff",
-          "distortcoeffs", "distortcoef", "distparams", "lensdistortion", "distortparams"),
-    "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "om", "rvec", "rotationvector",
-          "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q", "orientation", "qvec",
-          "rotate"),
+          "distortcoeffs", "distortcoef", "distortioncoeff", "dc", "distparams", "lensdistortion", "distortparams"),
+    "R": ("r", "rot", "rotation", "rotationmatrix", "rmat", "rotmatrix", "rotmat", "rotationmat", "om", "rvec",
+          "rotationvector", "stereor", "rstereo", "rodrigues", "rotationofcamera", "quaternion", "quat", "q",
+          "orientation", "qvec", "rotate"),
     "T": ("t", "trans", "trns", "translation", "translationvector", "translationmatrix", "tvec", "tmat", "stereot",
-          "tstereo", "transvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform", "transformation",
-          "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
+          "tstereo", "transvec", "translationvec", "extrinsics", "extrinsic", "extrinsicmatrix", "transform",
+          "transformation", "transformationmatrix", "rt", "translationofcamera", "tvector", "translate"),
     "size": ("imagesize", "imgsize", "imgshape", "imageshape", "resolution", "size", "shape", "imageresolution",
              "framesize", "frameshape", "imsize"),
 }  # fmt: skip
@@ -70,18 +72,36 @@ _OTHER_THINGS = (
     "homography",
     "initial",
 )
-_CAMERA = ("cam", "camera", "stereo", "calib", "calibration", "params", "parameters", "the")
-# From camera coordinates to those of the world, and from one camera's to the other's.
-_PLACED = re.compile(
-    r"(?:c|cam|camera)_?(?:2|to)_?(?:w|world)|(?:c|cam|camera)(?:ToWorld|Pose|_pose)|T_?(?:w|world)_?(?:c|cam|camera)(?![a-z])"
+_CAMERA = (
+    "cam",
+    "camera",
+    "cams",
+    "cameras",
+    "stereo",
+    "calib",
+    "calibration",
+    "params",
+    "parameters",
+    "the",
+    "between",
+    "of",
 )
-_BETWEEN = re.compile(
-    r"(?i)(?<![a-z])(left|right|l|r|cam[01]|c[01])_?(?:to|2)_?(left|right|l|r|cam[01]|c[01])(?![a-z])"
-)
-_FIRST = ("left", "l", "cam0", "c0")
 _FOCAL = ("focal", "focallength", "focallengths", "focallengthpx", "fc", "f")
 _POINTS = ("principal_point", "principalPoint", "PrincipalPoint", "pp", "cc", "center", "centre", "c")
-_SURE_W = 0.7  # of a unit quaternion: cameras turned by less than 90° to each other have more
+_HIGH = {
+    "width": "height", "imagewidth": "imageheight", "imgwidth": "imgheight", "framewidth": "frameheight", "w": "h",
+    "nx": "ny", "resx": "resy", "resolutionx": "resolutiony",
+}  # fmt: skip
+"""What a height is called beside a width."""
+_OTHER_PAIRS = tuple(
+    (re.compile(rf"{first}(?![a-zA-Z])"), re.compile(rf"{second}(?![a-zA-Z])"))
+    for first, second in (
+        ("(?:[Cc]am|[Cc]amera)_?A", "(?:[Cc]am|[Cc]amera)_?B"), ("(?<![a-zA-Z])main", "(?<![a-zA-Z])sub"),
+        ("(?<![a-zA-Z])top", "(?<![a-zA-Z])bottom"), ("(?<![a-zA-Z])upper", "(?<![a-zA-Z])lower"),
+        ("(?<![a-zA-Z])primary", "(?<![a-zA-Z])secondary"), ("(?<![a-zA-Z])ir_?1", "(?<![a-zA-Z])ir_?2"),
+    )
+)  # fmt: skip
+"""Words that stand for left and right where both are there."""
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 
@@ -95,23 +115,23 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
     file_side : 1, 2 or 3, optional
         The camera, or the projector, that the file as a whole is of, for names that tell none.
     """
+    values = _plainly_named(values)
     arrays = {name: array for name, value in values.items() if (array := numbers(value)) is not None}
-    arrays |= _by_axes(arrays) | _by_parts(arrays)
+    arrays |= _by_axes(arrays) | _by_parts(arrays) | _by_elements(arrays)
     found: Found = {}
     backward: Found = {}
     told: list[tuple[str, int | None, str]] = []
     placed = {"R1", "T1", "R2", "T2"} <= set(arrays)
     for name, array in arrays.items():
-        if _PLACED.search(name):
-            told += [("W", _side_of(_PLACED.sub("", name)), name)] * (array.size in (12, 16))
-            continue
-        if (between := _BETWEEN.search(name)) and name not in _EXACT:
-            read = _role_and_side(_BETWEEN.sub("", name))
-            if read and read[0] in "RT" and _fits(read[0], array):
-                forward = between[1].lower() in _FIRST
-                (found if forward else backward)[read[0]] = turned(array) if read[0] == "R" else array
-            continue
         exact = _EXACT.get(name) or _EXACT.get(name.rsplit(".", 1)[-1])
+        if (world := world_pose(name)) and not exact:
+            told += [(world[0], _side_of(world[1]), name)] * (array.size in (12, 16))
+            continue
+        if (towards := between(name)) and not exact:
+            role = (_role_and_side(towards[1]) or ("T" * (array.size in (12, 16)), None))[0]
+            if role in ("R", "T") and _fits(role, array):
+                (found if towards[0] else backward)[role] = turned(array) if role == "R" else array
+            continue
         if exact is not None:
             found[exact] = array
         elif placed and name in ("R1", "T1", "R2", "T2"):
@@ -126,22 +146,42 @@ def from_names(values: Mapping[str, Any], file_side: int | None = None) -> Found
         if role == "size":
             found.setdefault(_size_of(number or file_side), _ordered(name, arrays))
         elif role == "W":
-            found.setdefault(f"placed{number or file_side or 0}", _square(arrays[name]))
+            found.setdefault(f"placed{number or file_side or 0}", square(arrays[name]))
         elif role in "MD":
             value = _four(arrays[name]) if role == "M" and arrays[name].size == 4 else arrays[name]
             found.setdefault(f"{role}{number or file_side or (1 if one_camera else 0)}", value)
         else:
             poses.setdefault(f"{role}{number or 0}", arrays[name])
+    poses = apart(poses)
     if any(role == "M" and side is None for role, side, _ in told) and file_side and not one_camera:
         poses = {f"posed{key[0]}{file_side}" if key in ("R0", "T0") else key: pose for key, pose in poses.items()}
-    found |= {key: value for key, value in poses.items() if key in _OWN} | _turned_back(backward)
+    found |= {key: value for key, value in poses.items() if key in _OWN} | turned_back(backward)
     if not placed:
         turns = {as_: arrays[name] for name, (as_, shape) in _RECTIFIED.items() if _shape(arrays, name) == shape}
         found |= turns if len(turns) == len(_RECTIFIED) else {}
-    found |= {key: value for key, value in _poses(poses).items() if key not in found}
+    found |= {key: value for key, value in relative_poses(poses).items() if key not in found}
     found |= {key: value for key, value in _scalars(values, file_side).items() if key not in found}
     found |= {key: value for key, value in _size(arrays, first, file_side).items() if key not in found}
     return _shaped({key: value for key, value in found.items() if key in NAMES + _OWN})
+
+
+def _plainly_named(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Cameras A and B, top and bottom and the like as left and right; lengths by their names without units."""
+    values = {without_unit(name): value for name, value in values.items()}
+    for first, second in _OTHER_PAIRS:
+        if all(any(pattern.search(name) for name in values) for pattern in (first, second)):
+            values = {second.sub("right", first.sub("left", name)): value for name, value in values.items()}
+    return dict(values)
+
+
+def _by_elements(arrays: Mapping[str, Array]) -> Found:
+    """R and T of r11 to r33 and tx, ty, tz, each told by itself."""
+    single = {name.lower().replace("_", ""): array.item() for name, array in arrays.items() if array.size == 1}
+    found: Found = {}
+    for role, names in (("R", [f"r{i}{j}" for i in "123" for j in "123"]), ("T", ["tx", "ty", "tz"])):
+        if role not in arrays and set(names) <= set(single):
+            found[role] = np.array([single[name] for name in names])
+    return found
 
 
 def _by_axes(arrays: Mapping[str, Array]) -> Found:
@@ -174,20 +214,6 @@ def _by_parts(arrays: Mapping[str, Array]) -> Found:
         if points and points[0].size == 2:
             found[f"{head}.K"] = np.array([*np.resize(focal, 2), *points[0].ravel()])
     return found
-
-
-def _square(value: Array) -> Array:
-    """(4, 4) of a matrix that may lack its last row."""
-    return np.vstack([value.reshape(-1, 4)[:3], [[0.0, 0.0, 0.0, 1.0]]])
-
-
-def _turned_back(pose: Found) -> Found:
-    """R and T from left to right of those from right to left."""
-    if "T" in pose and pose["T"].size in (12, 16):
-        pose = {"R": _square(pose["T"])[:3, :3], "T": _square(pose["T"])[:3, 3]}
-    if set(pose) != {"R", "T"}:
-        return {}
-    return {"R": pose["R"].T, "T": -pose["R"].T @ pose["T"].ravel()}
 
 
 def _shape(arrays: Mapping[str, Array], name: str) -> tuple[int, ...]:
@@ -253,55 +279,15 @@ def _role(words: list[str]) -> str | None:
     return next((role for role in last if role is not None and role != "size"), None)
 
 
-def _is_row(value: Array, size: int) -> bool:
-    """Whether a value is so many numbers in a row or a column."""
-    return value.size == max(value.shape, default=0) == size
-
-
 def _fits(role: str, array: Array) -> bool:
     """Whether a value can be what its name says: `T` may be a time, `d` a distance."""
     if role == "M":
-        return array.shape in ((3, 3), (9,), (1, 9)) or _is_row(array, 4)
+        return array.shape in ((3, 3), (9,), (1, 9)) or is_row(array, 4)
     if role == "D":
         return array.size in (4, 5, 8, 12, 14) and max(array.shape) == array.size
     if role == "R":
-        return array.size in (3, 9) or _is_row(array, 4)
+        return array.size in (3, 9) or is_row(array, 4)
     return array.size in (3, 12, 16) if role == "T" else array.size == 2
-
-
-def _poses(said: Found) -> Found:
-    """R and T of the second camera from the first, and those of the projector."""
-    found: Found = {}
-    for side in ("1", "2"):
-        if f"R{side}" not in said and f"T{side}" in said and said[f"T{side}"].size in (12, 16):
-            placed = _square(said[f"T{side}"])
-            said = said | {f"R{side}": placed[:3, :3], f"T{side}": placed[:3, 3]}
-    for role in "RT":
-        pose = next((said[f"{role}{side}"] for side in ("0", "2") if f"{role}{side}" in said), None)
-        found |= {role: pose} if pose is not None else {}
-        found |= {f"{role}3": said[f"{role}3"]} if f"{role}3" in said else {}
-    if {"R1", "R2", "T1", "T2"} <= set(said) and "R0" not in said:
-        first, second = turned(said["R1"]), turned(said["R2"])  # both stand to the same object
-        turn = second @ first.T
-        found |= {"R": turn, "T": said["T2"].ravel() - turn @ said["T1"].ravel()}
-    return found
-
-
-def turned(value: Array) -> Array:
-    """(3, 3) rotation of a matrix, a rotation vector, or a quaternion, whose w comes first or last."""
-    if _is_row(value, 4):
-        from scipy.spatial.transform import Rotation
-
-        if not np.linalg.norm(value) > 0:
-            raise RigError("found a quaternion of 0 0 0 0, expected a turn")
-        q = value.ravel() / np.linalg.norm(value)
-        if max(abs(q[0]), abs(q[3])) < _SURE_W:
-            raise RigError(
-                f"found a quaternion {', '.join(f'{part:.3f}' for part in q)} of a turn by more than 90°, expected R "
-                "as a matrix: whether w comes first or last cannot be told"
-            )
-        return np.asarray(Rotation.from_quat(np.roll(q, -1) if abs(q[0]) > abs(q[3]) else q).as_matrix(), float)
-    return np.asarray(cv2.Rodrigues(value.ravel())[0], float) if value.size == 3 else value.reshape(3, 3)
 
 
 def _ordered(name: str, arrays: Mapping[str, Array]) -> Array:
@@ -373,15 +359,16 @@ def _number_of(parts: Iterable[str]) -> int | None:
 def _size(arrays: Mapping[str, Array], first: int, file_side: int | None) -> Found:
     """Width and height told each by itself; `first` is the left camera in numbered names."""
     found: Found = {}
-    for wide, high in (("width", "height"), ("image_width", "image_height"), ("imageWidth", "imageHeight"),
-                       ("w", "h"), ("nx", "ny"), ("img_width", "img_height")):  # fmt: skip
-        for name in arrays:
-            head, _, last = name.rpartition(".")
-            other = f"{head}.{high}" if head else high
-            if last == wide and other in arrays and arrays[name].size == arrays[other].size == 1:
-                side = _side_of(head) or file_side
-                number = side - first + 1 if side is not None and side >= 10 else side
-                found.setdefault(_size_of(number), np.array([arrays[name].item(), arrays[other].item()]))
+    spelled = {name: "".join(_WORD.findall(name.rpartition(".")[2])).lower() for name in arrays}
+    for name, word in spelled.items():
+        head, _, _ = name.rpartition(".")
+        high = next(
+            (one for one, said in spelled.items() if one.rpartition(".")[0] == head and said == _HIGH.get(word)), ""
+        )
+        if high and arrays[name].size == arrays[high].size == 1:
+            side = _side_of(head) or file_side
+            number = side - first + 1 if side is not None and side >= 10 else side
+            found.setdefault(_size_of(number), np.array([arrays[name].item(), arrays[high].item()]))
     return found
 
 

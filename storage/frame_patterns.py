@@ -21,6 +21,7 @@ _PAIRS = (
     ("left", "right"), ("l", "r"), ("lt", "rt"), ("lft", "rgt"), ("master", "slave"), ("a", "b"), ("cama", "camb"),
     ("lcam", "rcam"), ("caml", "camr"), ("imgl", "imgr"), ("iml", "imr"), ("cameral", "camerar"), ("左", "右"),
     ("links", "rechts"), ("gauche", "droite"), ("main", "sub"), ("primary", "secondary"),
+    ("top", "bottom"), ("upper", "lower"), ("up", "down"), ("first", "second"),
 )  # fmt: skip
 _CAMERA_WORDS = ("cam", "camera", "c", "view", "cameras", "frames", "sensor", "dev")
 _LEAST_FRAMES = 3
@@ -189,14 +190,25 @@ def _fields(columns: Sequence[Tokens], digits: Sequence[int]) -> dict[int, str]:
 
 def _one_number(columns: Sequence[Tokens], digits: Sequence[int], sides: Sequence[int]) -> list[int]:
     """The places of numbers that are one together, as a time of day and its milliseconds, with what lies between; none
-    where they are not. The first of them then is another one in almost every picture of a camera.
+    where they are not. The first of them then is another one in almost every picture of a camera, or the last one does
+    not run through the same values beside each of the others, as steps do.
     """
     span = list(range(digits[0], digits[-1] + 1)) if len(digits) > 1 else []
     if not span or set(span) & set(sides) or any("/" in columns[place][0] for place in span):
         return []
     frames = len(columns[0]) // (2 if sides else 1)
     different = len(set(columns[span[0]]))
-    return span if frames >= 2 * _LEAST_FRAMES and different > frames // 2 else []
+    if frames < 2 * _LEAST_FRAMES or (different <= frames // 2 and _run_through(columns, digits)):
+        return []
+    return span
+
+
+def _run_through(columns: Sequence[Tokens], digits: Sequence[int]) -> bool:
+    """Whether the last number runs through the same values, or the first of them, beside each of the others."""
+    own: dict[Tokens, set[str]] = {}
+    for *others, last in zip(*(columns[place] for place in digits), strict=True):
+        own.setdefault(tuple(others), set()).add(last)
+    return all(values <= max(own.values(), key=len) for values in own.values())
 
 
 def _one_to_one(a: Tokens, b: Tokens) -> bool:

@@ -6,6 +6,7 @@ addition. Such files know neither units nor, mostly, the images' size.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,16 +19,21 @@ from metrology.rig import MAX_DISTORTION_TERMS, Device, Rig
 from metrology.rig_plausibility import check_rig, doubtful_unit
 from storage import other_rigs
 from storage.archive.files import replacing
-from storage.calibration_documents import flat, read_document
-from storage.calibration_names import NAMES, by_given_names, first_number, from_names, side_of_file, told_shapes, turned
+from storage.calibration_documents import flat, numbers, read_document
+from storage.calibration_names import NAMES, by_given_names, first_number, from_names, side_of_file, told_shapes
+from storage.length_units import MM_PER_UNIT, told_unit
 from storage.lens_names import check_lens_names
+from storage.one_camera_files import from_mrcal
+from storage.pose_names import turned
 from storage.projection_matrices import from_projections
+from storage.rectified_pairs import from_rectification
 
 Size = tuple[int, int]
 
-MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 READ_OTHERWISE = "read_otherwise"
 """Key of a rig's `extra`: what of the files was not taken as it stands."""
+_UNDISTORTED = "the files tell no distortion: pictures are taken as undistorted"
+_MAY_BE_A_LENS = re.compile(r"(?i)dist|coef|lens|radial|tangential|k[_]?1$|(?<![a-z])kc|(?<![a-z])d_?[0-2lr]?$")
 _INSTEAD_OF_R = "R of the files is no rotation: R and T are those of their rectification, R1, R2 and P2"
 _NEEDED = ("M1", "D1", "M2", "D2", "R", "T")
 _WRITTEN = {"size": "image_size", "size3": "projector_size"}  # what we call what OpenCV's samples leave out
@@ -75,9 +81,7 @@ def load_opencv_rig(
     if unit is not None and unit not in MM_PER_UNIT and not _is_length(unit):
         raise RigError(f"unit: found {unit!r}, expected one of {', '.join(MM_PER_UNIT)}, or the millimetres of one")
     found, there = _gathered(paths, given or {})
-    pose = other_rigs.pose_of_both(found)
-    extra = {READ_OTHERWISE: _INSTEAD_OF_R} if "R" in found and "R" in pose else {}
-    found |= pose
+    said = _completed(found, there)
     named = ", ".join(str(path) for path in paths)
     alone = "M3" in found and "M2" not in found
     missing = [name for name in (_NEEDED[:2] if alone else _NEEDED) if name not in found]
@@ -95,11 +99,19 @@ def load_opencv_rig(
         found["size3"] = np.array(projector_size, float)
     try:
         scale = _mm_per_unit(unit, found)
-        second = right_size or size or _size(found.get("size2")) or stated or (0, 0)
+        own = _size(found.get("size2")) if size in (None, stated) else None
+        second = right_size or own or size or stated or (0, 0)
         size = size or stated or (0, 0)
         left = _device("left", size, found["M1"], found["D1"], np.eye(3), np.zeros(3))
         right = None if alone else _device("right", second, found["M2"], found["D2"], found["R"], found["T"] * scale)
-        rig = Rig(rig_id, calibrated_at, left, right, _projector(found, scale) or projector, extra)
+        rig = Rig(
+            rig_id,
+            calibrated_at,
+            left,
+            right,
+            _projector(found, scale) or projector,
+            {READ_OTHERWISE: "; ".join(said)} if said else {},
+        )
         check_rig(rig)
         if unit is None and "unit" not in found and (doubt := doubtful_unit(rig)):
             raise RigError(doubt)
@@ -121,10 +133,25 @@ def _gathered(paths: Sequence[Path], given: Mapping[str, str]) -> tuple[dict[str
             there |= {} if file.is_dir() else flat(read_document(file))
     if not {"M1", "M2"} & set(found):  # beside matrices of the cameras, P1 and P2 are of their rectification
         for file in files:
-            found |= from_projections(flat(read_document(file)), first)
+            found |= from_projections(
+                flat(read_document(file)), first, side_of_file([file.stem, file.parent.name], first)
+            )
+    if there:
+        found |= from_rectification(there, found)
     if unknown := sorted(set(given) - set(NAMES)) or sorted(set(given.values()) - set(there)):
         raise RigError(f"--names: found {unknown[0]!r}, expected {', '.join(NAMES)} = one of {_listed(there)}")
     return found | by_given_names(there, given), there
+
+
+def _completed(found: dict[str, Array], there: Mapping[str, object]) -> list[str]:
+    """Add to `found` what follows from it; returns what of that is to be said. `there` is all that the files hold."""
+    pose = other_rigs.pose_of_both(found)
+    said = [_INSTEAD_OF_R] * ("R" in found and "R" in pose)
+    found |= pose
+    if {"M1", "M2"} <= set(found) and not {"D1", "D2"} & set(found) and not any(map(_may_be_a_lens, there.items())):
+        found |= {"D1": np.zeros((1, 5)), "D2": np.zeros((1, 5))}
+        said.append(_UNDISTORTED)
+    return said
 
 
 def save_opencv_rig(rig: Rig, path: Path) -> None:
@@ -165,18 +192,28 @@ def _read(path: Path, before: Mapping[str, Array], first: int) -> dict[str, Arra
     try:
         if path.is_dir():
             return other_rigs.from_colmap(path)
+        side = side_of_file([path.stem, path.parent.name], first) or (2 if "M1" in before and "M2" not in before else 1)
+        if path.suffix == ".cameramodel" and (known := from_mrcal(path.read_text(encoding="utf-8"), side)) is not None:
+            return known
         document = read_document(path)
         if (known := other_rigs.from_document(document, path)) is not None:
             return known
         check_lens_names(document)
-        side = side_of_file([path.stem, path.parent.name], first) or (2 if "M1" in before and "M2" not in before else 1)
-        return from_names(flat(document), side)
+        values = flat(document)
+        unit = told_unit(values)
+        return from_names(values, side) | ({} if unit is None else {"unit": np.array(unit)})
     except (KeyError, ValueError, TypeError, IndexError) as problem:
         what = f"no {problem}" if isinstance(problem, KeyError) else f"values that do not fit ({problem})"
         raise RigError(f"{path}: found {what}, expected a whole calibration") from None
     except RigError as problem:
         text = str(problem)
         raise RigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def _may_be_a_lens(said: tuple[str, object]) -> bool:
+    """Whether a value that no name tells may be a lens's distortion."""
+    value = numbers(said[1])
+    return value is not None and (bool(_MAY_BE_A_LENS.search(said[0])) or value.size in (5, 8, 14))
 
 
 def _listed(values: Mapping[str, object]) -> str:
@@ -222,12 +259,10 @@ def _device(name: str, size: Size, K: Array, distortion: Array, R: Array, t: Arr
 
 
 def _terms(value: Array) -> Array:
-    """OpenCV writes up to 14 terms; those beyond the rational model must be zero."""
+    """OpenCV writes up to 14 terms; those of a tilted sensor must be zero."""
     terms = value.ravel()
     if terms[MAX_DISTORTION_TERMS:].any():
-        raise RigError(
-            f"distortion: found {terms.size} terms with prism or tilt, expected at most {MAX_DISTORTION_TERMS}"
-        )
+        raise RigError(f"distortion: found {terms.size} terms with tilt, expected at most {MAX_DISTORTION_TERMS}")
     if terms.size == 4 and value.shape[0] == 4 and np.abs(terms[2:]).max() > _FISHEYE_TERM:
         raise RigError(
             f"distortion: found a column of four terms, {', '.join(f'{term:g}' for term in terms)}, as OpenCV writes "

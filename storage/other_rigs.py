@@ -12,24 +12,29 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from metrology.arrays import Array
 from metrology.errors import RigError
 from storage.calibration_documents import flat
-from storage.calibration_names import side_of_file, turned
+from storage.calibration_names import side_of_file
+from storage.one_camera_files import from_metashape, from_realsense
+from storage.pose_names import turned
 
 Found = dict[str, Array]
 
 _MM_PER_METRE = np.array(1000.0)
 _SIZES = {1: "size", 2: "size2"}  # of the cameras' images
 _ROTATION_ERROR = 1e-3  # by which R Rᵀ of a rotation, rounded as it may be, departs from 1
+_PAIRS_ALIKE = 0.02  # of their distance, and radians: by which cameras fixed to each other differ from pair to pair
 _PINHOLE_LENSES = ("radtan", "radial-tangential", "plumb_bob", "none")
 _PREFIXES = ((1, "LEFT."), (2, "RIGHT."), (1, "left."), (2, "right."))
 _RECTIFIED = (
     ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix"),
     ("K", "D", "R", "P"),
     ("k", "d", "r", "p"),
+    ("camera_matrix", "distortion", "rectification", "projection"),
 )
 _MODELS = {  # COLMAP: which of its parameters are fx, fy, cx, cy, and which the distortion
     "SIMPLE_PINHOLE": ((0, 0, 1, 2), ()),
@@ -45,6 +50,10 @@ def from_document(document: Mapping[str, Any], path: Path) -> Found | None:
     """What a program's own file says; None where it is nobody's known format. `path` tells one camera's files apart."""
     document = _unwrapped(document)
     values = flat(document)
+    if {"projection", "f", "width", "height"} <= set(document):
+        return from_metashape(document, 2 if side_of_file([path.stem, path.parent.name]) == 2 else 1)
+    if (realsense := from_realsense(document)) is not None:
+        return realsense
     if "CameraParameters1" in document:
         return _matlab(document)
     if _is_camchain(document):
@@ -191,8 +200,9 @@ def _rectified(values: Mapping[str, Any], names: Mapping[str, str], number: int)
     }
     for wide, high in (("image_width", "image_height"), ("width", "height")):
         at = [f"{prefix}.{name}" if prefix else name for name in (wide, high)]
+        at = at if at[0] in values else [f"image.{name}" for name in (wide, high)]
         if all(name in values for name in at):
-            found[_SIZES[number]] = np.array([float(values[name]) for name in at])
+            found[_SIZES[number]] = np.array([float(np.ravel(values[name])[0]) for name in at])
     return found
 
 
@@ -311,11 +321,18 @@ def _posed(found: Mapping[str, Array], side: str) -> tuple[Array, Array]:
 
 
 def from_colmap(folder: Path) -> Found:
-    """`cameras.txt` and `images.txt` of a model: its first two images, by name, are left and right."""
+    """`cameras.txt` and `images.txt` of a model: two images, by name left and right, or pairs by two cameras that were
+    fixed to each other.
+    """
     cameras = {row[0]: row[1:] for row in _rows(folder / "cameras.txt")}
     images = sorted((row for row in _rows(folder / "images.txt")[::2]), key=lambda row: row[9])
-    if len(images) != 2:
-        raise RigError(f"{folder / 'images.txt'}: found {len(images)} images, expected two: left and right, by name")
+    pairs = _pairs(images)
+    if not pairs:
+        raise RigError(
+            f"{folder / 'images.txt'}: found {len(images)} images, expected two, left and right by name, or as many of "
+            "either of two cameras"
+        )
+    images = pairs[0]
     found: Found = {}
     poses = []
     for number, image in enumerate(images, start=1):
@@ -329,8 +346,36 @@ def from_colmap(folder: Path) -> Found:
         found[f"M{number}"] = np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])  # centres at halves
         found[f"D{number}"] = np.array([terms + [0.0] * (max(4, len(terms)) - len(terms))])
         found[_SIZES[number]] = np.array([float(width), float(height)])
-        poses.append((_turned([float(q) for q in image[1:5]]), np.array(image[5:8], float)))
-    return found | _relative(*poses[0], *poses[1])
+        poses.append(_image_pose(image))
+    if len(pairs) == 1:
+        return found | _relative(*poses[0], *poses[1])
+    return found | _usual_pose([_relative(*_image_pose(left), *_image_pose(right)) for left, right in pairs], folder)
+
+
+def _pairs(images: list[list[str]]) -> list[list[list[str]]]:
+    """The left and the right image of each moment, in the order of their names; empty where they are no pairs."""
+    if len(images) == 2:
+        return [images]
+    cameras = list(dict.fromkeys(image[8] for image in images))
+    own = [[image for image in images if image[8] == camera] for camera in cameras]
+    return [list(pair) for pair in zip(*own, strict=True)] if len(own) == 2 and len(own[0]) == len(own[1]) else []
+
+
+def _image_pose(image: list[str]) -> tuple[Array, Array]:
+    return _turned([float(q) for q in image[1:5]]), np.array(image[5:8], float)
+
+
+def _usual_pose(said: list[Found], folder: Path) -> Found:
+    """The median of what pairs of images say; RigError where they say different things."""
+    turns = [cv2.Rodrigues(one["R"])[0].ravel() for one in said]
+    turn, shift = np.median(turns, axis=0), np.median([one["T"] for one in said], axis=0)
+    off = max(float(np.linalg.norm(one["T"] - shift)) for one in said) / max(float(np.linalg.norm(shift)), 1e-12)
+    if max(off, float(np.abs(turns - turn).max())) > _PAIRS_ALIKE:
+        raise RigError(
+            f"{folder / 'images.txt'}: found {len(said)} pairs of images whose cameras stand up to {off:.1%} of their "
+            "distance apart from each other's, expected two cameras fixed to each other, pairs by the order of names"
+        )
+    return {"R": turned(turn), "T": shift}
 
 
 def _rows(path: Path) -> list[list[str]]:

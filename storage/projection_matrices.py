@@ -16,7 +16,7 @@ _LEAST_DETERMINANT = 1e-12
 _NO_SKEW = 1e-4  # of the focal length: what rounding of printed numbers leaves
 
 
-def from_projections(values: Mapping[str, Any], first: int) -> dict[str, Array]:
+def from_projections(values: Mapping[str, Any], first: int, file_side: int | None = None) -> dict[str, Array]:
     """M, D, and each camera's pose, of every 3×4 matrix whose name tells its camera; images are taken as undistorted.
 
     Parameters
@@ -25,17 +25,21 @@ def from_projections(values: Mapping[str, Any], first: int) -> dict[str, Array]:
         Flat names to values.
     first : int
         The number of the left camera in names: 0 or 1.
+    file_side : 1 or 2, optional
+        The camera that the file as a whole is of, for names that tell none.
     """
     found: dict[str, Array] = {}
     for name, value in values.items():
         matrix = numbers(value)
-        side = _side(name, first)
+        side = _side(name, first) or (file_side if re.search("(?i)proj|^P$", name) else None)
         if side is None or matrix is None or matrix.shape not in ((3, 4), (12,), (1, 12)):
             continue
         taken = _taken_apart(matrix.reshape(3, 4))
         if taken is not None:
             names = (f"M{side}", f"posedR{side}", f"posedT{side}")
             found |= dict(zip(names, taken, strict=True)) | {f"D{side}": np.zeros((1, 5))}
+        if name.endswith("projection_matrix"):  # of ROS, in metres
+            found["unit"] = np.array(1000.0)
     return found
 
 

@@ -17,7 +17,8 @@ SHEET = "contact-sheet.png"
 """The picture that `scene new` draws beside the frames."""
 PICTURES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".npy", ".pgm")
 _GREY_ALONE = (".pgm",)
-_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a", "左", "gauche")
+_LEFT = ("left", "l", "cam0", "camera0", "cam_0", "cam1", "camera1", "0", "1", "a", "左", "gauche", "top", "upper",
+         "up", "main", "primary", "master")  # fmt: skip
 
 Values = dict[str, str]
 
@@ -60,6 +61,23 @@ def matching(folder: Path, pattern: str) -> dict[Path, Values]:
         there = f"; there are {len(other)} others, such as {other[0]}" if other else ""
         raise SceneError(f"{folder}: found no file that fits {pattern!r}, expected the frames{there}")
     return found
+
+
+def without_others(found: Mapping[Path, Values]) -> tuple[dict[Path, Values], list[str]]:
+    """The frames without pictures that one camera alone has, and whose name has no number (texture.png); and notes."""
+    field = next((name for name in ("frame", "path") if any(name in values for values in found.values())), "")
+    named: dict[str, set[str]] = {}
+    for values in found.values():
+        named.setdefault(values.get("camera", ""), set()).add(values.get(field, ""))
+    if len(named) != 2:
+        return dict(found), []
+    first, second = named.values()
+    others = (
+        {name for name in first ^ second if not re.search(r"\d", name)} if first < second or second < first else set()
+    )
+    aside = [path for path, values in found.items() if values.get(field) in others]
+    notes = [f"note: {path.name} is left aside: one camera alone has a picture of this name" for path in aside]
+    return {path: values for path, values in found.items() if path not in aside}, notes
 
 
 def cameras_of(found: Mapping[Path, Values], left: str | None) -> dict[Camera, str]:

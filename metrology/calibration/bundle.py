@@ -177,7 +177,7 @@ class _Problem:
 
 def lens_vector(device: Device) -> Array:
     """(9,) INTRINSICS of a device without rational terms."""
-    return np.r_[device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2], device.distortion8[:5]]
+    return np.r_[device.K[0, 0], device.K[1, 1], device.K[0, 2], device.K[1, 2], device.lens[:5]]
 
 
 def on_plane(projector: Device, pixels: Array, rotation: Array, translation: Array) -> Array:

@@ -18,7 +18,7 @@ from metrology.errors import SceneError
 from metrology.robust import MAD
 from metrology.verification.board_lengths import ends, fitted_pose
 from metrology.verification.form import inflation
-from metrology.verification.spheres import distance_u95, find_spheres, fit_sphere
+from metrology.verification.spheres import SphereFit, distance_u95, find_spheres, fit_sphere
 
 _WINDOW_PX = 4  # to either side of a point
 _LEAST_POINTS = 20
@@ -26,6 +26,8 @@ _SHARED = 9  # neighbours within a matching window share their noise
 _ROUNDS = 5
 _OUTLIER = 3.0
 _MOST_SPHERES = 12
+_ABOUT = 0.25  # of a sphere's stated diameter: parts of a wall or of a bend fit spheres of any other size
+_SMOOTHED = 25.0  # px²/diameter: what windows of five pixels and a lens's blur take off a sphere that is seen up to 60°
 _MISPLACED = 5.0  # robust standard deviations: a corner half out of focus or in a reflection
 
 
@@ -54,20 +56,33 @@ def point_lengths(cloud: Reconstruction, pixels: Sequence[tuple[float, float]]) 
 
 
 def sphere_lengths(cloud: Reconstruction, diameter_mm: float) -> list[Length]:
-    """Diameters of the spheres of about one diameter, from left to right, and the distances of their centres."""
+    """Diameters of the spheres of about one diameter, from left to right, and the distances of their centres.
+
+    Windows smooth what bends, so that spheres of few pixels come out too small: that is in the diameters' U95. Centres
+    stay where they are.
+    """
     points = cloud.points.astype(float)
     near = find_spheres(points, diameter_mm / 2, _MOST_SPHERES)
     fits = [fit_sphere(points, cloud.sigma_z.astype(float), centre, diameter_mm / 2) for centre in near]
-    spheres = sorted((fit for fit in fits if fit is not None), key=lambda fit: float(fit.centre[0]))
+    spheres = sorted((fit for fit in fits if fit and _is_about(fit, diameter_mm)), key=lambda fit: float(fit.centre[0]))
     if not spheres:
         raise SceneError(f"found no sphere of {diameter_mm:g} mm, expected one or more of a thousand points each")
     found = [
-        Length(f"diameter of sphere {number}", one.diameter_mm, one.diameter_u95_mm, nominal=diameter_mm)
+        Length(f"diameter of sphere {number}", one.diameter_mm, _diameter_u95(cloud, one), nominal=diameter_mm)
         for number, one in enumerate(spheres, start=1)
     ]
     for number, (one, other) in enumerate(pairwise(spheres), start=1):
         found.append(Length(f"centre {number} to centre {number + 1}", *distance_u95(one, other)))
     return found
+
+
+def _is_about(fit: SphereFit, diameter_mm: float) -> bool:
+    return abs(fit.diameter_mm / diameter_mm - 1) < _ABOUT and fit.diameter_u95_mm < _ABOUT * diameter_mm
+
+
+def _diameter_u95(cloud: Reconstruction, fit: SphereFit) -> float:
+    pixel = float(fit.centre[2]) / cloud.rig.left.K[0, 0]
+    return float(np.hypot(fit.diameter_u95_mm, _SMOOTHED * pixel**2 / fit.diameter_mm))
 
 
 def face_lengths(cloud: Reconstruction, boxes: Sequence[tuple[int, int, int, int]]) -> list[Length]:

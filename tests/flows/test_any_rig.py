@@ -295,6 +295,26 @@ def test_another_scene_json_is_kept(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert json.loads((folder / "scene.json").read_text(encoding="utf-8"))["rig"] == "large"
 
 
+@pytest.mark.parametrize(
+    ("changed", "key"),
+    [(("--rig", "other"), "rig"), (("--counts", "9", "8", "7"), "fringe"), (("--axis", "y"), "fringe")],
+)
+def test_another_scene_json_is_kept_before_frames_are_read(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    changed: tuple[str, ...],
+    key: str,
+) -> None:
+    folder = save(tmp_path / "scan", scan(FringeCode("x", 4, (7, 6, 5))), COUNTS)
+    arguments = ("--pattern", "{camera}/f{count}_{step}.png", "--counts", "7", "6", "5", "--rig", "small")
+    assert run("scene", "new", folder, *arguments) == 0
+    monkeypatch.setattr("flows.new_scene.read_stack", None)
+    named = ("--labels", "7", "6", "5") if changed[0] == "--counts" else ()
+    assert run("scene", "new", folder, *arguments, *changed, *named) == 2
+    assert f"found another scene there already (other {key}), expected none" in capsys.readouterr().err
+
+
 def test_one_camera_and_its_projector_inspect_by_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_rig(replace(small_rig(), right=None), tmp_path / "small.json")
     views = {"left": scan(FringeCode("x", 4, (7, 6, 5)))["left"]}

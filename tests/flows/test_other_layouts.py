@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from flows.cli import main
+from metrology.errors import SceneError
 from metrology.fringe import FringeCode, GrayCode
+from storage.frames import FrameHeader, read_frame
 from tests.support.other_programs import measured, save, scan
 
 Views = dict[str, NDArray[np.uint8]]
@@ -218,3 +220,37 @@ def test_pictures_that_are_to_be_turned_are_refused(tmp_path: Path, capsys: pyte
     assert main(["scene", "new", str(tmp_path), *command]) == 2
     assert "00.jpg: found an orientation in its Exif data" in capsys.readouterr().err
     assert not (tmp_path / "scene.json").exists()
+
+
+def test_a_picture_that_one_camera_has_is_left_aside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    views = scan(BOTH)
+    save(tmp_path, views, numbered(9))
+    cv2.imwrite(str(tmp_path / "L" / "texture.png"), views["left"][0])
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "note: texture.png is left aside: one camera alone has a picture of this name" in said
+    command = next(line.strip() for line in said.splitlines() if line.strip().startswith("flushline scene new"))
+    assert main([*shlex.split(command.replace("--rig ID", "--rig small"))[1:]]) == 0
+    assert len(measured(tmp_path)) > 0.25 * 320 * 240
+    (tmp_path / "scene.json").unlink()
+    cv2.imwrite(str(tmp_path / "L" / "99.png"), views["left"][0])
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    assert "found 10 of the left camera, 9 of the right camera, expected as many of either" in capsys.readouterr().out
+
+
+def test_a_guess_reads_each_frame_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One camera, of whose frames the guess first asks whether they are of two, and then tries three counts."""
+    views = scan(FringeCode("x", 4, (16,), GrayCode(32)))
+    save(tmp_path, {"left": np.concatenate([views["left"], views["left"][:1]])}, [f"{k}.png" for k in range(10)])
+    read: list[Path] = []
+
+    def counting(path: Path, header: FrameHeader, error: type[SceneError]) -> NDArray:
+        read.append(path)
+        return read_frame(path, header, error)
+
+    monkeypatch.setattr("flows.folder_guess.read_frame", counting)
+    assert main(["scene", "guess", str(tmp_path)]) == 0
+    assert "frames 1 to 4: fringes along x" in capsys.readouterr().out
+    assert sorted(read) == sorted(tmp_path.glob("*.png"))

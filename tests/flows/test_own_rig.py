@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from flows.cli import build_parser, main
 from flows.code_options import both_fringe_models
+from flows.fit_projector import describe_fit
+from metrology.calibration.projector_fit import FittedProjector
 from metrology.fringe import GrayCode
 from metrology.rig import Device, Rig
 from storage.rig import load_rig, save_rig
@@ -189,6 +191,16 @@ def test_scans_find_the_projector(
     assert run("rig", "check", out, folders[0]) == 0
     assert run("rig", "fit-projector", folders[1], "--rig", cameras, "--size", "320x240", "--out", out) == 2
     assert "fringes along x of the same station before it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("height", "told"), [(1.0, False), (4 / 3, True)])
+def test_pixels_that_are_no_squares_are_told(height: float, told: bool) -> None:
+    """As where 768 rows were said to be what the code's 1024 are."""
+    true = small_rig().with_projector()
+    device = replace(true, K=np.diag([1, 1 / height, 1]) @ true.K)
+    sigma = dict.fromkeys(("fx", "fy", "cx", "cy"), 0.1)
+    lines = describe_fit(FittedProjector(device, sigma, 0.01, 500, (), (), None, 0.1, 0.0))
+    assert any("pixels are 1.33" in line and "--over, --periods" in line for line in lines) == told
 
 
 def test_columns_alone_are_no_screen(

@@ -50,6 +50,22 @@ CODES = [
 ]
 
 
+@pytest.mark.parametrize("share", [0.5, 0.63, 1.0])
+@pytest.mark.parametrize("code", [FringeCode("y", 8, (16,), GrayCode(32)), FringeCode("y", 4, (16, 15))])
+def test_where_the_light_ends_is_no_fault(code: FringeCode, share: float) -> None:
+    """Beyond, noise looks like fringes in a few pixels; and a projector's gamma does not average out over part of a
+    fringe.
+    """
+    frames, rng = scan(code, gamma=1.8), np.random.default_rng(8)
+    dark = frames[..., round(share * HEIGHT) :, :]
+    dark[...] = np.clip(np.rint(rng.normal(12, 2, dark.shape)), 0, 255)
+    found, diagnosis = look(frames, code)
+    assert not diagnosis.named
+    assert found[0].judged > 1000
+    assert found[0].deviation < 0.6
+    assert not found[0].odd
+
+
 @pytest.mark.parametrize("code", CODES)
 @pytest.mark.parametrize("flicker", [0.0, 0.02])
 def test_sound_frames_are_sound(code: FringeCode, flicker: float) -> None:

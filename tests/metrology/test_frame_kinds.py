@@ -39,6 +39,16 @@ def told(frames: list[NDArray[np.uint8]]) -> list[tuple[object, ...]]:
     return [(run.kind, run.axis, run.frames, run.steps, run.inverse) for run in runs_of(sample(frames))]
 
 
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_print_on_the_object_is_no_stripe(axis: str) -> None:
+    """Bands of print change more pixels than the borders of coarse bits do, and along the other axis."""
+    code = FringeCode(axis, 4, (32,), GrayCode(64))
+    frames = shown(code)
+    bands = np.where(np.arange(SIDE) // 4 % 2, 1.0, 0.7)
+    printed = [(frame * (bands[:, None] if axis == "x" else bands)).astype(np.uint8) for frame in frames]
+    assert told(printed) == [("gray", axis, 6, (), False), ("fringes", axis, 4, (4,), False)]
+
+
 @pytest.mark.parametrize("steps", [(4, 4, 4), (16, 8), (3, 3, 3), (12, 5, 4)])
 def test_steps_are_told_by_the_sinusoids(steps: tuple[int, ...]) -> None:
     code = FringeCode("x", steps, (9, 8, 7)[: len(steps)])

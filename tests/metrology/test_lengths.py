@@ -52,6 +52,22 @@ def test_points_and_faces_are_true_to_within_their_u95() -> None:
     assert step.u95 < 0.01
 
 
+def test_a_wall_behind_spheres_is_none() -> None:
+    rig, rng = small_rig(), np.random.default_rng(3)
+    points, rays = plane(rig), plane(rig) / np.linalg.norm(plane(rig), axis=-1, keepdims=True)
+    middles = np.array([[-75.0, 10.0, 640.0], [75.0, -8.0, 650.0]])
+    for middle in middles:
+        along = rays @ middle
+        inside = 30.0**2 - middle @ middle + along**2
+        points = np.where((inside > 0)[..., None], (along - np.sqrt(np.maximum(inside, 0)))[..., None] * rays, points)
+    found = sphere_lengths(cloud(rig, points, rng), 60.0)
+    assert [one.name for one in found] == ["diameter of sphere 1", "diameter of sphere 2", "centre 1 to centre 2"]
+    for one, value in zip(found, (60.0, 60.0, float(np.linalg.norm(middles[1] - middles[0]))), strict=True):
+        assert abs(one.value - value) <= one.u95
+    pixel = 645.0 / rig.left.K[0, 0]
+    assert 10 * pixel**2 / 60 < found[0].u95 < 40 * pixel**2 / 60  # a window smooths by so much
+
+
 def test_a_board_tells_the_rig_s_scale() -> None:
     """The same pixels and a cloud 1 % too large; and the true one."""
     rig, rng = small_rig(), np.random.default_rng(4)

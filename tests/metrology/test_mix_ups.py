@@ -82,7 +82,7 @@ def test_rectified_frames(rig: Rig, projector: bool) -> None:
     left, right = rig.left, rig.right
     size = (left.width, left.height)
     turn_left, turn_right, P1, P2, *_ = cv2.stereoRectify(
-        left.K, left.distortion8, right.K, right.distortion8, size, right.R, right.t.reshape(3, 1), flags=0
+        left.K, left.lens, right.K, right.lens, size, right.R, right.t.reshape(3, 1), flags=0
     )
     rectified = SimpleNamespace(
         projector=rig.projector,

@@ -23,8 +23,13 @@ def _pixels() -> np.ndarray:
 
 @pytest.mark.parametrize(
     "distortion",
-    [(), (-0.3, 0.1, 1e-3, -2e-3), (0.2, 0.1, 1e-3, 1e-3, 0.01, 0.3, 0.1, 0.02)],
-    ids=["no distortion", "barrel and tangential", "rational"],
+    [
+        (),
+        (-0.3, 0.1, 1e-3, -2e-3),
+        (0.2, 0.1, 1e-3, 1e-3, 0.01, 0.3, 0.1, 0.02),
+        (-0.1, 0.1, 1e-3, 1e-3, 0.01, 0, 0, 0, 6e-3, -2e-3, -4e-3, 1e-3),
+    ],
+    ids=["no distortion", "barrel and tangential", "rational", "thin prism"],
 )
 def test_every_pixel_as_opencv_has_it(distortion: tuple[float, ...]) -> None:
     camera = _camera(300.0, *distortion)

@@ -11,11 +11,12 @@ import pytest
 from metrology.rig import Device
 from tests.support.calibration_bench import bench_rig
 
-LENSES = ((), (-0.1, 0.08, 1e-3, -2e-3), (-0.1, 0.08, 1e-3, -2e-3, 0.03), (0.2, -0.1, 1e-3, 2e-3, 0.05, 0.1, -0.2, 0.3))
+LENSES = ((), (-0.1, 0.08, 1e-3, -2e-3), (-0.1, 0.08, 1e-3, -2e-3, 0.03), (0.2, -0.1, 1e-3, 2e-3, 0.05, 0.1, -0.2, 0.3),
+          (-0.1, 0.08, 1e-3, -2e-3, 0.03, 0, 0, 0, 8e-3, -4e-3, 6e-3, 1e-3))  # fmt: skip
 
 
 def by_opencv(device: Device, points: np.ndarray) -> np.ndarray:
-    turn, lens = cv2.Rodrigues(device.R)[0], device.distortion8
+    turn, lens = cv2.Rodrigues(device.R)[0], device.lens
     return cv2.projectPoints(points.reshape(-1, 1, 3), turn, device.t, device.K, lens)[0].reshape(-1, 2)
 
 

@@ -72,7 +72,7 @@ def test_cameras_may_look_alike_or_be_rolled_or_stand_the_other_way_round() -> N
 
 def test_rectified_images_of_converging_cameras_have_principal_points_outside() -> None:
     left, right, size = RIG.left, turned(RIG, "right", 14.0, (0, 1, 0)).right, (RIG.left.width, RIG.left.height)
-    lenses = (left.K, left.distortion8, right.K, right.distortion8)
+    lenses = (left.K, left.lens, right.K, right.lens)
     *_, P1, P2, _, _, _ = cv2.stereoRectify(*lenses, size, right.R, right.t.reshape(3, 1), flags=0)
     plain = np.zeros(5)
     beside = replace(right, K=P2[:, :3], distortion=plain, R=np.eye(3), t=np.linalg.solve(P2[:, :3], P2[:, 3]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -69,6 +71,18 @@ def test_plane_is_found_without_bias_at_the_noise_limit(rng: np.random.Generator
     # The right view's window has 15 pixels and is used up to half a pixel from its centre.
     bound = depth_bound(rig, modulation, USUAL, 1 / 15 + (1 / 30 + 1 / 10) / 12)
     assert np.sqrt(np.mean((error[good] / bound[good]) ** 2)) < 1.05
+
+
+def test_a_thin_prism_bends_no_plane(rng: np.random.Generator) -> None:
+    rig = small_rig()
+    prism = [0, 0, 0, 8e-3, 4e-3, -6e-3, 3e-3]
+    lenses = {name: np.concatenate([device.distortion, sign * np.array(prism)])
+              for name, device, sign in (("left", rig.left, 1), ("right", rig.right, -1))}  # fmt: skip
+    rig = replace(rig, **{name: replace(getattr(rig, name), distortion=lens) for name, lens in lenses.items()})
+    error = depth_error(reconstruct(*plane_scan(rig, USUAL, rng, SIGMA), rig, USUAL))
+    parts = error[:, :160], error[:, 160:], error[:120], error[120:]
+    assert np.isfinite(error).mean() > 0.8
+    assert max(abs(np.nanmean(part)) for part in parts) < 2 * BEND_MM
 
 
 def test_stated_sigma_is_what_is_observed_at_every_modulation(rng: np.random.Generator) -> None:

@@ -14,6 +14,14 @@ from storage.scene_names import cameras_of, matching
 @pytest.mark.parametrize(
     ("names", "pattern"),
     [
+        (  # seconds stand three times each, and milliseconds are no steps
+            [f"{c}/05-13_14-22-{7 + k // 3:02d}-{k * 333 % 1000:03d}.png" for c in "LR" for k in range(15)],
+            "{camera}/05-13_14-22-{frame}.png",
+        ),
+        (  # of counts with different numbers of steps, the fewer ones are the first of the others
+            [f"{c}{n}_{k}.png" for c in "LR" for n, of in ((40, 8), (41, 4)) for k in range(of)],
+            "{camera}{count}_{step}.png",
+        ),
         ([f"{side}_{k:02d}.bmp" for side in ("left", "right") for k in range(12)], "{camera}_{frame}.bmp"),
         (
             [f"cam{c}/IM_{n}_{k:02d}.png" for c in (1, 2) for n in (12, 13, 14) for k in range(4)],

@@ -25,7 +25,7 @@ def test_a_rig_goes_out_and_comes_back(tmp_path: Path, rig: Rig, ending: str) ->
     for name in ("left", "right", "projector"):
         before, after = getattr(rig, name), getattr(again, name)
         assert (before.width, before.height) == (after.width, after.height)
-        for part in ("K", "R", "t", "distortion8"):
+        for part in ("K", "R", "t", "lens"):
             assert getattr(after, part) == pytest.approx(getattr(before, part), rel=1e-12, abs=1e-15)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
@@ -67,12 +67,18 @@ def test_a_rotation_vector_is_a_rotation(tmp_path: Path, rig: Rig) -> None:
     assert pytest.approx(rig.right.R) == load_opencv_rig([path, vector], "cv", WHEN).right.R
 
 
-def test_prism_terms_are_refused_not_dropped(tmp_path: Path, rig: Rig) -> None:
+def test_prism_terms_are_kept_and_tilt_is_refused(tmp_path: Path, rig: Rig) -> None:
     path = tmp_path / "rig.yml"
     save_opencv_rig(rig, path)
-    prism = write(tmp_path / "prism.yml", D2=[[0.1, 0, 0, 0, 0, 0, 0, 0, 0.3, 0, 0, 0]])
-    with pytest.raises(RigError, match="prism or tilt"):
-        load_opencv_rig([path, prism], "cv", WHEN)
+    terms = [0.1, 0, 0, 0, 0, 0, 0, 0, 3e-3, 0, -2e-3, 1e-3, 0, 0]
+    found = load_opencv_rig([path, write(tmp_path / "prism.yml", D2=[terms])], "cv", WHEN).with_right()
+    np.testing.assert_array_equal(found.distortion, terms[:12])
+    strong = write(tmp_path / "strong.yml", D2=[[0.1, 0, 0, 0, 0, 0, 0, 0, 0.3, 0, 0, 0]])
+    with pytest.raises(RigError, match=r"found a thin prism's terms 0\.3, 0, 0, 0, which move the image's corner"):
+        load_opencv_rig([path, strong], "cv", WHEN)
+    tilted = write(tmp_path / "tilted.yml", D2=[[*terms[:12], 0.01, 0]])
+    with pytest.raises(RigError, match="found 14 terms with tilt, expected at most 12"):
+        load_opencv_rig([path, tilted], "cv", WHEN)
 
 
 @pytest.mark.parametrize("content", ["", "%YAML:1.0\n---\nM1: [1, 2", "<?xml version='1.0'?><html></html>", "{"])

@@ -115,7 +115,7 @@ def as_colmap(rig: Rig, folder: Path) -> list[Path]:
     turn = Rotation.from_euler("xyz", [10, -20, 30], degrees=True).as_matrix()
     for number, device in enumerate((rig.left, rig.right), start=1):
         fx, fy, cx, cy = (device.K[i] for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        terms = " ".join(f"{term:.12g}" for term in device.distortion8)
+        terms = " ".join(f"{term:.12g}" for term in device.lens[:8])
         lines.append(f"{number} FULL_OPENCV {device.width} {device.height} {fx} {fy} {cx + 0.5} {cy + 0.5} {terms}")
         x, y, z, w = Rotation.from_matrix(device.R @ turn).as_quat()
         shift = " ".join(f"{t:.12g}" for t in device.R @ np.array([5.0, 6.0, 7.0]) + device.t)
@@ -503,7 +503,7 @@ def test_each_program_s_rig_is_the_same(
         one, other = found.devices[name], cameras.devices[name]
         assert (one.width, one.height) == (other.width, other.height)
         np.testing.assert_allclose(one.K, other.K, atol=1e-9)
-        np.testing.assert_allclose(one.distortion8[:terms], other.distortion8[:terms], atol=1e-9)
+        np.testing.assert_allclose(one.lens[:terms], other.lens[:terms], atol=1e-9)
         np.testing.assert_allclose(one.R, other.R, atol=1e-6)
         np.testing.assert_allclose(one.t, other.t, atol=1e-4)
 
