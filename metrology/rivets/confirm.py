@@ -111,7 +111,14 @@ class _Shown:
             return False
         if self.stroke:
             return self.step.mean_significance >= _STROKE_STEPS and abs(self.step.mean_mm) > self.step.rise_mm
-        return (self.step.significance if self.clear else self.step.mean_significance) >= _STEPS
+        seems = self.step.significance if self.clear or self.raised else self.step.mean_significance
+        return seems >= _STEPS
+
+    @property
+    def raised(self) -> bool:
+        """Whether what it encloses lies plainly off the skin, from its rim on: then letters or dirt across a head have
+        left too little beside its rim to tell the step by itself."""
+        return self.relief.significance >= _STROKE_STEPS and steps_up(self.relief.step_mm, self.step)
 
     @property
     def certain(self) -> bool:

@@ -15,10 +15,11 @@ from metrology.kinds import RIVET
 from metrology.limits import Limit, PanelSpec
 from metrology.registration import enrol
 from metrology.rivets import detect_rivets, measure_rivets
-from metrology.rivets.confirm import _doubt, _nothing_inside
+from metrology.rivets.confirm import _doubt, _nothing_inside, _Shown
 from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.relief import HeadRelief
 from metrology.rivets.rim_light import GapLight
-from metrology.rivets.rim_step import rim_step
+from metrology.rivets.rim_step import RimStep, rim_step
 from metrology.tolerance import judge
 from tests.support.reference_scans import reference_scan
 from tests.support.rivet_scan import Head, Skin, scan
@@ -122,6 +123,21 @@ def test_a_broken_ring_that_steps_is_a_head_if_all_of_it_does(inside_mm: float, 
     for clear in (False, True):
         shown = SimpleNamespace(clear=clear, step=step, relief=relief)
         assert (_nothing_inside(shown) is not None) == (doubted and not clear)
+
+
+@pytest.mark.parametrize(
+    ("inside_mm", "inside", "significance", "stands"),
+    [(0.087, 12.1, 4.4, True), (0.087, 12.1, 2.0, False), (0.02, 2.0, 4.4, False), (0.39, 48.8, 18.8, False)],
+)
+def test_of_a_rim_half_hidden_what_lies_inside_tells_that_it_steps(
+    inside_mm: float, inside: float, significance: float, stands: bool
+) -> None:
+    """Letters across a head leave little beside its rim. Paint leaves the inside in the skin, a drop is far higher."""
+    fit = SimpleNamespace(coverage=0.62, noise=1.8, amplitude=-17.7, sigma_px=0.8)
+    step = RimStep(0.062, 0.021, significance, mean_significance=2.9)
+    shown = _Shown(SimpleNamespace(fit=fit), step, HeadRelief(inside_mm, inside, 1.0, 1.0))
+    assert not shown.clear
+    assert shown.stands == stands
 
 
 def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:
