@@ -107,9 +107,17 @@ def test_where_few_fasteners_tell_what_gaps_are_a_broad_ring_without_a_step_is_i
 
 
 @pytest.mark.parametrize(
-    ("step", "significance", "doubted"), [(None, 0.8, True), (None, 5.0, False), (object(), 0.8, False)]
+    ("step", "significance", "doubted"),
+    [
+        (None, 0.8, True),
+        (None, 5.0, False),
+        (RimStep(0.02, 0.01, 1.0, 1.0), 0.8, False),
+        (RimStep(0.29, 0.07, 2.8, 4.8), 0.8, True),
+    ],
 )
-def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(step: object, significance: float, doubted: bool) -> None:
+def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(
+    step: RimStep | None, significance: float, doubted: bool
+) -> None:
     """Strokes of a letter leave such a ring between them, ten pixels across: nothing is clear of it."""
     relief = SimpleNamespace(significance=significance)
     shown = SimpleNamespace(step=step, relief=relief, place=None, light=None)
@@ -121,8 +129,16 @@ def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(step: object, sign
 def test_a_broken_ring_that_steps_is_a_head_if_all_of_it_does(inside_mm: float, doubted: bool) -> None:
     step, relief = SimpleNamespace(mean_mm=-0.14), SimpleNamespace(step_mm=inside_mm, significance=5.0)
     for clear in (False, True):
-        shown = SimpleNamespace(clear=clear, step=step, relief=relief)
+        shown = SimpleNamespace(clear=clear, stroke=False, step=step, relief=relief)
         assert (_nothing_inside(shown) is not None) == (doubted and not clear)
+
+
+@pytest.mark.parametrize(("inside_mm", "inside", "doubted"), [(0.041, 5.7, True), (0.11, 15.0, False)])
+def test_a_stroke_of_thick_paint_encloses_skin(inside_mm: float, inside: float, doubted: bool) -> None:
+    """A bold D steps at its borders by 0.11 mm; blur raises what lies within."""
+    step, relief = SimpleNamespace(mean_mm=0.114), SimpleNamespace(step_mm=inside_mm, significance=inside)
+    shown = SimpleNamespace(clear=False, stroke=True, step=step, relief=relief)
+    assert (_nothing_inside(shown) is not None) == doubted
 
 
 @pytest.mark.parametrize(
