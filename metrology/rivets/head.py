@@ -103,12 +103,12 @@ def _beside_recesses(
     elif not found:
         return land
     smooth = [one for one in found if _roughness(one[0], skin) <= _ROUGH]
-    return min(smooth or found, key=lambda one: _variance(one[0]))
+    return min(smooth or found, key=lambda one: _variance(one[0], patch.radius))
 
 
-def _variance(surface: Polynomial) -> float:
-    """Of a surface's height at the head's centre, mm²."""
-    return float(surface.covariance[0, 0])
+def _variance(surface: Polynomial, radius: float = 0.0) -> float:
+    """Of a surface's height, mm²: at the head's centre, or the mean over the head."""
+    return float(surface.covariance[0, 0] + 0.25 * radius**2 * (surface.covariance[1, 1] + surface.covariance[2, 2]))
 
 
 def _lies_below(surface: Polynomial, land: Polynomial) -> bool:

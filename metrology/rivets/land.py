@@ -6,7 +6,7 @@ recess's floor d below the land and the skin k above it,
 
     h(x, y) = plane(x, y) − d w_recess(x, y) + k w_outside(x, y)
 
-for the points of which no more than a part lies beyond: a twentieth where those are enough. d and k are known to half
+for the points of which no more than a part lies beyond: a tenth where those are enough. d and k are known to half
 of themselves beforehand, and they may differ by as much from one side of the head to the other: walls are lit on one
 side, and what one camera sees of them the other does not. What that leaves unknown of the plane is in its covariance.
 """
@@ -25,7 +25,7 @@ from metrology.surfaces import Polynomial
 
 _MATCHED_PX = (5, 3)  # along a row and across it, that matching fits together
 # Of a point that lies beyond an edge. What is reckoned of it is wrong by a part, so as little as leaves enough points.
-_MOST_SHARES, _ENOUGH = (0.05, 0.15), 30
+_MOST_SHARES, _ENOUGH = (0.1, 0.15), 30
 _REACH = 1.6  # radii: points farther from the centre have no part in it
 _NEAR_RIM = 0.6  # of the radius: recesses hardly reach farther
 _OPEN = 0.8  # of the radius: what has no points there is recess
@@ -114,7 +114,8 @@ def _refined(land: _Land, plane: Array) -> tuple[Polynomial, Mask] | str:
     deeper = (ratio < 1) & (below > _DEEP * skin.chi * patch.sigma)
     recess[land.at] = np.where(deeper, np.minimum(below / max(depth, 1e-9), 1.0), 0.0)
     inside = _share(recess, land.sigma_px)[land.at]
-    members = land.clear(inside)
+    # What lies above it is no land, but sealant or dirt.
+    members = land.clear(inside) & (below > -_DEEP * max(skin.chi, 1.0) * patch.sigma)
     if members.sum() < _FEWEST:
         return f"head: {int(members.sum())} points between recess and rim, at least {_FEWEST} needed"
     above = float(skin.height(0.0, 0.0) - plane[0])

@@ -127,16 +127,24 @@ def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(
 
 @pytest.mark.parametrize(("inside_mm", "doubted"), [(-0.13, False), (0.02, True), (-0.02, True)])
 def test_a_broken_ring_that_steps_is_a_head_if_all_of_it_does(inside_mm: float, doubted: bool) -> None:
-    step, relief = SimpleNamespace(mean_mm=-0.14), SimpleNamespace(step_mm=inside_mm, significance=5.0)
+    step, relief = SimpleNamespace(mean_mm=-0.14), HeadRelief(inside_mm, 5.0, 1.0, 1.0)
     for clear in (False, True):
         shown = SimpleNamespace(clear=clear, stroke=False, step=step, relief=relief)
         assert (_nothing_inside(shown) is not None) == (doubted and not clear)
 
 
+def test_a_recess_in_the_skin_s_stead_makes_no_letter_of_a_head() -> None:
+    """The median of what the rim of a recessed head encloses lies anywhere."""
+    for share, doubted in ((0.0, True), (0.35, False)):
+        relief = HeadRelief(0.007, 0.9, 1.0, 1.0, share)
+        shown = SimpleNamespace(clear=False, stroke=False, step=SimpleNamespace(mean_mm=0.093), relief=relief)
+        assert (_nothing_inside(shown) is not None) == doubted
+
+
 @pytest.mark.parametrize(("inside_mm", "inside", "doubted"), [(0.041, 5.7, True), (0.11, 15.0, False)])
 def test_a_stroke_of_thick_paint_encloses_skin(inside_mm: float, inside: float, doubted: bool) -> None:
     """A bold D steps at its borders by 0.11 mm; blur raises what lies within."""
-    step, relief = SimpleNamespace(mean_mm=0.114), SimpleNamespace(step_mm=inside_mm, significance=inside)
+    step, relief = SimpleNamespace(mean_mm=0.114), HeadRelief(inside_mm, inside, 1.0, 1.0)
     shown = SimpleNamespace(clear=False, stroke=True, step=step, relief=relief)
     assert (_nothing_inside(shown) is not None) == doubted
 

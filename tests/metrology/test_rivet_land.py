@@ -94,3 +94,12 @@ def test_a_recess_that_fills_all_that_is_clear_of_the_rim_is_not_taken_for_the_h
     skin = scanned.surface(r > DIAMETER / 2 + scanned.guard, 2, rng)
     surface, _ = head_surface(scanned, r < 0.6, skin, settings, rng)
     assert abs(surface.height(0.0, 0.0) - 0.05) < 0.012
+
+
+def test_sealant_across_the_rim_of_a_recessed_head_is_no_land(rng: np.random.Generator) -> None:
+    scanned = patch("cross", -0.05, 0.0, 0.6, rng)
+    drop = np.clip((1.1 - np.hypot(scanned.x - 1.9, scanned.y)) / 0.3 + 0.5, 0.0, 1.0)
+    scanned = Patch(**{**vars(scanned), "h": scanned.h + 0.5 * drop})
+    skin = scanned.surface(np.hypot(scanned.x, scanned.y) > DIAMETER / 2 + scanned.guard, 2, rng)
+    surface, _ = land_surface(scanned, skin, SIGMA_PX)
+    assert abs(surface.height(0.0, 0.0) + 0.05) < 0.015
