@@ -30,6 +30,8 @@ _INFLATION = 2.0
 # Scatter of a head's points over that of the skin's, in their σ: at most 1.4 on heads whose surface was found. What
 # blur leaves of a narrow slot on a small head lies on no surface, and passes for one.
 _ROUGH = 1.8
+# The same of a land whose edges were reckoned as they are; more remains where nothing of it is clear of them.
+_ROUGH_LAND = 1.5
 # Tilt of a head of which a recess leaves a part: a wall of the recess leans more, a head hardly ever a third of it.
 _MOST_LEAN_DEG = 5.0
 
@@ -58,10 +60,7 @@ def head_surface(
         land = _land(patch, skin, settings)
         if not isinstance(land, str) and _lies_below(surface, land[0]):
             found = land
-    if isinstance(found, str):
-        return found
-    rough = _roughness(found[0], skin)
-    return f"head: its points scatter {rough:.1f} times as far as the skin's" if rough > _ROUGH else found
+    return found if isinstance(found, str) else _unless_rough(found, skin, _ROUGH)
 
 
 def _may_be_floor(patch: Patch, surface: Polynomial) -> bool:
@@ -76,8 +75,14 @@ def _may_be_floor(patch: Patch, surface: Polynomial) -> bool:
 
 
 def _land(patch: Patch, skin: Polynomial, settings: RivetSettings) -> tuple[Polynomial, Mask] | str:
-    """The land of the head, see `land_surface`."""
-    return land_surface(patch, skin, (patch.guard_px - settings.guard_px) / settings.guard_sigmas)
+    """The land of the head, see `land_surface`, where what is reckoned of its edges explains it."""
+    land = land_surface(patch, skin, (patch.guard_px - settings.guard_px) / settings.guard_sigmas)
+    return land if isinstance(land, str) else _unless_rough(land, skin, _ROUGH_LAND)
+
+
+def _unless_rough(found: tuple[Polynomial, Mask], skin: Polynomial, limit: float) -> tuple[Polynomial, Mask] | str:
+    rough = _roughness(found[0], skin)
+    return f"head: its points scatter {rough:.1f} times as far as the skin's" if rough > limit else found
 
 
 def _roughness(surface: Polynomial, skin: Polynomial) -> float:
