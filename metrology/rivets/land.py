@@ -99,7 +99,9 @@ def _land_of(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polynomia
     for _ in range(_ROUNDS - 1):
         if isinstance(found, str):
             return found
-        found = _refined(land, found[0].coefficients)
+        before, found = found[1], _refined(land, found[0].coefficients)
+        if not isinstance(found, str) and np.array_equal(found[1], before):
+            break
     return found
 
 
