@@ -47,7 +47,6 @@ _WIDER_SIGMAS, _WIDER_SHARE = 4.0, 0.15
 # Where no others tell what gaps take: a black gap of more, mm, is no fastener's that lies flush in its countersink.
 _WIDEST_GAP_MM = 0.35
 _SIZE_PX, _SIZE_SHARE = 1.25, 0.02  # px and share of it by which two rings of one diameter differ at most
-_RECESSED = 0.1  # of what a rim encloses is a recess
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
 _OF_PITCH = 0.03  # the same as a share of the row's pitch
@@ -177,7 +176,9 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     certain = [s for s in shown if s.certain]
     found = []
     for s in shown:
-        if s.stands:
+        if s.relief.recessed and s.ring.fit.coverage >= _CLOSED and not s.stroke:
+            found.append(Confirmed(s.ring))
+        elif s.stands:
             doubt = _drop(s, certain) or _chip(s, certain) or _hardly_steps(s, certain) or _nothing_inside(s)
             found.append(Confirmed(s.ring, doubt))
         elif s.clear:
@@ -269,8 +270,7 @@ def _nothing_inside(one: _Shown) -> str | None:
 
     Strong paint moves the points beside it; a head is as high inside as at its rim, but for its recess.
     """
-    recessed = one.relief.recess_share > _RECESSED
-    if one.clear or one.step is None or not one.relief.significance > 0 or recessed:
+    if one.clear or one.step is None or not one.relief.significance > 0 or one.relief.recessed:
         return None
     height, sd = one.relief.step_mm, abs(one.relief.step_mm) / one.relief.significance
     # The borders of a letter of thick paint step more surely than the little skin that it encloses is known.

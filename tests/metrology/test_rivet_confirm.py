@@ -133,6 +133,24 @@ def test_a_broken_ring_that_steps_is_a_head_if_all_of_it_does(inside_mm: float, 
         assert (_nothing_inside(shown) is not None) == (doubted and not clear)
 
 
+@pytest.mark.parametrize(("reach", "doubted"), [(0.55, 0), (0.0, 1)])
+def test_a_flush_ring_with_a_recess_in_its_middle_is_a_head(
+    rng: np.random.Generator, reach: float, doubted: int
+) -> None:
+    """Of another size than the others, and in no row of theirs: without a recess it is in doubt."""
+    skin, ring = Skin(), Head(-32, 6, 11.0)
+    reconstruction = painted(scan(skin, ROWS, rng), ring, skin)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    away = np.hypot(local[..., 0] - ring.x, local[..., 1] - ring.y)
+    local[..., 2] -= 0.5 * (away < reach * ring.diameter / 2)
+    detections = detect_rivets(replace(reconstruction, points=skin.frame.rig(local).astype(np.float32)))
+    assert sum(d.doubt is None for d in detections) == len(ROWS) + 1 - doubted
+
+
+def test_of_a_countersink_all_is_deep() -> None:
+    assert [HeadRelief(0.0, 0.0, 1.0, 1.0, share).recessed for share in (0.05, 0.4, 0.95)] == [False, True, False]
+
+
 def test_a_recess_in_the_skin_s_stead_makes_no_letter_of_a_head() -> None:
     """The median of what the rim of a recessed head encloses lies anywhere."""
     for share, doubted in ((0.0, True), (0.35, False)):
