@@ -10,10 +10,9 @@ from collections.abc import Sequence
 
 from metrology.cloud import Reconstruction
 from metrology.holes.find import Opening
-from metrology.rivets.confirm import steps_up
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.relief import Disc, on_skin, shows_in_texture
-from metrology.rivets.rim_step import rim_step
+from metrology.rivets.rim_step import rim_step, steps_up
 
 _STEPS = 6.0  # standard deviations of the step: edges of paint pass for five
 

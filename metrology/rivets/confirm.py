@@ -22,7 +22,7 @@ from metrology.rivets.ellipse_detection import Ring
 from metrology.rivets.geometry import lay_on_plane, nearby_plane
 from metrology.rivets.relief import HeadRelief, head_relief
 from metrology.rivets.rim_light import GapLight, RimLight, rim_light
-from metrology.rivets.rim_step import RimStep, rim_step
+from metrology.rivets.rim_step import RimStep, rim_step, steps_up
 from metrology.rivets.settings import RivetSettings
 from metrology.robust import MAD
 from metrology.surfaces import Frame
@@ -47,7 +47,6 @@ _WIDER_SIGMAS, _WIDER_SHARE = 4.0, 0.15
 # Where no others tell what gaps take: a black gap of more, mm, is no fastener's that lies flush in its countersink.
 _WIDEST_GAP_MM = 0.35
 _SIZE_PX, _SIZE_SHARE = 1.25, 0.02  # px and share of it by which two rings of one diameter differ at most
-_RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _FEW = 4  # fasteners beyond doubt, at least, to tell what others should be like
 _IN_PLACE = 0.25  # diameters by which a fastener may be off its place in a row
 _OF_PITCH = 0.03  # the same as a share of the row's pitch
@@ -56,6 +55,7 @@ _OTHER_VIEW = 0.2  # of a rim's contrast in the left camera that the right one m
 _DIRECTIONS = 48
 # What speaks against a ring of which neither the surface nor other fasteners tell.
 UNTOLD = "a ring where too few points of the skin tell what it is"
+_TOLD_MM = 0.1  # heads and letters of thick paint step by so much
 _FAR_OFF = 10.0  # standard deviations of a height that is no head's, where shadows leave little skin
 _SEEN = 0.7  # of a rim that the right camera must see to be asked
 
@@ -111,7 +111,14 @@ class _Shown:
             return False
         if self.stroke:
             return self.step.mean_significance >= _STROKE_STEPS and abs(self.step.mean_mm) > self.step.rise_mm
-        return (self.step.significance if self.clear else self.step.mean_significance) >= _STEPS
+        seems = self.step.significance if self.clear or self.raised else self.step.mean_significance
+        return seems >= _STEPS
+
+    @property
+    def raised(self) -> bool:
+        """Whether what it encloses lies plainly off the skin, from its rim on: then letters or dirt across a head have
+        left too little beside its rim to tell the step by itself."""
+        return self.relief.significance >= _STROKE_STEPS and steps_up(self.relief.step_mm, self.step)
 
     @property
     def certain(self) -> bool:
@@ -169,7 +176,9 @@ def confirm_rings(rings: Sequence[Ring], reconstruction: Reconstruction, setting
     certain = [s for s in shown if s.certain]
     found = []
     for s in shown:
-        if s.stands:
+        if s.relief.recessed and s.ring.fit.coverage >= _CLOSED and not s.stroke:
+            found.append(Confirmed(s.ring))
+        elif s.stands:
             doubt = _drop(s, certain) or _chip(s, certain) or _hardly_steps(s, certain) or _nothing_inside(s)
             found.append(Confirmed(s.ring, doubt))
         elif s.clear:
@@ -194,11 +203,6 @@ def _gaps(certain: Sequence[_Shown]) -> GapLight:
     return GapLight.of([s.light for s in certain if s.light is not None])
 
 
-def steps_up(height_mm: float, step: RimStep | None) -> bool:
-    """Whether a height is that of a head: at its rim it is there at once, where a dent only begins."""
-    return step is not None and bool(step.mean_mm * np.sign(height_mm) > _RIM_SHARE * abs(height_mm))
-
-
 def _is_hole(relief: HeadRelief, settings: RivetSettings) -> bool:
     """A hole has skin round it and nothing inside, or something far off: below, or a temporary fastener's top."""
     empty = relief.outer_share > 0.6 and relief.inner_share < 0.15
@@ -219,7 +223,7 @@ def _doubt(one: _Shown, certain: Sequence[_Shown], gaps: GapLight, reconstructio
     if not _right_camera_shows(one, reconstruction):
         return "a ring that one camera shows and the other does not"
     if len(certain) < _FEW:
-        if one.step is None and not one.relief.significance >= _STEPS:
+        if not (one.step and one.step.tells(_TOLD_MM)) and not one.relief.significance >= _STEPS:
             return UNTOLD
         broad = _broad(one, certain)
         return "a ring without a step, whose line is wider or darker than a fastener's gap" if broad else None
@@ -264,12 +268,13 @@ def _chip(one: _Shown, certain: Sequence[_Shown]) -> str | None:
 def _nothing_inside(one: _Shown) -> str | None:
     """What speaks against a broken line at which the surface seems to step: what it encloses lies in the skin.
 
-    Strong paint moves the points beside it; a head is as high inside as at its rim.
+    Strong paint moves the points beside it; a head is as high inside as at its rim, but for its recess.
     """
-    if one.clear or one.step is None or not one.relief.significance > 0:
+    if one.clear or one.step is None or not one.relief.significance > 0 or one.relief.recessed:
         return None
     height, sd = one.relief.step_mm, abs(one.relief.step_mm) / one.relief.significance
-    inside = height * np.sign(one.step.mean_mm) + _STEPS * sd
+    # The borders of a letter of thick paint step more surely than the little skin that it encloses is known.
+    inside = height * np.sign(one.step.mean_mm) + (0.0 if one.stroke else _STEPS * sd)
     return "its rim seems to step, and nothing steps inside" if inside < 0.5 * abs(one.step.mean_mm) else None
 
 

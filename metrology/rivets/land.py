@@ -1,14 +1,14 @@
 """The land of a small recessed head: a plane through its points between recess and rim, all of which blur has touched.
 
-A point near an edge is mixed with what lies beyond. How much of each it has follows from the picture's blur and from
-the five pixels along a row that matching fits together: the mask of what lies beyond, spread by both, is its share *w*.
-With the recess's floor d below the land and the skin k above it,
+A point near an edge is mixed with what lies beyond. How much of each it has follows from the pictures' blur and from
+the pixels of the right one that matching fits together: what lies beyond, spread by both, is its share *w*. With the
+recess's floor d below the land and the skin k above it,
 
     h(x, y) = plane(x, y) − d w_recess(x, y) + k w_outside(x, y)
 
-for the points of which no more than a part lies beyond. d and k are known to half of themselves beforehand, and they
-may differ by as much from one side of the head to the other: walls are lit on one side, and what one camera sees of
-them the other does not. What that leaves unknown of the plane is in its covariance.
+for the points of which no more than a part lies beyond: a tenth where those are enough. d and k are known to half
+of themselves beforehand, and they may differ by as much from one side of the head to the other: walls are lit on one
+side, and what one camera sees of them the other does not. What that leaves unknown of the plane is in its covariance.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ from metrology.rivets.patch import Patch
 from metrology.robust import MAD, TUKEY, from_scratch, tukey
 from metrology.surfaces import Polynomial
 
-_MATCHED_PX = 5  # along a row, that matching fits together
-_MOST_SHARE = 0.15  # of a point that lies beyond an edge
+_MATCHED_PX = (5, 3)  # along a row and across it, that matching fits together
+# Of a point that lies beyond an edge. What is reckoned of it is wrong by a part, so as little as leaves enough points.
+_MOST_SHARES, _ENOUGH = (0.1, 0.15), 30
+_REACH = 1.6  # radii: points farther from the centre have no part in it
 _NEAR_RIM = 0.6  # of the radius: recesses hardly reach farther
+_OPEN = 0.8  # of the radius: what has no points there is recess
 _ROUNDS = 4
 _DEEP = 5.0  # standard deviations below the land is recess
 _DEPTH = 0.9  # quantile of what is: walls are less deep
@@ -53,7 +56,13 @@ class _Land:
     outside: Array
     """(n,): how much of each point lies outside the head."""
     free: Mask
-    """(n,): points of the head that are little mixed with what lies outside."""
+    """(n,): points of the head that may tell it."""
+
+    def clear(self, inside: Array) -> Mask:
+        """(n,): those that are little mixed with what lies outside, and of which `inside` (n,) lies in the recess."""
+        share = np.maximum(inside, self.outside)
+        few, more = (self.free & (share < most) for most in _MOST_SHARES)
+        return few if few.sum() >= _ENOUGH else more
 
 
 def land_surface(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polynomial, Mask] | str:
@@ -66,12 +75,21 @@ def land_surface(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polyn
     sigma_px : float
         Blur of the pictures, px.
     """
+    near = np.hypot(patch.x, patch.y) < _REACH * patch.radius
+    found = _land_of(patch.at(near), skin, sigma_px)
+    if isinstance(found, str):
+        return found
+    near[near] = found[1]
+    return found[0], near
+
+
+def _land_of(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polynomial, Mask] | str:
+    """The same of the points of the head and just round it."""
     at, ratio = _pixels(patch)
     outside = _share(ratio >= 1, sigma_px)[at]
     design = np.stack([np.ones(len(patch.x)), patch.x, patch.y], axis=1)
-    free = (ratio[at] < 1) & patch.usable & (outside < _MOST_SHARE)
-    land = _Land(patch, skin, sigma_px, at, ratio, design, outside, free)
-    start = free & (ratio[at] > _NEAR_RIM)
+    land = _Land(patch, skin, sigma_px, at, ratio, design, outside, (ratio[at] < 1) & patch.usable)
+    start = land.free & (outside < _MOST_SHARES[-1]) & (ratio[at] > _NEAR_RIM)
     if start.sum() < _FEWEST:
         return f"head: {int(start.sum())} points clear of its rim, at least {_FEWEST} needed"
     solved = from_scratch(design[start], patch.h[start], absolute=6, iterations=9)
@@ -81,7 +99,9 @@ def land_surface(patch: Patch, skin: Polynomial, sigma_px: float) -> tuple[Polyn
     for _ in range(_ROUNDS - 1):
         if isinstance(found, str):
             return found
-        found = _refined(land, found[0].coefficients)
+        before, found = found[1], _refined(land, found[0].coefficients)
+        if not isinstance(found, str) and np.array_equal(found[1], before):
+            break
     return found
 
 
@@ -91,12 +111,13 @@ def _refined(land: _Land, plane: Array) -> tuple[Polynomial, Mask] | str:
     below = land.design @ plane - patch.h
     deep = below[(ratio < 1) & (below > _DEEP * skin.chi * patch.sigma)]
     depth = float(np.quantile(deep, _DEPTH)) if len(deep) else 0.0
-    known = np.zeros(land.ratio.shape, bool)
-    known[land.at] = True
-    recess = ~known & (land.ratio < 0.5 * (1 + _NEAR_RIM))
-    recess[land.at] = (ratio < 1) & (below > 0.5 * depth) & (depth > 0)
+    # How deep a point lies tells how much of it is recess: of an arm as narrow as the blur never all.
+    recess = np.where(land.ratio < _OPEN, 1.0, 0.0)
+    deeper = (ratio < 1) & (below > _DEEP * skin.chi * patch.sigma)
+    recess[land.at] = np.where(deeper, np.minimum(below / max(depth, 1e-9), 1.0), 0.0)
     inside = _share(recess, land.sigma_px)[land.at]
-    members = land.free & (inside < _MOST_SHARE)
+    # What lies above it is no land, but sealant or dirt.
+    members = land.clear(inside) & (below > -_DEEP * max(skin.chi, 1.0) * patch.sigma)
     if members.sum() < _FEWEST:
         return f"head: {int(members.sum())} points between recess and rim, at least {_FEWEST} needed"
     above = float(skin.height(0.0, 0.0) - plane[0])
@@ -113,18 +134,21 @@ def _refined(land: _Land, plane: Array) -> tuple[Polynomial, Mask] | str:
 def _pixels(patch: Patch) -> tuple[tuple[Array, Array], Array]:
     """Where the patch's points lie on a grid of pixels, and each pixel's distance from the centre over the radius."""
     v, u = patch.v - patch.v.min(), patch.u - patch.u.min()
-    near = np.hypot(patch.x, patch.y) < 2 * patch.radius
-    design = np.stack([np.ones(near.sum()), u[near], v[near]], axis=1).astype(float)
-    places, *_ = np.linalg.lstsq(design, np.stack([patch.x, patch.y], axis=1)[near], rcond=None)
+    design = np.stack([np.ones(len(u)), u, v], axis=1).astype(float)
+    places, *_ = np.linalg.lstsq(design, np.stack([patch.x, patch.y], axis=1), rcond=None)
     rows, columns = np.mgrid[: v.max() + 1, : u.max() + 1]
     x, y = np.einsum("ijk,kl->lij", np.stack([np.ones(rows.shape), columns, rows], axis=-1), places)
     return (v, u), np.hypot(x, y) / patch.radius
 
 
-def _share(beyond: Mask, sigma_px: float) -> Array:
-    """How much of each point lies beyond an edge, for a mask of what does."""
+def _share(beyond: Array | Mask, sigma_px: float) -> Array:
+    """How much of each point lies beyond an edge, for a mask (or shares) of what does.
+
+    A point comes of a pixel of the left picture and of a window of the right one: what either is mixed with moves it,
+    on average by half.
+    """
     blurred = cv2.GaussianBlur(beyond.astype(np.float64), (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.blur(blurred, (_MATCHED_PX, 1), borderType=cv2.BORDER_REPLICATE), float)
+    return np.asarray(0.5 * (blurred + cv2.blur(blurred, _MATCHED_PX, borderType=cv2.BORDER_REPLICATE)), float)
 
 
 def _fit(design: Array, h: Array, sigma: Array, least_chi: float, depth: float, above: float) -> Polynomial | None:

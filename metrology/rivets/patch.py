@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -24,6 +24,9 @@ _DEFAULT_SEAM_PX = 4.0  # width of a seam that tells none
 _NEAREST_PX = 4.0  # narrower than a seam with its margin, so that no far side lies so near
 _LEAST_PIECE = 0.05  # of the pixels next to the rim; fewer are a corner's
 _DEFAULT_RIM_SIGMA_PX = 1.0  # of a head without a visible rim
+
+
+_OF_POINTS = ("x", "y", "h", "sigma", "u", "v", "usable", "edge")
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,10 @@ class Patch:
         """Surface through some of the points, see `fit_surface`."""
         x, y, h, sigma = (a[members] for a in (self.x, self.y, self.h, self.sigma))
         return fit_surface(x, y, h, sigma, order, generator, scale=scale)
+
+    def at(self, members: Mask) -> Patch:
+        """Some of the points."""
+        return replace(self, **{name: getattr(self, name)[members] for name in _OF_POINTS})
 
 
 def ellipse_of(detection: RivetDetection) -> Ellipse:

@@ -32,6 +32,9 @@ _FEWEST_CELLS = 6
 _CLEAR_SHARE = 0.5  # of the pixels inside and outside such a head that lie clear of edges in the picture
 _ON_PICTURE = 0.7  # of the skin round such a head must lie on the picture
 _GOOD_SHARE = 0.9  # of the pixels inside and outside a head that is only seen in the height map
+_RECESS_MM, _OFF_MIDDLE = 0.2, 0.3  # below the skin; of the radius
+# Of what a rim encloses, 3 px off it: a recess reaches to 0.3 to 0.6 of the radius.
+_RECESS_SHARES = (0.15, 0.65)
 _LEAST_HEIGHT_MM = 0.04  # of a head that is only seen in the height map
 _LEAST_SIGMAS = 8.0  # of a cell's noise
 _FAR_MM = 2.0  # from the skin's quadric, or from one cell to the next: no plate, but what lies behind it
@@ -299,6 +302,14 @@ class HeadRelief:
     inner_share: float
     outer_share: float
     """inner_share, outer_share: shares of pixels inside and outside that have a point."""
+    recess_share: float = 0.0
+    """Share of the points inside that lie as far below the outside as no paint makes them seem to, if about the middle.
+    """
+
+    @property
+    def recessed(self) -> bool:
+        """Whether there is a recess in the middle: paint has none, and of a countersink all is deep."""
+        return _RECESS_SHARES[0] < self.recess_share < _RECESS_SHARES[1]
 
 
 def head_relief(reconstruction: Reconstruction, ellipse: Ellipse) -> HeadRelief:
@@ -323,8 +334,12 @@ def head_relief(reconstruction: Reconstruction, ellipse: Ellipse) -> HeadRelief:
     centre = skin.mean(axis=0)
     _, _, axes = np.linalg.svd(skin - centre, full_matrices=False)
     frame = Frame.on_plane(centre, axes[2])
-    step = float(np.median(frame.local(head)[:, 2]) - np.median(frame.local(skin)[:, 2]))
+    above = frame.local(head)[:, 2] - np.median(frame.local(skin)[:, 2])
+    step = float(np.median(above))
     spread = MAD * float(np.median(np.abs(frame.local(skin)[:, 2])))
     # Matching correlates neighbours: a median of n points is worth about a quarter of them. Curved skin adds its sag.
     deviation = float(np.hypot(2 * spread * np.sqrt(1 / len(head) + 1 / len(skin)) * 1.25, 0.005))
-    return HeadRelief(step, abs(step) / deviation, *shares)
+    deep = above < -_RECESS_MM
+    middle = np.array([u[inside & valid][deep].mean(), v[inside & valid][deep].mean()]) if deep.any() else np.zeros(2)
+    recess = float(deep.mean()) if ellipse.level(*middle) < _OFF_MIDDLE else 0.0
+    return HeadRelief(step, abs(step) / deviation, *shares, recess)

@@ -30,6 +30,7 @@ _FEWEST = 40
 _RECESS = 5.0  # standard deviations by which the step told by all of the inside departs from that told beside the rim
 _CORRELATED = 4.0  # pixels of a cloud that are worth one: matching correlates neighbours
 _WAVES_MM = 0.004  # of the skin that no quadric follows
+_RIM_SHARE = 0.5  # of a head's height that is at its rim; of a dent's depth nothing is
 _BENT_MM = 100.0  # radius of curvature: standard deviation of the inside's bend against the skin's, the prior of c_3
 
 
@@ -46,6 +47,15 @@ class RimStep:
     prior has it: above 3.4 in one flat ring of a hundred."""
     mean_significance: float
     """Size of the mean alone over its standard deviation."""
+
+    def tells(self, height_mm: float) -> bool:
+        """Whether a step of that height would show: three standard deviations do not exceed it."""
+        return 3.0 * abs(self.mean_mm) <= height_mm * self.mean_significance
+
+
+def steps_up(height_mm: float, step: RimStep | None) -> bool:
+    """Whether a height is that of a head: at its rim it is there at once, where a dent only begins."""
+    return step is not None and bool(step.mean_mm * np.sign(height_mm) > _RIM_SHARE * abs(height_mm))
 
 
 def rim_step(reconstruction: Reconstruction, ellipse: Ellipse) -> RimStep | None:

@@ -9,14 +9,14 @@ import numpy as np
 from metrology.arrays import Array
 from metrology.cloud import Reconstruction
 from metrology.results import RivetDetection
-from metrology.rivets.confirm import UNTOLD, confirm_rings, steps_up
+from metrology.rivets.confirm import UNTOLD, confirm_rings
 from metrology.rivets.ellipse import Ellipse
 from metrology.rivets.ellipse_detection import Ring, detect_ellipses
 from metrology.rivets.geometry import nearby_plane
 from metrology.rivets.ground import Ground, ground_of
 from metrology.rivets.recess import is_recess
 from metrology.rivets.relief import Disc, on_skin, shows_in_texture
-from metrology.rivets.rim_step import rim_step
+from metrology.rivets.rim_step import rim_step, steps_up
 from metrology.rivets.ring import ellipse_of_inverse
 from metrology.rivets.settings import RivetSettings
 

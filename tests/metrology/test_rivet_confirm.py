@@ -15,10 +15,11 @@ from metrology.kinds import RIVET
 from metrology.limits import Limit, PanelSpec
 from metrology.registration import enrol
 from metrology.rivets import detect_rivets, measure_rivets
-from metrology.rivets.confirm import _doubt, _nothing_inside
+from metrology.rivets.confirm import _doubt, _nothing_inside, _Shown
 from metrology.rivets.ellipse import Ellipse
+from metrology.rivets.relief import HeadRelief
 from metrology.rivets.rim_light import GapLight
-from metrology.rivets.rim_step import rim_step
+from metrology.rivets.rim_step import RimStep, rim_step
 from metrology.tolerance import judge
 from tests.support.reference_scans import reference_scan
 from tests.support.rivet_scan import Head, Skin, scan
@@ -106,9 +107,17 @@ def test_where_few_fasteners_tell_what_gaps_are_a_broad_ring_without_a_step_is_i
 
 
 @pytest.mark.parametrize(
-    ("step", "significance", "doubted"), [(None, 0.8, True), (None, 5.0, False), (object(), 0.8, False)]
+    ("step", "significance", "doubted"),
+    [
+        (None, 0.8, True),
+        (None, 5.0, False),
+        (RimStep(0.02, 0.01, 1.0, 1.0), 0.8, False),
+        (RimStep(0.29, 0.07, 2.8, 4.8), 0.8, True),
+    ],
 )
-def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(step: object, significance: float, doubted: bool) -> None:
+def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(
+    step: RimStep | None, significance: float, doubted: bool
+) -> None:
     """Strokes of a letter leave such a ring between them, ten pixels across: nothing is clear of it."""
     relief = SimpleNamespace(significance=significance)
     shown = SimpleNamespace(step=step, relief=relief, place=None, light=None)
@@ -118,10 +127,59 @@ def test_a_ring_too_small_to_tell_a_step_needs_others_like_it(step: object, sign
 
 @pytest.mark.parametrize(("inside_mm", "doubted"), [(-0.13, False), (0.02, True), (-0.02, True)])
 def test_a_broken_ring_that_steps_is_a_head_if_all_of_it_does(inside_mm: float, doubted: bool) -> None:
-    step, relief = SimpleNamespace(mean_mm=-0.14), SimpleNamespace(step_mm=inside_mm, significance=5.0)
+    step, relief = SimpleNamespace(mean_mm=-0.14), HeadRelief(inside_mm, 5.0, 1.0, 1.0)
     for clear in (False, True):
-        shown = SimpleNamespace(clear=clear, step=step, relief=relief)
+        shown = SimpleNamespace(clear=clear, stroke=False, step=step, relief=relief)
         assert (_nothing_inside(shown) is not None) == (doubted and not clear)
+
+
+@pytest.mark.parametrize(("reach", "doubted"), [(0.55, 0), (0.0, 1)])
+def test_a_flush_ring_with_a_recess_in_its_middle_is_a_head(
+    rng: np.random.Generator, reach: float, doubted: int
+) -> None:
+    """Of another size than the others, and in no row of theirs: without a recess it is in doubt."""
+    skin, ring = Skin(), Head(-32, 6, 11.0)
+    reconstruction = painted(scan(skin, ROWS, rng), ring, skin)
+    local = skin.frame.local(reconstruction.points.astype(float))
+    away = np.hypot(local[..., 0] - ring.x, local[..., 1] - ring.y)
+    local[..., 2] -= 0.5 * (away < reach * ring.diameter / 2)
+    detections = detect_rivets(replace(reconstruction, points=skin.frame.rig(local).astype(np.float32)))
+    assert sum(d.doubt is None for d in detections) == len(ROWS) + 1 - doubted
+
+
+def test_of_a_countersink_all_is_deep() -> None:
+    assert [HeadRelief(0.0, 0.0, 1.0, 1.0, share).recessed for share in (0.05, 0.4, 0.95)] == [False, True, False]
+
+
+def test_a_recess_in_the_skin_s_stead_makes_no_letter_of_a_head() -> None:
+    """The median of what the rim of a recessed head encloses lies anywhere."""
+    for share, doubted in ((0.0, True), (0.35, False)):
+        relief = HeadRelief(0.007, 0.9, 1.0, 1.0, share)
+        shown = SimpleNamespace(clear=False, stroke=False, step=SimpleNamespace(mean_mm=0.093), relief=relief)
+        assert (_nothing_inside(shown) is not None) == doubted
+
+
+@pytest.mark.parametrize(("inside_mm", "inside", "doubted"), [(0.041, 5.7, True), (0.11, 15.0, False)])
+def test_a_stroke_of_thick_paint_encloses_skin(inside_mm: float, inside: float, doubted: bool) -> None:
+    """A bold D steps at its borders by 0.11 mm; blur raises what lies within."""
+    step, relief = SimpleNamespace(mean_mm=0.114), HeadRelief(inside_mm, inside, 1.0, 1.0)
+    shown = SimpleNamespace(clear=False, stroke=True, step=step, relief=relief)
+    assert (_nothing_inside(shown) is not None) == doubted
+
+
+@pytest.mark.parametrize(
+    ("inside_mm", "inside", "significance", "stands"),
+    [(0.087, 12.1, 4.4, True), (0.087, 12.1, 2.0, False), (0.02, 2.0, 4.4, False), (0.39, 48.8, 18.8, False)],
+)
+def test_of_a_rim_half_hidden_what_lies_inside_tells_that_it_steps(
+    inside_mm: float, inside: float, significance: float, stands: bool
+) -> None:
+    """Letters across a head leave little beside its rim. Paint leaves the inside in the skin, a drop is far higher."""
+    fit = SimpleNamespace(coverage=0.62, noise=1.8, amplitude=-17.7, sigma_px=0.8)
+    step = RimStep(0.062, 0.021, significance, mean_significance=2.9)
+    shown = _Shown(SimpleNamespace(fit=fit), step, HeadRelief(inside_mm, inside, 1.0, 1.0))
+    assert not shown.clear
+    assert shown.stands == stands
 
 
 def test_a_chip_on_the_skin_is_in_doubt(rng: np.random.Generator) -> None:

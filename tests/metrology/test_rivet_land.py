@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, uniform_filter1d
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from metrology.rivets.head import head_surface
 from metrology.rivets.land import land_surface
@@ -28,13 +28,14 @@ def recess(x: np.ndarray, y: np.ndarray, kind: str) -> np.ndarray:
 
 
 def patch(kind: str, height: float, tilt_deg: float, depth: float, rng: np.random.Generator) -> Patch:
-    """A head's points as blur and matching along rows make them."""
+    """A head's points: half as the left picture's blur makes them, half as the right one's with the matched window."""
     half = 45
     fine = (np.arange(-half * FINE, (half + 1) * FINE) + 0.5) / FINE * PIXEL - 0.5 * PIXEL
     x, y = np.meshgrid(fine, fine)
     on_head = np.hypot(x, y) < DIAMETER / 2
     truth = np.where(on_head, height + np.tan(np.radians(tilt_deg)) * x - depth * recess(x, y, kind), 0.0)
-    mixed = uniform_filter1d(gaussian_filter(truth, SIGMA_PX * FINE), 5 * FINE, axis=1)
+    left = gaussian_filter(truth, SIGMA_PX * FINE)
+    mixed = 0.5 * (left + uniform_filter(left, (3 * FINE, 5 * FINE)))
     mean = mixed[: (2 * half + 1) * FINE, : (2 * half + 1) * FINE].reshape(2 * half + 1, FINE, 2 * half + 1, FINE)
     h = mean.mean(axis=(1, 3)) + NOISE * rng.standard_normal((2 * half + 1, 2 * half + 1))
     v, u = np.mgrid[: 2 * half + 1, : 2 * half + 1]
@@ -74,3 +75,31 @@ def test_a_head_of_which_the_recess_leaves_no_land_is_not_measured(rng: np.rando
     sunk = np.where((r < 0.95 * DIAMETER / 2) & (r > 0.3 * DIAMETER), np.nan, scanned.h)
     gone = Patch(**{**vars(scanned), "h": sunk, "usable": np.isfinite(sunk)})
     assert isinstance(land_surface(gone, skin, SIGMA_PX), str)
+
+
+def test_what_a_recess_mixes_into_the_land_does_not_pull_it_down(rng: np.random.Generator) -> None:
+    """Each head is told to some µm; many of them have no error in common."""
+    errors = []
+    for height, tilt_deg, depth in ((0.1, 0.0, 0.7), (-0.06, 0.4, 0.35), (0.02, 0.3, 0.5)) * 3:
+        scanned = patch("hex", height, tilt_deg, depth, rng)
+        skin = scanned.surface(np.hypot(scanned.x, scanned.y) > DIAMETER / 2 + scanned.guard, 2, rng)
+        surface, _ = land_surface(scanned, skin, SIGMA_PX)
+        errors.append(surface.height(0.0, 0.0) - height)
+    assert abs(np.mean(errors)) < 0.0045
+
+
+def test_a_recess_that_fills_all_that_is_clear_of_the_rim_is_not_taken_for_the_head(rng: np.random.Generator) -> None:
+    scanned, settings = patch("hex", 0.05, 0.0, 0.4, rng), RivetSettings()
+    r = np.hypot(scanned.x, scanned.y)
+    skin = scanned.surface(r > DIAMETER / 2 + scanned.guard, 2, rng)
+    surface, _ = head_surface(scanned, r < 0.6, skin, settings, rng)
+    assert abs(surface.height(0.0, 0.0) - 0.05) < 0.012
+
+
+def test_sealant_across_the_rim_of_a_recessed_head_is_no_land(rng: np.random.Generator) -> None:
+    scanned = patch("cross", -0.05, 0.0, 0.6, rng)
+    drop = np.clip((1.1 - np.hypot(scanned.x - 1.9, scanned.y)) / 0.3 + 0.5, 0.0, 1.0)
+    scanned = Patch(**{**vars(scanned), "h": scanned.h + 0.5 * drop})
+    skin = scanned.surface(np.hypot(scanned.x, scanned.y) > DIAMETER / 2 + scanned.guard, 2, rng)
+    surface, _ = land_surface(scanned, skin, SIGMA_PX)
+    assert abs(surface.height(0.0, 0.0) + 0.05) < 0.015

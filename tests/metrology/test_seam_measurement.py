@@ -199,8 +199,10 @@ def test_walls_that_lean_as_none_are_cut_widen_the_width_s_uncertainty(rng):
     assert known.strain(shared) == 1
     shared[LEAN_CHANGE] = 0.03  # as far as they usually are
     assert known.strain(shared) == 1
-    shared[LEAN_CHANGE] = 0.21
-    assert known.strain(shared) == pytest.approx(7 / np.sqrt(3))
+    shared[LEAN_CHANGE] = 0.084
+    assert known.strain(shared) == pytest.approx(2.8 / np.sqrt(3))
+    shared[LEAN_CHANGE] = 0.21  # by chance nothing is: the other directions do not make it less
+    assert known.strain(shared) == pytest.approx(7)
 
 
 def test_normal_equations_are_the_cost_s_derivatives(rng):

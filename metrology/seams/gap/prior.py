@@ -61,6 +61,7 @@ _LENS_BOUNDS_PX = (0.05, 2.0)
 _SLOPE_BOUNDS = np.array([0.5, 2.0])
 # Of walls and chamfers.
 _DIRECTIONS = (LEAN, SLOPE, LEAN_CHANGE)
+_NO_CHANCE = 3.0  # standard deviations
 # What only open gaps have: sealant fills the chamfers too, and hides the walls.
 _OF_OPEN_GAPS = (WIDTH_A, WIDTH_B, DEPTH, *_DIRECTIONS)
 
@@ -129,10 +130,12 @@ class Prior:
         """How many times farther than expected the directions of walls and chamfers are from their means; 1 at least.
 
         Far beyond what edges are cut to, they stand in for something that the model does not hold, and do so less well
-        than their own uncertainty says (Birge 1932).
+        than their own uncertainty says (Birge 1932). Where one is as far off as none is by chance, it counts alone.
         """
-        away = (shared - self.mean)[list(_DIRECTIONS)]
-        return float(np.sqrt(max(1.0, np.mean(away**2 * np.diag(self.precision)[list(_DIRECTIONS)]))))
+        chosen = list(_DIRECTIONS)
+        away = np.abs(shared - self.mean)[chosen] * np.sqrt(np.diag(self.precision)[chosen])
+        worst = float(away.max())
+        return worst if worst > _NO_CHANCE else float(np.sqrt(max(1.0, np.mean(away**2))))
 
     @property
     def limits(self) -> tuple[Array, Array, NDArray[np.int64], Array, Array]:
