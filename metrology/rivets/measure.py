@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
@@ -79,11 +80,14 @@ def measure_rivets(
 
 def _saturated_share(detection: RivetDetection, reconstruction: Reconstruction) -> float:
     """Share of a head's pixels that are saturated in every exposure."""
-    head = np.zeros(reconstruction.flags.shape, np.uint8)
-    axes = (detection.major_px, detection.minor_px)
-    cv2.ellipse(head, ((detection.u_px, detection.v_px), axes, detection.angle_deg), 1, -1)
-    flags = reconstruction.flags[head > 0]
-    return float(((flags & np.uint16(PixelFlag.SATURATED)) != 0).mean()) if flags.size else 0.0
+    reach = math.ceil(0.5 * detection.major_px) + 1
+    first = np.maximum(np.rint([detection.v_px - reach, detection.u_px - reach]).astype(int), 0)
+    flags = reconstruction.flags[first[0] :, first[1] :][: 2 * reach, : 2 * reach]
+    head = np.zeros(flags.shape, np.uint8)
+    middle, axes = (detection.u_px - first[1], detection.v_px - first[0]), (detection.major_px, detection.minor_px)
+    cv2.ellipse(head, (middle, axes, detection.angle_deg), 1, -1)
+    saturated = (flags & np.uint16(PixelFlag.SATURATED)) != 0
+    return float(saturated[head > 0].mean()) if head.any() else 0.0
 
 
 def _names(detections: Sequence[RivetDetection]) -> list[str]:
