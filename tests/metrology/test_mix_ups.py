@@ -51,8 +51,9 @@ def test_exchanged_cameras(rig: Rig, views: Views) -> None:
 )
 def test_turned_and_mirrored_frames(rig: Rig, views: Views, rows: int, columns: int, words: str) -> None:
     both = (turn(views[0], rows, columns), turn(views[1], rows, columns))
-    assert said(both, rig).startswith("all frames are")
-    assert words in said(both, rig)
+    all_frames = said(both, rig)
+    assert all_frames.startswith("all frames are")
+    assert words in all_frames
     right = said((views[0], both[1]), rig)
     assert right.startswith("the right camera's frames are")
     assert words in right
