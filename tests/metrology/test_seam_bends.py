@@ -10,7 +10,7 @@ import pytest
 from metrology.fits import SkinLine
 from metrology.results import SeamStation
 from metrology.seams.skins.one_sided import step_moved_by_bends, with_one_sided_bends
-from metrology.seams.skins.sections import Section
+from metrology.seams.skins.sections import Section, _twist_step
 from metrology.seams.skins.skin_lines import fit_skin_lines
 from metrology.seams.skins.step import step_height
 from metrology.surfaces import Frame
@@ -113,3 +113,23 @@ def test_steps_that_own_curvatures_move_along_a_stretch_have_that_in_u95(rng: np
     told = np.array([row.step_u95_mm for row in with_one_sided_bends(rows, sections, [EDGES] * 60)])
     assert told[:12] == pytest.approx(0.008)
     assert (told[30:] == 0.005).all()
+
+
+@pytest.mark.parametrize("from_y", [-2.0, 0.0])
+def test_a_twisted_skin_of_which_a_border_cuts_the_strip_is_in_u95(from_y: float, rng: np.random.Generator) -> None:
+    """With points to one side of the plane alone the slopes along the seam carry the step off by the twist."""
+    x = np.concatenate([-1, 1] * rng.uniform(INNER, OUTER, (900, 2)))
+    y = rng.uniform(from_y, 2, x.size)
+    twist = 8e-4
+    h = twist * x * y + np.where(x > 0, STEP, 0.0) + 0.002 * rng.standard_normal(x.size)
+    fit = fit_skin_lines(np.stack([x, y, h, np.full(x.size, 0.002)], axis=1), -INNER, INNER, 3.0)
+    off = fit.solution[2] - fit.solution[0] - STEP
+    moved = _twist_step(fit, y)
+    if from_y == 0.0:
+        assert 0.007 < abs(off) < moved + 0.003
+    else:
+        assert moved < 0.001
+    one = replace(section(0.0, rng, 0.0), twist_step=moved)
+    rows = [station(one, 2.0 * k, 0.004) for k in range(20)]
+    told = [row.step_u95_mm for row in with_one_sided_bends(rows, [one] * 20, [EDGES] * 20)]
+    assert told == pytest.approx([max(0.004, moved)] * 20)

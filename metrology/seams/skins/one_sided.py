@@ -9,7 +9,8 @@ Where a foot begins farther out, both lines fit well, and the step is off all th
 the kink between both lines changes along the seam as no plate of metal is twisted.
 
 And what a curvature of its own on each side would make of the step is a rival of the common one: where that is another
-over 30 mm along a seam, the step rests on what both sides are taken to have in common, and may be off by as much.
+over 30 mm along a seam, the step rests on what both sides are taken to have in common, and may be off by as much. So
+may one of which a border cuts the strip, by what a twist of the skin makes of it.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ def with_one_sided_bends(
     bent = np.maximum(power - _BY_CHANCE * usual, 0.0)
     u95 = COVERAGE_95 * np.sqrt(np.maximum(bent, _step_moved_by_kinks(sections)))
     u95 = np.maximum(u95, np.abs(_rival_step(sections)))
+    u95 = np.maximum(u95, [0.0 if section is None else section.twist_step for section in sections])
     return [
         row.changed(step_u95_mm=float(off)) if row.step_u95_mm is not None and row.step_u95_mm < off else row
         for row, off in zip(rows, u95, strict=True)

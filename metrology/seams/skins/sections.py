@@ -24,6 +24,7 @@ _SPARSE = 4
 # Skin lies this near to the frame's plane, and while the frame is being turned into it.
 _SKIN_BAND_MM = 3.0
 _TURNING_BANDS_MM = (6.0, 3.0)
+_BY_CHANCE = 2.0  # standard deviations that slopes differ by chance
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class Section:
     """(3, 8): how the points lie beside the lines, see `SkinFit`."""
     own_curvatures_step: float = 0.0
     """By how much the step would be another if each side had a curvature of its own, mm."""
+    twist_step: float = 0.0
+    """By how much it would be another if the sides' slopes along the seam differed by a twist of the skin, mm."""
 
     def point(self, x: float, h: float, y: float = 0.0) -> Array:
         """(3,) rig-frame point of section coordinates."""
@@ -164,31 +167,45 @@ def section_at(
         Other seams' courses in the left image: what lies beyond them is another plate.
     """
 
-    def fitted(frame: Frame, band: float, every: int) -> SkinFit | None:
+    def fitted(frame: Frame, band: float, every: int) -> tuple[SkinFit, Array] | None:
         points = strip(reconstruction, usable, centre_px, frame, half_length, outer, every)
         if other_courses:
             v, u = np.divmod(points[:, 4], usable.shape[1])
             points = points[~beyond(np.stack([u, v], axis=1), centre_px, other_courses)]
-        return fit_skin_lines(points, -inner, inner, band)
+        fit = fit_skin_lines(points, -inner, inner, band)
+        return None if fit is None else (fit, points)
 
     frame = _frame(origin, direction, towards_b, -origin / np.linalg.norm(origin))
     for band in _TURNING_BANDS_MM:
-        fit = fitted(frame, band, _SPARSE)
-        if fit is None:
+        found = fitted(frame, band, _SPARSE)
+        if found is None:
             return "too few points of skin beside the seam"
+        fit = found[0]
         slope, along = 0.5 * (fit.solution[1] + fit.solution[3]), 0.5 * (fit.solution[5] + fit.solution[6])
         frame = _frame(origin, direction, towards_b, frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1])
-    fit = fitted(frame, _SKIN_BAND_MM, 1)
-    if fit is None:
+    found = fitted(frame, _SKIN_BAND_MM, 1)
+    if found is None:
         return "too few points of skin beside the seam"
+    fit, points = found
     if min(fit.n_a, fit.n_b) < min_points:
         side, n = ("A", fit.n_a) if fit.n_a <= fit.n_b else ("B", fit.n_b)
         return f"{n} points of skin on side {side}, {min_points} needed"
     a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
     b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
-    return Section(
-        frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit, fit.own_curvatures_step
-    )
+    rivals = fit.own_curvatures_step, _twist_step(fit, points[np.abs(points[:, 0]) > inner, 1])
+    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit, *rivals)
+
+
+def _twist_step(fit: SkinFit, y: Array) -> float:
+    """By how much the step is another if the skin is twisted, so that its slope along the seam changes across it.
+
+    The slopes of both sides carry the step from where the points lie to the plane. Where they lie about it, that is
+    nothing; where a border cuts the strip, a step that changes along the seam and a twisted skin look alike.
+    """
+    across = np.zeros(7)
+    across[5], across[6] = -1.0, 1.0
+    beyond_noise = abs(across @ fit.solution) - _BY_CHANCE * np.sqrt(across @ fit.covariance @ across)
+    return float(abs(y.mean()) * max(beyond_noise, 0.0))
 
 
 def _frame(origin: Array, direction: Array, towards_b: Array, normal: Array) -> Frame:
