@@ -1,4 +1,4 @@
-"""Skin bent on one side of a seam alone: how far the step may be off, and that U95 says so."""
+"""What moves a seam's step: skin bent on one side, twisted skin at a border, a course that leaves the skin."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metrology.arrays import Array
 from metrology.fits import SkinLine
 from metrology.results import SeamStation
 from metrology.seams.skins.one_sided import step_moved_by_bends, with_one_sided_bends
-from metrology.seams.skins.sections import Section, _twist_step
+from metrology.seams.skins.sections import Section, _twist_step, section_at, usable_points
 from metrology.seams.skins.skin_lines import fit_skin_lines
 from metrology.seams.skins.step import step_height
 from metrology.surfaces import Frame
+from tests.support.seam_scan import Relief, seam_scan
+from tests.support.seam_textures import Band
 
 EDGE, INNER, OUTER = 1.0, 1.8, 15.8
 EDGES = (-EDGE, EDGE)
@@ -133,3 +136,25 @@ def test_a_twisted_skin_of_which_a_border_cuts_the_strip_is_in_u95(from_y: float
     rows = [station(one, 2.0 * k, 0.004) for k in range(20)]
     told = [row.step_u95_mm for row in with_one_sided_bends(rows, [one] * 20, [EDGES] * 20)]
     assert told == pytest.approx([max(0.004, moved)] * 20)
+
+
+@pytest.mark.parametrize("out_of_skin", [0.3, 0.6])
+def test_a_course_that_leaves_the_skin_at_its_end_moves_no_step(out_of_skin: float, rng: np.random.Generator) -> None:
+    """A section across such a course would be slanted, and its step too large by 1/cos: 0.04 and 0.16 of it."""
+    reconstruction = seam_scan([Band((450.0, 350.0), 90.0)], [Relief(step_mm=0.2)], rng, sigma_z=0.004)
+    points, usable = reconstruction.points, usable_points(reconstruction)
+    place = 0.5 * (points[350, 440] + points[350, 460])
+    along = points[380, 440] - points[320, 440]
+    along /= np.linalg.norm(along)
+    normal = np.cross(along, points[350, 440] - points[350, 420])
+    slanted = along + out_of_skin * normal / np.linalg.norm(normal)
+
+    def step(direction: Array) -> float:
+        across = points[350, 460] - points[350, 440]
+        arguments = place, direction / np.linalg.norm(direction), across, np.array([450.0, 350.0])
+        section = section_at(reconstruction, usable, *arguments, 2.0, 16.0, 2.0, 150)
+        assert isinstance(section, Section)
+        return step_height(section, -1.0, 1.0)
+
+    assert abs(step(along)) == pytest.approx(0.2, abs=0.004)
+    assert step(slanted) == pytest.approx(step(along), abs=0.002)

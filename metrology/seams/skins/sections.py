@@ -182,7 +182,10 @@ def section_at(
             return "too few points of skin beside the seam"
         fit = found[0]
         slope, along = 0.5 * (fit.solution[1] + fit.solution[3]), 0.5 * (fit.solution[5] + fit.solution[6])
-        frame = _frame(origin, direction, towards_b, frame.axes[2] - slope * frame.axes[0] - along * frame.axes[1])
+        across, ahead, up = frame.axes
+        # The line's course is less sure than the skin is where it ends: a seam runs in the skin.
+        direction = (ahead + along * up) / np.hypot(1.0, along)
+        frame = _frame(origin, direction, towards_b, up - slope * across - along * ahead)
     found = fitted(frame, _SKIN_BAND_MM, 1)
     if found is None:
         return "too few points of skin beside the seam"
