@@ -50,6 +50,7 @@ PATTERNS = (
     "a ring without a step, of another size than the fasteners here and in no row of theirs",
     "it stands out of the skin unlike all fasteners here, in no row of theirs: a chip or a drop may lie there",
     "too few points of skin beside the seam",
+    "skin lines meet at another angle than beside: something lies on the skin",
     "too narrow for its width to be measured: under {limit} mm",
     "temporary fastener: it stands {height} mm proud",
     "flushness is not measured",

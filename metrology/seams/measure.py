@@ -18,7 +18,7 @@ from metrology.seams.places import head_mask
 from metrology.seams.settings import SeamSettings
 from metrology.seams.sides import is_upright, oriented, towards_b
 from metrology.seams.skins.neighbours import smoothed_sections
-from metrology.seams.skins.one_sided import with_one_sided_bends
+from metrology.seams.skins.one_sided import stand_out, with_one_sided_bends
 from metrology.seams.skins.other_seams import coarse_course, gap_mask
 from metrology.seams.skins.sections import Section, section_at, usable_points
 from metrology.seams.skins.step import step_height, step_u95, with_unresolved_bends
@@ -101,8 +101,8 @@ def _measure_seam(seam: SeamLine, track: Track, ground: _Ground) -> list[SeamSta
     """Skin lines, then the gap between them, then what both say of each place along the seam."""
     settings = ground.settings
     s_mm = np.arange(0.0, track.length_mm + 1e-9, settings.station_step_mm)
-    places = _places(track, s_mm, ground)
-    own = [place.section if isinstance(place.section, Section) else None for place in places]
+    places = _without_outliers(_places(track, s_mm, ground))
+    own = [_section(place) for place in places]
     sections = smoothed_sections(own, s_mm, settings.half_length_mm)
     half_widths = [place.half_width_mm for place in places]
     gaps, joint = find_gaps(sections, half_widths, seam.joint, ground.reconstruction, ground.heads, settings)
@@ -145,6 +145,17 @@ def _places(track: Track, s_mm: Array, ground: _Ground) -> list[_Place]:
         )
 
     return [_Place(float(s_mm[k]), pixels[k], float(halves[k]), float(inner[k]), section(k)) for k in range(len(s_mm))]
+
+
+def _section(place: _Place) -> Section | None:
+    return place.section if isinstance(place.section, Section) else None
+
+
+def _without_outliers(places: Sequence[_Place]) -> list[_Place]:
+    """Seam stations without the sections that something on the skin has turned."""
+    turned = stand_out([_section(place) for place in places])
+    reason = "skin lines meet at another angle than beside: something lies on the skin"
+    return [replace(place, section=reason) if off else place for place, off in zip(places, turned, strict=True)]
 
 
 def _edges(place: _Place, gap: Gap | str) -> tuple[float, float]:

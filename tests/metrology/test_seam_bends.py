@@ -10,7 +10,8 @@ import pytest
 from metrology.arrays import Array
 from metrology.fits import SkinLine
 from metrology.results import SeamStation
-from metrology.seams.skins.one_sided import step_moved_by_bends, with_one_sided_bends
+from metrology.seams import detect_seams, measure_seams
+from metrology.seams.skins.one_sided import stand_out, step_moved_by_bends, with_one_sided_bends
 from metrology.seams.skins.sections import Section, _twist_step, section_at, usable_points
 from metrology.seams.skins.skin_lines import fit_skin_lines
 from metrology.seams.skins.step import step_height
@@ -158,3 +159,28 @@ def test_a_course_that_leaves_the_skin_at_its_end_moves_no_step(out_of_skin: flo
 
     assert abs(step(along)) == pytest.approx(0.2, abs=0.004)
     assert step(slanted) == pytest.approx(step(along), abs=0.002)
+
+
+def test_lines_that_a_bead_beside_the_seam_has_turned_stand_out(rng: np.random.Generator) -> None:
+    one = section(0.0, rng, 0.002)
+
+    def turned(by: float) -> Section:
+        return replace(one, b=replace(one.b, coefficients=one.b.coefficients + np.array([0.0, by, 0.0])))
+
+    assert not any(stand_out([turned(0.012 * k) for k in range(20)]))  # a dent's foot bends the skin more and more
+    sections = [turned(-0.05) if k == 9 else None if k == 11 else one for k in range(20)]
+    assert [k for k, off in enumerate(stand_out(sections)) if off] == [9]
+    assert not any(stand_out([turned(-0.05), one, one]))
+
+
+def test_a_station_beside_a_bead_is_not_measured(rng: np.random.Generator) -> None:
+    scan = seam_scan([Band((450.0, 350.0), 90.0)], [Relief(step_mm=0.1)], rng, sigma_z=0.004)
+    v, u = np.indices(scan.flags.shape)
+    bead = (np.abs(v - 350) < 9) & (u > 460) & (u < 486)
+    scan.points[..., 2] -= np.where(bead, 0.5 - 0.012 * (u - 460), 0.0)
+    scan.points[(np.abs(v - 350) < 9) & (u > 486) & (u < 515)] = np.nan
+    [line] = detect_seams(scan, [])
+    rows = [row for row in measure_seams([line], scan, []) if row.v_px and abs(row.v_px - 350) < 100]
+    off = [row for row in rows if row.step_mm is not None and abs(abs(row.step_mm) - 0.1) > 0.05]
+    assert off == []
+    assert any("something lies on the skin" in str(row.reason) for row in rows)

@@ -37,6 +37,7 @@ _KINKED = 6
 _QUIET, _KINKS_BY_CHANCE = 0.25, 3.0  # the quietest quarter of a seam has no dent beside it; chance makes so much of it
 _LINE_ROUNDS = 20
 _RIVAL = 7  # sections before and behind over which the rival's step is averaged: by itself it scatters twice as much
+_BESIDE, _MOST_KINK = 3, 0.03  # sections before and behind; 1.7°, of 15 mm of skin 0.4 mm
 _TOLD = 0.002  # share of the bend's shape (its square) that lines leave: 0.02 where all of both sides is seen
 
 
@@ -68,6 +69,20 @@ def with_one_sided_bends(
         row.changed(step_u95_mm=float(off)) if row.step_u95_mm is not None and row.step_u95_mm < off else row
         for row, off in zip(rows, u95, strict=True)
     ]
+
+
+def stand_out(sections: Sequence[Section | None]) -> list[bool]:
+    """Whether the skin lines of each section meet at another angle than those just before and behind it.
+
+    Plates do not; a bead or a drop beside the seam that covers a good part of one side's points draws its line there.
+    """
+    kinks = np.array([np.nan if s is None else s.b.coefficients[1] - s.a.coefficients[1] for s in sections])
+    found = []
+    for k, kink in enumerate(kinks):
+        beside = np.concatenate([kinks[max(0, k - _BESIDE) : k], kinks[k + 1 : k + 1 + _BESIDE]])
+        beside = beside[np.isfinite(beside)]
+        found.append(len(beside) > _BESIDE and bool(abs(kink - np.median(beside)) > _MOST_KINK))
+    return found
 
 
 def _rival_step(sections: Sequence[Section | None]) -> Array:
