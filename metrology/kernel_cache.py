@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from hashlib import blake2b
 from pathlib import Path
 from types import CodeType
@@ -63,8 +63,28 @@ class _Kept:
         return str(self._line)
 
 
+class _Place:
+    """Stands where numba has a class of locators."""
+
+    def __init__(self, options: str) -> None:
+        self._options = options
+
+    def from_function(self, function: Callable[..., Any], file: str) -> _Kept:
+        return _Kept(function, file, self._options)
+
+
+class _Implementation(CompileResultCacheImpl):
+    def __init__(self, options: str, function: Callable[..., Any]) -> None:
+        self._locator_classes = (_Place(options),)
+        super().__init__(function)
+
+
 class _Cache(FunctionCache):
     """Code on disk that never stands in the way: what cannot be read is compiled again, and not all must be kept."""
+
+    def __init__(self, function: Callable[..., Any], options: str) -> None:
+        self._impl_class = partial(_Implementation, options)
+        super().__init__(function)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         try:
@@ -88,21 +108,7 @@ def keep(dispatcher: Any) -> Any:
     options = repr(
         sorted((name, sorted(v) if isinstance(v, set) else v) for name, v in dispatcher.targetoptions.items())
     )
-
-    class Place:
-        """Stands where numba has a class of locators."""
-
-        @staticmethod
-        def from_function(py_func: Callable[..., Any], file: str) -> _Kept:
-            return _Kept(py_func, file, options)
-
-    class Implementation(CompileResultCacheImpl):
-        _locator_classes = (Place,)
-
-    class Cache(_Cache):
-        _impl_class = Implementation
-
-    dispatcher._cache = Cache(function)
+    dispatcher._cache = _Cache(function, options)
     return _compiled_in_turn(dispatcher)
 
 

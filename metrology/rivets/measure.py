@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from metrology.cloud import PixelFlag, Reconstruction
+from metrology.cloud import Reconstruction
 from metrology.fits import FittedRivet, HeadFit
 from metrology.plausibility import plausible_rivet
 from metrology.results import COVERAGE_95, Rivet, RivetDetection, SeamLine
@@ -23,7 +21,16 @@ from metrology.rivets.geometry import lay_on_plane
 from metrology.rivets.head import head_surface
 from metrology.rivets.inflation import Inflation, noise_inflation
 from metrology.rivets.one_sided import head_from_one_side
-from metrology.rivets.patch import Patch, blocked_pixels, cut_patch, ellipse_of, point_sets, seam_pixels, set_radii
+from metrology.rivets.patch import (
+    Patch,
+    blocked_pixels,
+    cut_patch,
+    ellipse_of,
+    point_sets,
+    saturated_share,
+    seam_pixels,
+    set_radii,
+)
 from metrology.rivets.rim import Circle, head_circle
 from metrology.rivets.settings import RivetSettings
 from metrology.surfaces import Polynomial
@@ -62,7 +69,7 @@ def measure_rivets(
     on_seam = seam_pixels(seams, blocked.shape, settings.seam_margin_px)
 
     def fit(detection: RivetDetection, others: Sequence[RivetDetection], bare: bool = False) -> Fits | str:
-        if not bare and (share := _saturated_share(detection, reconstruction)) > _MOST_SATURATED:
+        if not bare and (share := saturated_share(detection, reconstruction)) > _MOST_SATURATED:
             return f"head: {share:.0%} of it is saturated; take a shorter exposure as well"
         patch = cut_patch(detection, others, reconstruction, blocked, on_seam, settings)
         return patch if isinstance(patch, str) else _fit(patch, bare, settings, generator)
@@ -76,18 +83,6 @@ def measure_rivets(
         plausible_rivet(_row(name, detection, outcome, reconstruction, inflation, settings, generator))
         for name, detection, outcome in zip(_names(detections), detections, outcomes, strict=True)
     ]
-
-
-def _saturated_share(detection: RivetDetection, reconstruction: Reconstruction) -> float:
-    """Share of a head's pixels that are saturated in every exposure."""
-    reach = math.ceil(0.5 * detection.major_px) + 1
-    first = np.maximum(np.rint([detection.v_px - reach, detection.u_px - reach]).astype(int), 0)
-    flags = reconstruction.flags[first[0] :, first[1] :][: 2 * reach, : 2 * reach]
-    head = np.zeros(flags.shape, np.uint8)
-    middle, axes = (detection.u_px - first[1], detection.v_px - first[0]), (detection.major_px, detection.minor_px)
-    cv2.ellipse(head, (middle, axes, detection.angle_deg), 1, -1)
-    saturated = (flags & np.uint16(PixelFlag.SATURATED)) != 0
-    return float(saturated[head > 0].mean()) if head.any() else 0.0
 
 
 def _names(detections: Sequence[RivetDetection]) -> list[str]:

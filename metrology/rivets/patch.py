@@ -82,6 +82,15 @@ def blocked_pixels(reconstruction: Reconstruction) -> Mask:
     return ~reconstruction.valid | ((reconstruction.flags & np.uint16(PixelFlag.SLOPE)) != 0)
 
 
+def saturated_share(detection: RivetDetection, reconstruction: Reconstruction) -> float:
+    """Share of a head's pixels that are saturated in every exposure."""
+    ellipse = ellipse_of(detection)
+    window = _window(ellipse, ellipse.a, reconstruction.flags.shape)
+    v, u = np.mgrid[window]
+    flags = reconstruction.flags[window][ellipse.level(u, v) < 1]
+    return float(((flags & np.uint16(PixelFlag.SATURATED)) != 0).mean()) if flags.size else 0.0
+
+
 def seam_pixels(seams: Sequence[SeamLine], size: tuple[int, ...], margin_px: float) -> Mask:
     """(h, w) pixels on a seam or within a margin of it."""
     band = np.zeros(size, np.uint8)

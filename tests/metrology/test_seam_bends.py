@@ -128,7 +128,7 @@ def test_a_twisted_skin_of_which_a_border_cuts_the_strip_is_in_u95(from_y: float
     h = twist * x * y + np.where(x > 0, STEP, 0.0) + 0.002 * rng.standard_normal(x.size)
     fit = fit_skin_lines(np.stack([x, y, h, np.full(x.size, 0.002)], axis=1), -INNER, INNER, 3.0)
     off = fit.solution[2] - fit.solution[0] - STEP
-    moved = _twist_step(fit, y)
+    moved = _twist_step(fit, fit.covariance, y)
     if from_y == 0.0:
         assert 0.007 < abs(off) < moved + 0.003
     else:

@@ -195,11 +195,12 @@ def section_at(
         return f"{n} points of skin on side {side}, {min_points} needed"
     a = SkinLine(np.array([fit.solution[0], fit.solution[1], fit.solution[4]]), fit.n_a)
     b = SkinLine(np.array([fit.solution[2], fit.solution[3], fit.solution[4]]), fit.n_b)
-    rivals = fit.own_curvatures_step, _twist_step(fit, points[np.abs(points[:, 0]) > inner, 1])
-    return Section(frame, a, b, fit.covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit, *rivals)
+    covariance = fit.covariance
+    rivals = fit.own_curvatures_step, _twist_step(fit, covariance, points[np.abs(points[:, 0]) > inner, 1])
+    return Section(frame, a, b, covariance[:5, :5], fit.clumping, fit.stretches, fit.misfit, *rivals)
 
 
-def _twist_step(fit: SkinFit, y: Array) -> float:
+def _twist_step(fit: SkinFit, covariance: Array, y: Array) -> float:
     """By how much the step is another if the skin is twisted, so that its slope along the seam changes across it.
 
     The slopes of both sides carry the step from where the points lie to the plane. Where they lie about it, that is
@@ -207,7 +208,7 @@ def _twist_step(fit: SkinFit, y: Array) -> float:
     """
     across = np.zeros(7)
     across[5], across[6] = -1.0, 1.0
-    beyond_noise = abs(across @ fit.solution) - _BY_CHANCE * np.sqrt(across @ fit.covariance @ across)
+    beyond_noise = abs(across @ fit.solution) - _BY_CHANCE * np.sqrt(across @ covariance @ across)
     return float(abs(y.mean()) * max(beyond_noise, 0.0))
 
 
